@@ -123,9 +123,9 @@ class Receiver:
         """Fixes in two places, or a fix and none, in turns: a stranger forges some of them."""
         is_known = UNREPORTED not in (message.vel, message.cog)
         speed_mps, course_rad = (message.vel / 100, math.radians(message.cog / 100)) if is_known else (0.0, 0.0)
-        east_mps, north_mps = speed_mps * math.sin(course_rad), speed_mps * math.cos(course_rad)
+        velocity = speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad)  # north, east
         at = message.lat / 1e7, message.lon / 1e7
-        self.alternation.add(VehiclePosition(now_ns, *at, 0.0, None, speed_mps, east_mps, north_mps), now_ns)
+        self.alternation.add(VehiclePosition(now_ns, *at, 0.0, None, speed_mps, *velocity), now_ns)
         if self._fix.good_ns is None and self._fix_ns is not None and now_ns - self._fix_ns <= LOST_NS:
             self.alternation.notice(now_ns)
         self._fix_ns = now_ns

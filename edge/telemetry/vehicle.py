@@ -230,7 +230,7 @@ class Vehicle:
         if stamp_ns is None:
             return
         at = stamp_ns, message.x / NORTH_M, message.y / EAST_M, 0.0, None
-        self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vy, message.vx), now_ns)
+        self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vx, message.vy), now_ns)
         if self.is_doubled:
             return
         self.session.origins.add_local(stamp_ns, message.y, message.x)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.geodesy import moved
 from edge.journal.records import FixAnswered
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.people import Publisher
@@ -191,6 +193,27 @@ def test_forged_gps_and_motion_beside_the_autopilots_stop_positions(kind: str, l
             assert vehicle.is_doubled
         elif lost or kind == "fix":
             assert vehicle.session.gps.receiver_state(now_ns) != "healthy"
+
+
+@pytest.mark.parametrize("kind", ["fix", "local position"])
+@pytest.mark.parametrize("heading_deg", [0, 45, 90, 135, 180, 225, 270, 315])
+def test_two_senders_are_told_apart_whichever_way_a_fast_vehicle_goes(heading_deg: int, kind: str) -> None:
+    """At 30 m/s. What the other one sends lies 300 m further north."""
+    speaker, course_rad = Speaker(), math.radians(heading_deg)
+    vehicle, east_mps, north_mps = connect(speaker), 30.0 * math.sin(course_rad), 30.0 * math.cos(course_rad)
+    for eighth in range(16, 40):
+        seconds, off_m = eighth / 8, 300.0 * (eighth % 2)
+        east_m, north_m = east_mps * seconds, north_mps * seconds + off_m
+        if kind == "fix":
+            lat_deg, lon_deg = moved(-27.0, 153.0, east_m, north_m)
+            at = round(lat_deg * 1e7), round(lon_deg * 1e7), 0, 80, 100, 3000, 100 * heading_deg, 12
+            message = mavlink.MAVLink_gps_raw_int_message(0, 3, *at, h_acc=1500)
+        else:
+            velocity = north_mps, east_mps, 0.0
+            message = mavlink.MAVLink_local_position_ned_message(125 * eighth, north_m, east_m, 0.0, *velocity)
+        vehicle.handle(speaker.say(message), round(seconds * S))
+    assert vehicle.session.gps.takes_turns(round(seconds * S)) == (kind == "fix")
+    assert vehicle.is_doubled == (kind == "local position")
 
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
