@@ -1,4 +1,4 @@
-"""Positions in degrees (WGS 84) and in local meters; every conversion of the vehicle's code is here, by pymap3d."""
+"""Positions in degrees (WGS 84) and in local meters; every conversion of the vehicle's code is here, by pyproj."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
+from pyproj import Geod, Transformer
 
 Origin = tuple[float, float]
 """Latitude and longitude in degrees that local meters are counted from."""
+
+_EARTH = Geod(ellps="WGS84")
+"""Shortest ways over the ellipsoid (Karney 2013): 0.7 us each on a desktop's core, and right on its far side, too."""
+_RADIUS_M = 6_371_009.0
+"""Mean radius of WGS 84. So many meters above the ellipsoid, ways are longer by one part of so many."""
 
 PositionSource = Literal[
     "unknown", "gps", "dgps", "rtk_float", "rtk_fixed", "estimate", "dead_reckoning", "place_fixes", "survey", "ppp"
@@ -56,24 +61,44 @@ def first_known(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> O
 def east_north(
     lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64], origin: Origin | None = None
 ) -> NDArray[np.float64]:
-    """Meters east and north of an origin, else of the first known position: (N,) degrees -> (N, 2), NaN if unknown."""
+    """Meters east and north of an origin, else of the first known position: (N,) degrees -> (N, 2), NaN if unknown.
+
+    In the plane that touches the earth there, since that costs a sixth of the shortest ways of `east_north_of`; 10 km
+    from the origin they differ by 4 mm, 50 km from it by 0.5 m.
+    """
     origin = origin or first_known(lat_deg, lon_deg)
     if origin is None:
         return np.full((len(lat_deg), 2), np.nan)
-    east, north, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, 0.0, *origin, 0.0)
+    lat_0, lon_0 = origin
+    plane = Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
+        f" +step +proj=topocentric +ellps=WGS84 +lat_0={lat_0!r} +lon_0={lon_0!r}"
+    )
+    east, north, _ = plane.transform(lon_deg, lat_deg, np.zeros(len(lat_deg)))
     return np.column_stack([east, north])
 
 
 def east_north_of(lat_deg: float, lon_deg: float, origin: Origin, alt_m: float = 0.0) -> tuple[float, float]:
-    """Meters east and north of an origin, of one position; both at the same altitude."""
-    east_m, north_m, _ = pymap3d.geodetic2enu(lat_deg, lon_deg, alt_m, *origin, alt_m)
-    return float(east_m), float(north_m)
+    """Meters east and north of an origin, of one position, along the shortest way; both at the same altitude."""
+    azimuth_deg, _, way_m = _EARTH.inv(origin[1], origin[0], lon_deg, lat_deg)
+    azimuth_rad, way_m = math.radians(azimuth_deg), way_m * (1 + alt_m / _RADIUS_M)
+    return way_m * math.sin(azimuth_rad), way_m * math.cos(azimuth_rad)
 
 
 def moved(lat_deg: float, lon_deg: float, east_m: float, north_m: float, alt_m: float = 0.0) -> tuple[float, float]:
-    """Latitude and longitude of a position that lies so far east and north of another one, in the plane through it."""
-    lat, lon, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, lat_deg, lon_deg, alt_m)
-    return float(lat), wrapped(float(lon))
+    """Latitude and longitude of a position so far east and north of another one: `east_north_of` backwards."""
+    azimuth_deg, way_m = math.degrees(math.atan2(east_m, north_m)), math.hypot(east_m, north_m)
+    lon, lat, _ = _EARTH.fwd(lon_deg, lat_deg, azimuth_deg, way_m / (1 + alt_m / _RADIUS_M))
+    return lat, lon
+
+
+def all_moved(
+    lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64], moves_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Latitudes and longitudes (N,) of positions that lie so far east and north (N, 2) of others (N,)."""
+    east_m, north_m = moves_m.T
+    lon, lat, _ = _EARTH.fwd(lon_deg, lat_deg, np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m))
+    return lat, lon
 
 
 def moved_left(lat_deg: float, lon_deg: float, heading_deg: float, left_m: float) -> tuple[float, float]:
@@ -85,10 +110,9 @@ def moved_left(lat_deg: float, lon_deg: float, heading_deg: float, left_m: float
 def apart_m(
     lat_deg: float, lon_deg: float | NDArray[np.float64], lats_deg: NDArray[np.float64], lons_deg: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Meters from a position to others (n,), in a straight line."""
-    east, north, up = pymap3d.geodetic2enu(lats_deg, lons_deg, 0.0, lat_deg, lon_deg, 0.0)
-    # With `up`, since on the other side of the earth the other two are small again.
-    meters: NDArray[np.float64] = np.sqrt(np.square(east) + np.square(north) + np.square(up))
+    """Meters from a position to others (n,), along the shortest way."""
+    here = np.broadcast_to(lon_deg, lats_deg.shape), np.broadcast_to(lat_deg, lats_deg.shape)
+    meters: NDArray[np.float64] = _EARTH.inv(*here, lons_deg, lats_deg)[2]
     return meters
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import HomeConfig
-from edge.geodesy import east_north_of, moved, wrapped
+from edge.geodesy import east_north, moved
 from edge.mission import checks
 from edge.mission.checks import Finding
 from edge.mission.drive_line import DriveLine, along, drive_line, simplified
@@ -87,7 +87,7 @@ def plan_way_home(
     """
     line = drive_line(maps, drive)
     start = start or Start(*_degrees(line, line.points_m[-1]), route_m=float(line.driven_m[-1]))
-    here_m = np.array(east_north_of(start.lat_deg, start.lon_deg, line.origin))
+    here_m = east_north(np.array([start.lat_deg]), np.array([start.lon_deg]), line.origin)[0]  # as the line's points
     passes = passes_by(line, here_m, start.sigma_m or 0.0)
     first, unsure = chosen(line, passes, start.route_m, max(SAME_PASS_M, SIGMAS * (start.sigma_m or 0.0)))
     row, nearest_m = first.row, first.point_m
@@ -133,8 +133,7 @@ def _turn_rad(heading_deg: float | None, waypoints_m: NDArray[np.float64]) -> fl
 
 
 def _degrees(line: DriveLine, point_m: NDArray[np.float64]) -> tuple[float, float]:
-    lat_deg, lon_deg = moved(*line.origin, float(point_m[0]), float(point_m[1]))
-    return lat_deg, wrapped(lon_deg)
+    return moved(*line.origin, float(point_m[0]), float(point_m[1]))
 
 
 class MissionItem(msgspec.Struct, frozen=True, array_like=True):

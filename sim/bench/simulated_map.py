@@ -8,10 +8,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
+from edge.geodesy import all_moved
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import squared_norms
@@ -61,9 +61,9 @@ def _places(first: int, places: int) -> NDArray[np.void]:
     """Places every 2 m along streets of 10 km that lie 100 m apart."""
     records = np.zeros(places, dtype=PLACE)
     street, along_m = np.divmod((first + np.arange(places)) * SPACING_M, STREET_M)
-    records["lat_deg"], records["lon_deg"], _ = pymap3d.enu2geodetic(
-        street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0
-    )
+    lat_deg, lon_deg = np.full(places, ORIGIN_LAT_DEG), np.full(places, ORIGIN_LON_DEG)
+    moves_m = np.column_stack([street * APART_M, along_m])
+    records["lat_deg"], records["lon_deg"] = all_moved(lat_deg, lon_deg, moves_m)
     records["route_m"] = along_m
     records["row"] = np.arange(places)
     records["position_sigma_m"] = 1.0

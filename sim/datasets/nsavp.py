@@ -17,8 +17,8 @@ from pathlib import Path
 import cv2
 import h5py
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
+from pyproj import Geod, Transformer
 
 from edge.errors import FeedError, FrameError
 from sim.datasets import ReadOptions, Traverse
@@ -113,11 +113,14 @@ def _track(file: Path) -> Track:
         ]
         stamps_ns = _dataset(file, h5, "pose_base_link/timestamps")[:].astype(np.int64)
     positions, (x, y, z, w) = columns[0].T, columns[1].T
-    lat_deg, lon_deg, _ = pymap3d.ecef2geodetic(*positions)
+    to_degrees = Transformer.from_pipeline(
+        "+proj=pipeline +step +inv +proj=cart +ellps=WGS84 +step +proj=unitconvert +xy_in=rad +xy_out=deg"
+    )
+    lon_deg, lat_deg, _ = to_degrees.transform(positions[0], positions[1], positions[2])
     # The vehicle's x axis, which points forward, in the ECEF frame.
-    forward = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
-    east, north, _ = pymap3d.ecef2enuv(*forward, lat_deg, lon_deg)
-    heading_deg = np.degrees(np.arctan2(east, north)) % 360.0
+    forward = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)])
+    ahead_lon_deg, ahead_lat_deg, _ = to_degrees.transform(*(positions + forward))
+    heading_deg = Geod(ellps="WGS84").inv(lon_deg, lat_deg, ahead_lon_deg, ahead_lat_deg)[0] % 360.0
     values = np.column_stack([lat_deg, lon_deg, heading_deg]).tolist()
     fixes = (
         Fix(stamp_ns, lat, lon, heading_deg=heading)

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.geodesy import all_moved
 from edge.localization.place_fix import LineMiddle, line_middle
 from edge.map_agreement import Compared, Disagreement
 from edge.reference_map import MapSet, ReferenceMap, Route, sigmas_m
@@ -163,7 +163,7 @@ def _median(values: Floats, weights: Floats) -> float:
 
 
 def _moved(places: NDArray[np.void], moves_m: Floats) -> Floats:
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(*moves_m.T, 0.0, places["lat_deg"], places["lon_deg"], 0.0)
+    lat_deg, lon_deg = all_moved(places["lat_deg"], places["lon_deg"], moves_m)
     return np.stack([lat_deg, lon_deg, places["position_sigma_m"].astype(np.float64)])
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import pymap3d
 from pymavlink.dialects.v20 import common as mavlink
 
+from edge.geodesy import east_north_of
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -155,7 +155,4 @@ class PositionInputs:
 
 def east_north_m(lat_deg: float, lon_deg: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:
     """Meters east and north of the simulation's origin, which lies so many degrees further east than usual."""
-    east_m, north_m, _ = pymap3d.geodetic2enu(
-        lat_deg, lon_deg, ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg, ORIGIN_ALT_M
-    )
-    return float(east_m), float(north_m)
+    return east_north_of(lat_deg, lon_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg), ORIGIN_ALT_M)

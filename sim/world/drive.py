@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
+from edge.geodesy import east_north_of
 from sim import ORIGIN_ALT_M, Pose
 from sim.world.route import Route
 
@@ -83,10 +84,7 @@ class Drive:
     def error_m(self, time_s: float, lat_deg: float, lon_deg: float) -> float:
         """Horizontal distance of a position from where the vehicle is at `time_s`."""
         true_lat_deg, true_lon_deg = self.pose(time_s).geodetic()
-        east_m, north_m, _ = pymap3d.geodetic2enu(
-            lat_deg, lon_deg, ORIGIN_ALT_M, true_lat_deg, true_lon_deg, ORIGIN_ALT_M
-        )
-        return float(np.hypot(east_m, north_m))
+        return math.hypot(*east_north_of(lat_deg, lon_deg, (true_lat_deg, true_lon_deg), ORIGIN_ALT_M))
 
     def _tilt_deg(self, time_s: float) -> tuple[float, float]:
         """Pitch by the acceleration of the last half second, and bumps of 11 and 4 m, which also make it roll."""

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pymap3d
 from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor import NormalizedRows
+from edge.geodesy import moved
 from edge.reference_map import MapSet, ModelKey, open_map, open_map_set
 from edge.reference_map.place_records import PLACE
 from edge.sequence import Near, PlaceMatch, Travel
@@ -157,5 +157,4 @@ def seen_at(descriptors: NDArray[np.int8], place: int) -> NDArray[np.float32]:
 def match_position(place: int) -> tuple[float, float]:
     """Latitude and longitude of a place."""
     street, along_m = divmod(place * SPACING_M, STREET_M)
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(street * APART_M, along_m, 0.0, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, 0.0)
-    return float(lat_deg), float(lon_deg)
+    return moved(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, street * APART_M, along_m)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-import pymap3d
 import pytest
 from msgspec.structs import replace
 
@@ -145,7 +144,8 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
         tracker.update(match, item.frame.stamp_ns, moved, in_line=recognizer.is_in_line)
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
-            east_m, north_m, _ = pymap3d.geodetic2enu(found.lat_deg, found.lon_deg, 0, lat_deg, lon_deg, 0)
+            assert found.lat_deg is not None and found.lon_deg is not None
+            east_m, north_m = east_north_of(found.lat_deg, found.lon_deg, (lat_deg, lon_deg))
             heading_rad = math.radians(found.heading_deg or 0.0)
             along_m = east_m * math.sin(heading_rad) + north_m * math.cos(heading_rad)
             in_sigmas.append(along_m / found.sigma_along_m)

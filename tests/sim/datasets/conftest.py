@@ -8,16 +8,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pymap3d
 import pytest
 from numpy.typing import NDArray
 
 from edge.errors import FeedError
+from edge.geodesy import moved
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.commands import add_arguments
 
 WIDTH, HEIGHT = 64, 48
-ORIGIN = (51.7600, -1.2600, 100.0)
+ORIGIN = (51.7600, -1.2600)
 
 
 def picture(index: int) -> NDArray[np.uint8]:
@@ -61,8 +61,7 @@ def degrees_at() -> Callable[[float, float], tuple[float, float]]:
     """Latitude and longitude of so many meters east and north of a corner of Oxford."""
 
     def degrees(east_m: float, north_m: float) -> tuple[float, float]:
-        lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north_m, 0.0, *ORIGIN)
-        return float(lat_deg), float(lon_deg)
+        return moved(*ORIGIN, east_m, north_m)
 
     return degrees
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import h5py
 import numpy as np
-import pymap3d
 import pytest
 from numpy.typing import NDArray
+from pyproj import Transformer
+from pyproj.enums import TransformDirection
 
 from edge.feed import FeedImages, read_feed
+from edge.geodesy import moved
 from sim.datasets import ReadOptions, open_dataset
 
 ORIGIN = (42.29, -83.71, 260.0)
@@ -21,11 +23,23 @@ Import = Callable[..., int]
 Refused = Callable[..., None]
 
 
+def to_ecef(
+    east_m: NDArray[np.float64], north_m: NDArray[np.float64], up_m: NDArray[np.float64], origin: Sequence[float]
+) -> NDArray[np.float64]:
+    """Points (N,) around an origin (degrees, meters above the ellipsoid) in meters of the ECEF frame, (3, N)."""
+    lat_deg, lon_deg, alt_m = origin
+    plane = f"+proj=topocentric +ellps=WGS84 +lat_0={lat_deg} +lon_0={lon_deg} +h_0={alt_m}"
+    transformer = Transformer.from_pipeline(plane)
+    return np.array(transformer.transform(east_m, north_m, up_m, direction=TransformDirection.INVERSE))
+
+
 def quaternion_of(heading_deg: float, lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
     """x y z w of the rotation from base_link (ahead, left, up) to the ECEF frame, by its matrix."""
     heading = np.radians(heading_deg)
     ahead, left = (np.sin(heading), np.cos(heading), 0.0), (-np.cos(heading), np.sin(heading), 0.0)
-    matrix = np.array([pymap3d.enu2ecefv(*axis, lat_deg, lon_deg) for axis in (ahead, left, (0.0, 0.0, 1.0))]).T
+    axes = np.array([(0.0, 0.0, 0.0), ahead, left, (0.0, 0.0, 1.0)]).T
+    ends = to_ecef(axes[0], axes[1], axes[2], (lat_deg, lon_deg, 0.0))
+    matrix = ends[:, 1:] - ends[:, :1]
     values, vectors = np.linalg.eigh(_bar_itzhack(matrix))
     found: NDArray[np.float64] = vectors[:, values.argmax()]
     return found
@@ -65,7 +79,7 @@ def sequence(tmp_path: Path) -> Callable[..., Path]:
         east_m, north_m = along_m * np.sin(np.radians(heading_deg)), along_m * np.cos(np.radians(heading_deg))
         with h5py.File(folder / f"{prefix}_applanix.h5", "w") as h5:
             group = h5.create_group("pose_base_link")
-            group["positions"] = np.column_stack(pymap3d.enu2ecef(east_m, north_m, 0.0, *ORIGIN))
+            group["positions"] = to_ecef(east_m, north_m, 0 * east_m, ORIGIN).T
             group["quaternions"] = np.tile(quaternion_of(heading_deg, *ORIGIN[:2]), (len(along_m), 1))
             group["timestamps"] = _stamps(len(along_m), 5_000_000)
         return folder
@@ -87,7 +101,7 @@ def test_a_sequence_becomes_a_feed_with_a_picture_every_two_meters(
     assert {round(row.heading_deg or 0.0, 2) for row in feed.rows} == {30.0}
     assert [row.stamp_ns for row in feed.rows] == _stamps(FRAMES, 50_000_000)[::2].tolist()
     assert (feed.header.view, feed.header.source) == ("front", "NSAVP R0_FA0_mono_left")
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(10 * np.sin(np.radians(30)), 10 * np.cos(np.radians(30)), 0, *ORIGIN)
+    lat_deg, lon_deg = moved(*ORIGIN[:2], 10 * np.sin(np.radians(30)), 10 * np.cos(np.radians(30)), ORIGIN[2])
     assert (feed.rows[5].lat_deg, feed.rows[5].lon_deg) == pytest.approx((lat_deg, lon_deg), abs=1e-7)
     assert np.unique(FeedImages(feed).read(5)).tolist() == [40]
 

@@ -4,15 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pymap3d
 import pytest
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedHeader, FeedRow, read_feed
+from edge.geodesy import moved
 from sim.datasets import TruthKind
 from sim.research.evaluation.truth import errors_between, points_of
 
-ORIGIN = (51.76, -1.26, 0.0)
+ORIGIN = (51.76, -1.26)
 
 
 def feed_of(rows: list[FeedRow], name: str = "feed") -> Feed:
@@ -25,8 +25,8 @@ def street(*north_m: float | None, east_m: float = 0.0) -> Feed:
     for index, north in enumerate(north_m):
         row = FeedRow(f"{index}.jpg", index)
         if north is not None:
-            lat_deg, lon_deg, _ = pymap3d.enu2geodetic(east_m, north, 0.0, *ORIGIN)
-            row = replace(row, lat_deg=float(lat_deg), lon_deg=float(lon_deg))
+            lat_deg, lon_deg = moved(*ORIGIN, east_m, north)
+            row = replace(row, lat_deg=lat_deg, lon_deg=lon_deg)
         rows.append(row)
     return feed_of(rows)
 
