@@ -58,6 +58,23 @@ def test_a_lost_last_acknowledgement_is_no_failure(home: Rig) -> None:
     assert results(home)[-1] == ACCEPTED
 
 
+def test_items_that_come_twice_are_no_failure(home: Rig) -> None:
+    """As where their requests were repeated before a slow answer came."""
+    twice: list[int] = []
+
+    def loses(message: Any) -> bool:
+        if message.get_type() == "MISSION_ITEM_INT" and message.get_srcComponent() == 1 and message.seq not in twice:
+            twice.append(message.seq)
+            home.autopilot.send(message)
+        return False
+
+    home.wire.loses = loses
+    home.autopilot.send(command())
+    assert home.run(10.0, finished(home))
+    assert len(twice) == len(home.autopilot.mission.items)
+    assert results(home)[-1] == ACCEPTED
+
+
 def test_a_lost_last_item_is_sent_again(home: Rig) -> None:
     """Also where its requests are lost, and the autopilot still waits for it when its items are requested."""
     last, lost = -1, 0

@@ -97,6 +97,18 @@ def test_a_vehicle_that_drives_itself_keeps_its_mission(home: Rig) -> None:
     assert home.run(10.0, lambda: results(home)[-1] == ACCEPTED)
 
 
+def test_no_mission_is_uploaded_before_the_mode_is_known(home: Rig) -> None:
+    """One heartbeat that says that it does not drive itself may be a stranger's."""
+    home.crash()
+    home.autopilot.received.clear()
+    home.connect()
+    assert home.run(4.0, lambda: home.connection.state == "up")
+    home.autopilot.send(command())
+    assert home.run(1.0, finished(home))
+    assert results(home) == [REJECTED]
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot's mode is not known"
+
+
 def test_a_vehicle_that_begins_to_drive_itself_ends_the_upload(home: Rig) -> None:
     home.wire.loses = lambda message: message.get_type() == "MISSION_ITEM_INT" and message.seq == 2
     home.autopilot.send(command())
