@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+import math
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition
-from edge.localization import GpsFix
+from edge.localization import GpsFix, PlaceFix
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.reference_map import MapSet
@@ -50,6 +52,16 @@ def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it() -> Non
         estimator.bind_by_gps(report)
         known_m.append(estimator.uncertainty_m(report))
     assert known_m == [3.0, None, None, 3.0]
+
+
+def test_the_autopilot_is_uncertain_by_what_its_velocity_was_found_wrong_by_last() -> None:
+    estimator, after = PositionEstimator(settings(RigConfig())), Report(0, driven_m=100.0)
+    estimator.bind_by_gps(Report(0, gps_sigma_m=3.0, driven_m=0.0))
+    fix, known_m = PlaceFix(0, 7, LAT_DEG, 153.0, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street"), []
+    for error in (0.1, 0.2, 0.15):
+        estimator.observe(replace(fix, velocity_error=error), after, None)
+        known_m.append(estimator.uncertainty_m(after))
+    assert known_m == pytest.approx([math.hypot(3.0, of_m) for of_m in (10.0, 20.0, 15.0)])
 
 
 def test_positions_are_estimated_in_one_place() -> None:
