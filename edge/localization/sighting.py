@@ -239,5 +239,5 @@ def _further(driven_m: Vector, doubtful_m: Vector, scale_sigma: float, doubt_sig
 
 
 def _truly(moved_m: Vector, estimate: RouteEstimate | None) -> Vector:
-    """Meters (..., 2) of displacements (..., 3) without the errors that were found."""
+    """Meters (..., 2) of displacements (..., 4) without the errors that were found."""
     return moved_m[..., :2] if estimate is None else estimate.truly(moved_m)

@@ -93,6 +93,8 @@ def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> 
         alt_m=before.alt_m + share * (after.alt_m - before.alt_m),
         heading_deg=_heading_between(before.heading_deg, after.heading_deg, share),
         speed_mps=before.speed_mps + share * (after.speed_mps - before.speed_mps),
+        north_mps=before.north_mps + share * (after.north_mps - before.north_mps),
+        east_mps=before.east_mps + share * (after.east_mps - before.east_mps),
         sigma_m=None if before.sigma_m is None or after.sigma_m is None else max(before.sigma_m, after.sigma_m),
         source=worse_source(before.source, after.source),
     )

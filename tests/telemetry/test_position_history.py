@@ -38,12 +38,14 @@ def north_m(position: VehiclePosition | None) -> float:
 
 
 def test_between_two_positions_it_is_interpolated() -> None:
-    kept = history(north(1.0, 10.0, heading_deg=350.0), north(1.2, 12.0, heading_deg=20.0, sigma_m=3.0))
+    after = north(1.2, 12.0, heading_deg=20.0, sigma_m=3.0, speed_mps=12.0, north_mps=9.0, east_mps=8.0)
+    kept = history(north(1.0, 10.0, heading_deg=350.0), after)
     found = kept.at(round(1.05 * S))
     assert found is not None
     assert north_m(found) == pytest.approx(10.5, abs=0.01)
     assert found.alt_m == pytest.approx(10.5)
     assert found.heading_deg == pytest.approx(357.5)
+    assert (found.speed_mps, found.north_mps, found.east_mps) == pytest.approx((10.5, 9.75, 2.0))
     assert (found.sigma_m, found.source, found.stamp_ns) == (3.0, "gps", round(1.05 * S))
 
 
