@@ -103,7 +103,7 @@ def _follows(before: MapHeader, after: MapHeader) -> bool:
 
 
 def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Ranges:
-    """The ranges with the places that a sequence ending in them may have passed before; merged where they touch.
+    """Sorted ranges with the places that a sequence ending in them may have passed before; merged where they touch.
 
     breaks: 0, the number of places, and in between the places that no sequence crosses.
     """
@@ -113,7 +113,7 @@ def widened(ranges: Ranges, sequence_length: int, breaks: Sequence[int]) -> Rang
         floor, ceiling = breaks[bisect_right(breaks, start) - 1], breaks[bisect_left(breaks, end)]
         first, last = max(floor, start - margin), min(ceiling, end + margin)
         if out and first <= out[-1][1]:
-            out[-1] = (out[-1][0], last)
+            out[-1] = (out[-1][0], max(last, out[-1][1]))
         else:
             out.append((first, last))
     return out

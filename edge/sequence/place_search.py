@@ -3,7 +3,8 @@
 whole: maps of up to `places_per_frame` places together are searched whole with every frame. around: of larger ones,
 only the part around the autopilot's position is searched, or around the place that was recognized last. scanning:
 where there is neither, one slice is searched with each frame (`GlobalSearch`). Where nothing was believed for a while
-around a position, the maps are scanned besides. No frame costs more than its share.
+around a position, the maps are scanned besides, and the surroundings of what is found are searched as well as those of
+the position; in their place, if both are too much for a frame. No frame costs more than its share.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ class PlaceSearch:
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
         self._reach: Near | None = None  # of the part, if it lies around a position
+        self._beside: Near | None = None  # what a scan has found, or a belief has confirmed since, beside a position
         self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part was matched with no row of the ring yet
         self._unbelieved = 0  # frames since a place was believed
@@ -123,7 +125,7 @@ class PlaceSearch:
             self.part.clear()
             self._is_fresh = True
         else:
-            self.part = self._reach = None
+            self.part = self._reach = self._beside = None
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
@@ -177,7 +179,7 @@ class PlaceSearch:
         if self._is_whole:
             return
         self._unbelieved = 0 if place_index is not None else self._unbelieved + 1
-        if place_index is not None and not self._is_position_known:
+        if place_index is not None and (self._beside is not None or not self._is_position_known):
             self._follow(place_index)
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
@@ -224,7 +226,7 @@ class PlaceSearch:
 
     def _follow(self, place_index: int) -> None:
         """Move the part on before the vehicle comes to its end."""
-        reach, around = self._reach, self._around(place_index)
+        reach, around = self._beside or self._reach, self._around(place_index)
         if reach is None or around is None:
             moved = abs(place_index - self._settled) > self._most // 8
             far = reach is not None or around is not None or moved
@@ -234,11 +236,12 @@ class PlaceSearch:
             self._settle(place_index)
 
     def _settle(self, place_index: int) -> None:
-        """Search around a place from the next frame on."""
+        """Search around a place from the next frame on, and around the autopilot's position, which may be right."""
         self._unbelieved = 0
-        around = self._around(place_index)
+        around, has_position = self._around(place_index), self._is_position_known and self._reach is not None
+        self._beside = around if has_position else None
         if around is not None:
-            self._search_around(around)
+            self._search_around(self._reach if has_position and self._reach is not None else around)
             return
         first, end = self.map_set.index.whole(place_index)
         some = self._most // 4
@@ -254,8 +257,12 @@ class PlaceSearch:
         return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
     def _search_around(self, reach: Near) -> None:
-        found = self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
-        self._search(self.map_set.index.widened(found, math.ceil(self._span)), reach)
+        blocks, both = self.map_set.blocks, [reach] if self._beside is None else [reach, self._beside]
+        found = [blocks.within(each.lat_deg, each.lon_deg, each.radius_m) for each in both]
+        for ranges in ([one for some in found for one in some], found[-1]):
+            self._search(self.map_set.index.widened(sorted(ranges), math.ceil(self._span)), reach)
+            if self.part is not None:
+                return
 
     def _everything(self) -> Ranges:
         return [(0, self.map_set.index.places)] if self._is_whole else []

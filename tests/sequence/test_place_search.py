@@ -177,15 +177,22 @@ def test_of_two_stretches_that_look_alike_neither_is_found_wherever_the_slices_a
     assert drive.search.part is None
 
 
-def test_a_wrong_position_is_found_out(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
+@pytest.mark.parametrize("radius_m", [60.0, 5000.0])
+def test_a_wrong_position_is_found_out(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], radius_m: float
+) -> None:
+    """What a scan has found goes on to be searched, beside the position or, if that may be anywhere, in its place."""
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
     drive = Drive(long_map, look)
     frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
-    matches = drive.go(range(500, 500 + frames), lambda place: close_to(place, off_m=6000.0))
-    believed = [match for match in matches if match and is_unique(match)]
-    assert believed
-    assert all(500 <= match.place <= 500 + frames for match in believed)
+    drive.go(range(500, 500 + frames), lambda place: close_to(place, 6000.0, radius_m))
+    places = range(500 + frames, 900)
+    matches = drive.go(places, lambda place: close_to(place, 6000.0, radius_m))
+    assert all(
+        match is not None and is_unique(match) and abs(match.place - place) <= 3
+        for place, match in zip(places, matches, strict=True)
+    )
 
 
 def test_what_was_found_is_followed_before_it_can_be_believed(
