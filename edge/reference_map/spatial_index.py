@@ -64,9 +64,12 @@ class SpatialIndex:
         band = np.flatnonzero((south <= lat_deg + reach_deg) & (north >= lat_deg - reach_deg))
         south, west, north, east = self._edges[:, band]
         lon_near_deg = lon_deg + 360 * np.round(((west + east) / 2 - lon_deg) / 360)
-        nearest = np.clip(lat_deg, south, north), np.clip(lon_near_deg, west, east)
-        near = band[apart_m(lat_deg, lon_near_deg, *nearest) <= reach_m]
-        return self._merged(near)
+        nearest_lat_deg, nearest_lon_deg = np.clip(lat_deg, south, north), np.clip(lon_near_deg, west, east)
+        # No meridian within reach is further away than reach_deg where meridians are closest, nearer to the pole.
+        closest = max(0.0, math.cos(math.radians(min(90.0, abs(lat_deg) + reach_deg))))
+        beside = np.flatnonzero(np.abs(nearest_lon_deg - lon_near_deg) * closest <= reach_deg)
+        away_m = apart_m(lat_deg, lon_near_deg[beside], nearest_lat_deg[beside], nearest_lon_deg[beside])
+        return self._merged(band[beside[away_m <= reach_m]])
 
     def _merged(self, blocks: NDArray[np.intp]) -> Ranges:
         """Runs of blocks as ranges of places."""
