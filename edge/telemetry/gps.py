@@ -168,11 +168,13 @@ class Gps:
 
     def takes_turns(self, now_ns: int) -> bool:
         """Whether two senders report in turns, of whom one may be a stranger: then nothing says where GPS is."""
-        return any(one.is_found(now_ns) for one in (self._alternation, *(one.alternation for one in self.receivers)))
+        first, second = self.receivers
+        found = self._alternation.is_found(now_ns) or first.alternation.is_found(now_ns)  # quick: asked in each turn
+        return found or second.alternation.is_found(now_ns)
 
     def receiver_state(self, now_ns: int) -> GpsState:
         """By the receivers alone, whether or not the filter uses them."""
-        first, second = (one.state(now_ns) for one in self.receivers)
+        first, second = self.receivers[0].state(now_ns), self.receivers[1].state(now_ns)
         if "healthy" in (first, second):
             return "unknown" if self.takes_turns(now_ns) else "healthy"
         if self.receivers[0].heard_ns is None and self._is_absent(now_ns):

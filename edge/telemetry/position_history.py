@@ -137,8 +137,9 @@ class Alternation:
     def is_found(self, now_ns: int) -> bool:
         """Whether that was so often within TURNS_NS, until it has not been so for TURNS_NS."""
         noticed_ns = self._noticed_ns
-        is_often = len(noticed_ns) == TURNS and noticed_ns[-1] - noticed_ns[0] <= TURNS_NS
-        return is_often and now_ns - noticed_ns[-1] <= TURNS_NS
+        if len(noticed_ns) < TURNS:
+            return False
+        return noticed_ns[-1] - noticed_ns[0] <= TURNS_NS and now_ns - noticed_ns[-1] <= TURNS_NS
 
 
 def turned(first: VehiclePosition, second: VehiclePosition) -> bool:

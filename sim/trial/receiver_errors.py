@@ -21,8 +21,9 @@ def receiver_errors(count: int, step: float, length: float, rng: np.random.Gener
     sigma = math.sqrt(1 - STAYS**2)
     kept = math.exp(-step / length)
     stays, error = rng.normal(0.0, STAYS, 2), rng.normal(0.0, sigma, 2)
+    moves = rng.normal(0.0, sigma * math.sqrt(1 - kept**2), (count, 2))
     errors = np.empty((count, 2))
     for row in range(count):
         errors[row] = stays + error
-        error = kept * error + rng.normal(0.0, sigma * math.sqrt(1 - kept**2), 2)
+        error = kept * error + moves[row]
     return errors

@@ -64,10 +64,7 @@ class Drive:
     def __init__(self, draft: Draft, seed: int, folder: Path, library: RoadLibrary) -> None:
         self.draft, self.seed, self.library = draft, seed, library
         self.journal = folder / JOURNAL
-        network = PlacedNetwork.load()
-        assert isinstance(network, PlacedNetwork)
-        self.network = network
-        self.network.library = library
+        self.network = PlacedNetwork(library)
 
     def run(self, driven: Callable[[float], object] = lambda meters: None) -> Run:
         """driven: called with each few meters of the drive with the daemon, which needs nearly all of the time."""

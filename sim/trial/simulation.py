@@ -54,7 +54,8 @@ class Simulation:
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]))
         self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
         """The camera that maps."""
-        self._gps_errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))
+        errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))
+        self._gps_errors: list[tuple[float, float]] = errors.tolist()  # read in each step, one by one
         self._epoch_s = self.now_ns / 1e9 + UP_S
         self._frame_due_s = self._epoch_s - UP_S
         self.driver = Driver(draft.way, draft.legs, np.random.default_rng([seed, 10]))
@@ -122,9 +123,9 @@ class Simulation:
     def gps(self, time_s: float) -> GpsReport:
         """The receiver's report, as wrong as the accuracy that it states."""
         report = self._draft.gps_at(time_s) if self.driver.along_m < self._draft.gps_until_m else NO_FIX
-        row = int(np.clip(time_s + UP_S, 0, len(self._gps_errors) - 1))
-        off_m = report.accuracy_m / math.sqrt(2) * self._gps_errors[row]
-        east_off_m, north_off_m = report.east_off_m + float(off_m[0]), report.north_off_m + float(off_m[1])
+        east, north = self._gps_errors[min(max(int(time_s + UP_S), 0), len(self._gps_errors) - 1)]
+        sigma_m = report.accuracy_m / math.sqrt(2)  # in each direction
+        east_off_m, north_off_m = report.east_off_m + sigma_m * east, report.north_off_m + sigma_m * north
         return replace(report, east_off_m=east_off_m, north_off_m=north_off_m)
 
     @property

@@ -53,7 +53,7 @@ class RoadViews:
         size_m = self._cell_m
         turns = size_m * round(((turn_deg + 180.0) % 360.0 - 180.0) / (size_m * CELL_DEG))
         along_m, aside_m = (size_m * round(at_m / size_m) for at_m in (route_m, left_m))
-        cell = along_m, int(np.clip(aside_m, -MOST_LEFT_M, MOST_LEFT_M)), turns
+        cell = along_m, min(max(aside_m, -MOST_LEFT_M), MOST_LEFT_M), turns
         if cell not in self._known:
             self._known[cell] = self._describe(*cell).astype(np.float16)
         return self._known[cell].astype(np.float32)
@@ -94,14 +94,15 @@ class RoadLibrary:
 
     def __init__(self, network: Network, folder: Path, cell_m: int = 1) -> None:
         """folder: of one `cell_m`, how far apart views are."""
-        self._network, self._folder, self._cell_m = network, folder, cell_m
+        self.network = network
+        self._folder, self._cell_m = folder, cell_m
         self._views: dict[bytes, RoadViews] = {}
 
     def __getitem__(self, scenario: Scenario) -> RoadViews:
         """The views of a scenario."""
         key = msgspec.msgpack.encode(scenario)
         if key not in self._views:
-            self._views[key] = RoadViews(scenario, self._network, self._folder, self._cell_m)
+            self._views[key] = RoadViews(scenario, self.network, self._folder, self._cell_m)
         return self._views[key]
 
     def save(self) -> None:

@@ -42,7 +42,7 @@ class Route:
 
     def at(self, route_m: float, left_m: float = 0.0) -> tuple[float, float, float]:
         """East, north (m) and heading (rad) at arc length `route_m`, shifted `left_m` to the left of the road."""
-        row = np.clip((route_m + LEAD_M) / STEP_M, 0, len(self.points_m) - 1.001)
+        row = min(max((route_m + LEAD_M) / STEP_M, 0.0), len(self.points_m) - 1.001)  # np.clip takes 20 times as long
         low, share = int(row), row - int(row)
         east, north = self.points_m[low] + share * (self.points_m[low + 1] - self.points_m[low])
         heading = self.headings_rad[low] + share * (self.headings_rad[low + 1] - self.headings_rad[low])

@@ -96,9 +96,7 @@ class Replayed:
 
 def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed:
     """Replay a recorded drive; the journal of its last run stays in `folder`."""
-    network = PlacedNetwork.load()
-    assert isinstance(network, PlacedNetwork)
-    network.library = library
+    network = PlacedNetwork(library)
     received: list[tuple[float, Message]] = []
     sent: list[FixSent] = []
     used: list[FrameUsed] = []

@@ -165,7 +165,7 @@ def _follow_history(draft: CourseDraft, history: gps_histories.History) -> None:
     offsets_m = history(time_s, true_m, draft.rng)
 
     def report(at_s: float) -> GpsReport:
-        east_m, north_m = offsets_m[int(np.clip(at_s / 0.1, 0, len(offsets_m) - 1))]
+        east_m, north_m = offsets_m[int(min(max(at_s / 0.1, 0.0), len(offsets_m) - 1))]
         return NO_FIX if np.isnan(east_m) else GpsReport(east_off_m=float(east_m), north_off_m=float(north_m))
 
     draft.gps_at, draft.steers = report, False
