@@ -15,7 +15,7 @@ test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py
-WHOLE := config.py daemon.py extras.py files.py import_rule.py main.py toml_file.py warm_start_file.py
+WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
 .PHONY: demo test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def east_north(
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
         f" +step +proj=topocentric +ellps=WGS84 +lat_0={lat_0!r} +lon_0={lon_0!r}"
     )
-    east, north, _ = plane.transform(lon_deg, lat_deg, np.zeros(len(lat_deg)))
+    east, north, _ = plane.transform(*_numbers(lon_deg, lat_deg, np.zeros(len(lat_deg))))
     return np.column_stack([east, north])
 
 
@@ -97,8 +97,9 @@ def all_moved(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Latitudes and longitudes (N,) of positions that lie so far east and north (N, 2) of others (N,)."""
     east_m, north_m = moves_m.T
-    lon, lat, _ = _EARTH.fwd(lon_deg, lat_deg, np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m))
-    return lat, lon
+    azimuths_deg, ways_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m)
+    lon, lat, _ = _EARTH.fwd(*_numbers(lon_deg, lat_deg, azimuths_deg, ways_m))
+    return np.atleast_1d(lat), np.atleast_1d(lon)
 
 
 def moved_left(lat_deg: float, lon_deg: float, heading_deg: float, left_m: float) -> tuple[float, float]:
@@ -112,8 +113,12 @@ def apart_m(
 ) -> NDArray[np.float64]:
     """Meters from a position to others (n,), along the shortest way."""
     here = np.broadcast_to(lon_deg, lats_deg.shape), np.broadcast_to(lat_deg, lats_deg.shape)
-    meters: NDArray[np.float64] = _EARTH.inv(*here, lons_deg, lats_deg)[2]
-    return meters
+    return np.atleast_1d(_EARTH.inv(*_numbers(*here, lons_deg, lats_deg))[2])
+
+
+def _numbers(*columns: NDArray[np.float64]) -> list[Any]:
+    """Arrays (N,) as pyproj takes them: before 3.7.2, the last for Python 3.10, an array of one number is a number."""
+    return [column.item() if column.size == 1 else column for column in columns]
 
 
 def unwrapped(lon_deg: NDArray[np.float64]) -> NDArray[np.float64]:

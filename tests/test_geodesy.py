@@ -40,6 +40,14 @@ def test_all_positions_move_as_one_does() -> None:
     assert np.column_stack([lats_deg, lons_deg]) == pytest.approx(np.array(each), abs=1e-12, nan_ok=True)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_arrays_of_any_length_stay_arrays(count: int) -> None:
+    lats_deg, lons_deg = np.full(count, ORIGIN[0]), np.full(count, ORIGIN[1])
+    assert east_north(lats_deg, lons_deg, ORIGIN).shape == (count, 2)
+    assert apart_m(*ORIGIN, lats_deg, lons_deg).shape == (count,)
+    assert [one.shape for one in all_moved(lats_deg, lons_deg, np.ones((count, 2)))] == [(count,), (count,)]
+
+
 @pytest.mark.parametrize(("away_m", "at_most_m"), [(1000.0, 1e-5), (10_000.0, 0.005), (50_000.0, 0.6)])
 def test_the_plane_and_the_shortest_ways_differ_by_as_much_as_is_said(away_m: float, at_most_m: float) -> None:
     ways_m = [(away_m * math.sin(angle), away_m * math.cos(angle)) for angle in range(6)]
