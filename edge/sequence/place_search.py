@@ -238,10 +238,10 @@ class PlaceSearch:
     def _settle(self, place_index: int) -> None:
         """Search around a place from the next frame on, and around the autopilot's position, which may be right."""
         self._unbelieved = 0
-        around, has_position = self._around(place_index), self._is_position_known and self._reach is not None
-        self._beside = around if has_position else None
+        around, position = self._around(place_index), self._reach if self._is_position_known else None
+        self._beside = around if position is not None else None
         if around is not None:
-            self._search_around(self._reach if has_position and self._reach is not None else around)
+            self._search_around(position or around)
             return
         first, end = self.map_set.index.whole(place_index)
         some = self._most // 4
@@ -257,12 +257,13 @@ class PlaceSearch:
         return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
     def _search_around(self, reach: Near) -> None:
-        blocks, both = self.map_set.blocks, [reach] if self._beside is None else [reach, self._beside]
-        found = [blocks.within(each.lat_deg, each.lon_deg, each.radius_m) for each in both]
-        for ranges in ([one for some in found for one in some], found[-1]):
-            self._search(self.map_set.index.widened(sorted(ranges), math.ceil(self._span)), reach)
-            if self.part is not None:
-                return
+        near, beside = self._within(reach), self._within(self._beside) if self._beside else []
+        self._search(self.map_set.index.widened(sorted(near + beside), math.ceil(self._span)), reach)
+        if self.part is None and beside:
+            self._search(self.map_set.index.widened(beside, math.ceil(self._span)), reach)
+
+    def _within(self, reach: Near) -> Ranges:
+        return self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
 
     def _everything(self) -> Ranges:
         return [(0, self.map_set.index.places)] if self._is_whole else []
