@@ -29,7 +29,7 @@ FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.979, two of five simulated drives in snow that were hardly recognized were warned of."""
 UNSEEN_M = 80.0
-"""What is not recognized before that is said. With honest GPS the longest stretch on 18 km was 56 m, in snow."""
+"""What is not recognized before that is said; up to half as much where the last places made GPS doubtful."""
 BESIDE_SIGMAS = 2.0
 """Beside the lane, of the road, the map and GPS: as far GPS is on the drive."""
 MOST_PLACES = 2
@@ -84,15 +84,17 @@ class GpsJudge:
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
             comparison = replace(comparison, displacement=displacement) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
-        is_wrong = self._referee.update(comparison, missed).state == "wrong"
-        self._is_unseen = self._unseen_road.update(match, gps)
-        return is_wrong and not was_wrong
+        verdict = self._referee.update(comparison, missed)
+        doubt = verdict.doubt if verdict.state == "doubtful" else None
+        self._is_unseen = self._unseen_road.update(match, gps, doubt or 0.0)
+        return verdict.state == "wrong" and not was_wrong
 
     @property
     def verdict(self) -> GpsVerdict:
         """By the frames so far."""
         verdict = self._referee.verdict
-        return GpsVerdict("not recognized", doubt=verdict.doubt) if self._is_unseen else verdict
+        is_unseen = self._is_unseen and verdict.state != "wrong"
+        return GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
 
     @property
     def is_doubted(self) -> bool:
@@ -170,28 +172,32 @@ class UnseenRoad:
     def reset(self) -> None:
         """Nothing is known of where the vehicle was recognized last."""
         self._last: PlaceMatch | None = None
-        self._firm_m = self._ahead_m = self._unseen_m = 0.0
+        self._firm_m = self._ahead_m = self._unseen_m = self._doubt = 0.0
 
-    def update(self, match: PlaceMatch | None, gps: GpsFix | None) -> bool:
+    def update(self, match: PlaceMatch | None, gps: GpsFix | None, doubt: float = 0.0) -> bool:
         """After the answer to one more frame: whether the vehicle is not recognized where GPS has it.
 
-        gps: at the exposure.
+        gps: at the exposure. doubt: see `GpsVerdict`; 0 where GPS is not doubtful.
         """
         if match is None:
             self.reset()  # a sequence begins anew, and cannot be recognized yet
         elif match.accepted:
-            self._see(match)
+            self._see(match, doubt)
         elif self._last is not None and gps is not None:
             self._follow(self._last, gps)
-        return self._unseen_m >= UNSEEN_M
+        return self._unseen_m >= UNSEEN_M * (1 - self._doubt / 2)
 
-    def _see(self, match: PlaceMatch) -> None:
+    def _see(self, match: PlaceMatch, doubt: float) -> None:
         spacing_m = self._route.drive(match.place_index).spacing_m
-        gained_m = (spacing_m if match.confidence >= FIRM else -spacing_m) - self._unseen_m
-        self._firm_m = min(CORRELATION_M, max(0.0, self._firm_m + gained_m))
+        if match.confidence >= FIRM:
+            self._firm_m = min(CORRELATION_M, max(0.0, self._firm_m + spacing_m - self._unseen_m))
+            self._unseen_m = 0.0
+        else:
+            # A vehicle that leaves the road is recognized there now and then, but not firmly.
+            self._firm_m = self._firm_m if doubt else max(0.0, self._firm_m - spacing_m)
+            self._unseen_m = max(0.0, self._unseen_m - spacing_m)
         is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
-        self._last = match if is_firm else None
-        self._ahead_m = self._unseen_m = 0.0
+        self._last, self._ahead_m, self._doubt = (match if is_firm else None), 0.0, doubt
 
     def _follow(self, last: PlaceMatch, gps: GpsFix) -> None:
         sign, rig = (1 if last.direction == "forward" else -1), self._rig

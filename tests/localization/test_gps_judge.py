@@ -109,12 +109,29 @@ def test_a_recognition_stays_firm_through_a_few_weak_frames(route: Route, weak: 
     assert (warned_m(one, on_the_road) is not None) == is_warned
 
 
-def test_one_weak_frame_after_70_m_is_no_firm_recognition(route: Route) -> None:
+def test_one_weak_frame_does_not_hide_what_was_not_recognized(route: Route) -> None:
     one, gap = recognized(route, FROM - 36), 35
     for place in range(FROM - 36, FROM - 36 + gap):
         one.update(unseen(place), gps_at(place * SPACING_M))
     one.update(seen(FROM - 1, confidence=0.94), gps_at((FROM - 1) * SPACING_M))
+    left_m = UNSEEN_M - (gap - 1) * SPACING_M
+    assert warned_m(one, on_the_road) == pytest.approx(left_m, abs=2 * SPACING_M)
+
+
+def test_one_firm_frame_ends_what_was_not_recognized(route: Route) -> None:
+    one = recognized(route, FROM - 36)
+    for place in range(FROM - 36, FROM - 1):
+        one.update(unseen(place), gps_at(place * SPACING_M))
+    one.update(seen(FROM - 1), gps_at((FROM - 1) * SPACING_M))
     assert warned_m(one, on_the_road) is None
+
+
+@pytest.mark.parametrize("doubt", [0.5, 1.0])
+def test_where_gps_was_doubtful_less_must_be_unrecognized(route: Route, doubt: float) -> None:
+    one = recognized(route, FROM - 40)
+    for place in range(FROM - 40, FROM):
+        assert not one.update(seen(place, confidence=0.94), gps_at(place * SPACING_M), doubt)
+    assert warned_m(one, on_the_road) == pytest.approx((1 - doubt / 2) * UNSEEN_M, abs=SPACING_M)
 
 
 def test_a_sequence_that_begins_anew_is_not_unrecognized(route: Route) -> None:

@@ -17,9 +17,8 @@ import numpy as np
 from edge.config import CameraConfig, Config, DescriptorConfig, GatesConfig, MapConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
-from edge.localization import GPS_SIGMA_M, GpsFix
-from edge.localization.gps_judge import compare
-from edge.localization.gps_referee import GpsReferee
+from edge.localization import GPS_SIGMA_M, GpsFix, Report
+from edge.localization.gps_judge import GpsJudge, compare
 from edge.recognizer import model_key
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.builder import MapBuilder, Place
@@ -39,6 +38,8 @@ WORLDS = (401, 402, 403, 404, 405)
 DRIVES = (
     Scenario(light="night", direction="reverse", drive_seed=2, length_m=LENGTH_M),
     Scenario(light="dusk", direction="forward", drive_seed=3, length_m=LENGTH_M),
+    Scenario(light="rain", direction="forward", drive_seed=4, length_m=LENGTH_M),
+    Scenario(light="snow", direction="forward", drive_seed=6, length_m=LENGTH_M),
 )
 RIG_OF_WORLDS: RigConfig = msgspec.structs.replace(RIG, sigma_forward_swapped_m=10.0, sigma_reverse_same_m=4.5)
 """As calibrated on these roads, in other light."""
@@ -60,7 +61,7 @@ class PlacedFrame:
 class PlacedDrive:
     """A drive with the places that were recognized on it. time_s: (N,). true_m: east and north (N, 2)."""
 
-    name: str
+    light: str
     time_s: Array
     true_m: Array
     route: Route
@@ -72,7 +73,8 @@ class Outcome:
     """A history of GPS on a drive. called_m: error of GPS when it was called wrong, NaN if it never was.
 
     called_after_m: driven until then, from where the error exceeds BEGINS_M. seen: whether places were recognized while
-    the error was between SEEN_M. doubt: the greatest. driven_m: in all.
+    the error was between SEEN_M. doubt: the greatest. driven_m: in all. warned: whether the vehicle was not recognized
+    where GPS had it.
     """
 
     called_m: float
@@ -80,6 +82,8 @@ class Outcome:
     seen: bool
     doubt: float
     driven_m: float
+    warned: bool
+    light: str
 
 
 def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network: Network) -> Path:
@@ -134,7 +138,7 @@ def place(
             raw = library[scenario].raw(float(at_m))
             match = matcher.push(raw, Travel(float(driven_m), sampler.missed))
             frames.append(PlacedFrame(row, match, sampler.missed))
-    return PlacedDrive(f"{scenario.seed} {scenario.light}", time_s, true_m, Route(maps), tuple(frames))
+    return PlacedDrive(scenario.light, time_s, true_m, Route(maps), tuple(frames))
 
 
 def _smooth(offsets: Array) -> Array:
@@ -146,9 +150,12 @@ def _smooth(offsets: Array) -> Array:
 
 def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()) -> Outcome:  # noqa: B008  # frozen
     """Hold a history of GPS against the places of a drive."""
-    referee, error_m = GpsReferee(gates.gps_false_call, gates.gps_missed), np.hypot(*offsets.T)
+    error_m = np.hypot(*offsets.T)
+    config = Config(gates=gates, rig=RIG_OF_WORLDS)
+    judged = GpsJudge(config)
+    judged.use_route(drive.route)
     driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(drive.true_m, axis=0).T))])
-    seen, doubt, begins_m, called = 0, 0.0, math.nan, (math.nan, math.nan)
+    seen, doubt, begins_m, called, warned = 0, 0.0, math.nan, (math.nan, math.nan), False
     for frame in drive.frames:
         gps = None
         if math.isnan(begins_m) and error_m[frame.row] > BEGINS_M:
@@ -156,11 +163,11 @@ def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()
         if not math.isnan(error_m[frame.row]):
             at_m = drive.true_m[frame.row] + offsets[frame.row]
             gps = GpsFix(*geodetic(float(at_m[0]), float(at_m[1])), GPS_SIGMA_M)
-        match = frame.match
-        comparison = compare(match, gps, drive.route, RIG_OF_WORLDS, 40) if match is not None else None
-        seen += comparison is not None and SEEN_M[0] < error_m[frame.row] < SEEN_M[1]
-        verdict = referee.update(comparison, frame.missed)
+        judged.update(frame.match, gps, None, Report(round(drive.time_s[frame.row] * 1e9)), None, frame.missed)
+        verdict = judged.verdict
+        if SEEN_M[0] < error_m[frame.row] < SEEN_M[1] and frame.match is not None:
+            seen += compare(frame.match, gps, drive.route, RIG_OF_WORLDS, config.sequence_frames) is not None
         if verdict.state == "wrong" and math.isnan(called[0]):
             called = float(error_m[frame.row]), float(driven_m[frame.row] - begins_m)
-        doubt = max(doubt, verdict.doubt or 0.0)
-    return Outcome(*called, seen >= SIGHTINGS, doubt, float(driven_m[-1]))
+        doubt, warned = max(doubt, verdict.doubt or 0.0), warned or verdict.state == "not recognized"
+    return Outcome(*called, seen >= SIGHTINGS, doubt, float(driven_m[-1]), warned, drive.light)

@@ -74,6 +74,7 @@ def test_an_honest_history_is_not_called(drive: PlacedDrive) -> None:
         offsets = gps_histories.multipath(drive.time_s, drive.true_m, np.random.default_rng(seed))
         outcome = judge(drive, offsets)
         assert math.isnan(outcome.called_m)
+        assert not outcome.warned
         assert outcome.driven_m == pytest.approx(1600.0, abs=10.0)
 
 
@@ -85,7 +86,8 @@ def test_a_drag_off_is_called(drive: PlacedDrive, way: str) -> None:
 
 
 def test_the_table_counts_what_was_called_in_time(capsys: pytest.CaptureFixture[str]) -> None:
-    early, late = Outcome(30.0, 80.0, True, 1.0, 1600.0), Outcome(70.0, 200.0, False, 1.0, 1600.0)
+    early = Outcome(30.0, 80.0, True, 1.0, 1600.0, False, "night")
+    late = Outcome(70.0, 200.0, False, 1.0, 1600.0, False, "night")
     gps_command._print_drags([(1.0, "left", early), (1.0, "along", late)])
     rows = capsys.readouterr().out.splitlines()
     assert "| 1 m/s | 2 | 1 | 1 of 1 | 50 / 30 m |" in rows
