@@ -11,9 +11,8 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig
 from edge.reference_map import ModelKey
 from edge.reference_map.builder import NAN, Place
 from edge.sequence import PlaceMatch, Travel
-from edge.sequence.search import NO_LINE
 from edge.sequence_matcher import SequenceMatcher
-from sim.research.evaluation.matching import CANDIDATES, Matches, gathered, lowest
+from sim.research.evaluation.matching import Matches, gathered
 from sim.research.evaluation.plan import Pair
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.research.evaluation.traverses import Traverse
@@ -73,15 +72,13 @@ def match_as_run(
 
 def _found(
     matcher: SequenceMatcher, match: PlaceMatch | None, answer: str
-) -> tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]:
+) -> tuple[int, float, bool, NDArray[np.float32]]:
     newest = matcher.first.search.newest_costs.min(axis=0).astype(np.float32)
     part = matcher.first.search.part
     if match is None or part is None or part.lines is None:
-        return -1, NAN, False, np.full(CANDIDATES, -1), newest
-    best = lowest(part.lines.costs, NO_LINE)
-    candidates = np.concatenate([[match.place_index], best[best != match.place_index]])[:CANDIDATES]
+        return -1, NAN, False, newest
     confidence = match.confidence if answer == "belief" else match.uniqueness
-    return match.place_index, confidence, match.direction == "reverse", candidates, newest
+    return match.place_index, confidence, match.direction == "reverse", newest
 
 
 def _places(reference: Traverse) -> list[Place]:

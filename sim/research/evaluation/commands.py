@@ -26,7 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=PATH",
         help="a network file or folder beside those of the plan; may be repeated",
     )
-    _add_match(actions.add_parser("match", help="find sequence matches in a cost matrix and score them"))
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -45,28 +44,6 @@ def _add_plan(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--models", type=Path, metavar="FOLDER", help="folder of the plan's models (default: beside the plan)"
     )
-
-
-def _add_match(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "costs",
-        type=Path,
-        metavar="COSTS.npy",
-        help="array (reference x query), lower is more similar; or a folder of VPR-Bench",
-    )
-    parser.add_argument(
-        "--truth",
-        type=Path,
-        help=".csv or .npy: the true reference index of each query frame, -1 off the map; or .npy: which reference is"
-        " right for which query (reference x query, true or false); or ground_truth_new.npy of VPR-Bench",
-    )
-    parser.add_argument(
-        "--tolerance", type=float, default=5.0, metavar="N", help="a match is correct within N places (default 5)"
-    )
-    parser.add_argument("--length", type=int, help="frames in a sequence (default 20; 1 for VPR-Bench)")
-    parser.add_argument("--directions", choices=("both", "forward", "reverse"), default="both")
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the matches to this CSV file")
-    parser.set_defaults(run=_later("match_command"))
 
 
 def _later(module: str) -> Callable[[argparse.Namespace], int]:

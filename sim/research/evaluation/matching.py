@@ -14,14 +14,9 @@ from edge.descriptor.open_network import normalized_set
 from edge.feed import View
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.evidence import Neighborhood
-from edge.sequence.search import NO_LINE
 from edge.sequence.submap import RowMatcher
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation import seqslam
-
-CANDIDATES = 25
-"""Best places that are kept of each query: papers print R@N up to that."""
-LARGEST_COST = 1 << 20  # 500 frames of it fit into the sums' int32
 
 
 @dataclass(frozen=True)
@@ -29,14 +24,13 @@ class Matches:
     """A method's answers to the queries of a traverse.
 
     place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is more certain, NaN without
-    one. reverse: (Q,) bool, the map was passed backwards. candidates: (Q, CANDIDATES) places, best first, -1 for none.
+    one. reverse: (Q,) bool, the map was passed backwards.
     costs: (Q, N) float32 cost of each query to each place, before any sequence, for pictures.
     """
 
     place: NDArray[np.intp]
     confidence: NDArray[np.float64]
     reverse: NDArray[np.bool_]
-    candidates: NDArray[np.intp]
     costs: NDArray[np.float32]
 
 
@@ -76,10 +70,9 @@ def match(
         best = matcher.push(costs, change.ages)
         newest = costs[0].min(axis=0).astype(np.float32)
         if best is None or matcher.lines is None:
-            found.append((-1, float("nan"), False, np.full(CANDIDATES, -1), newest))
+            found.append((-1, float("nan"), False, newest))
         else:
-            candidates = lowest(matcher.lines.costs, NO_LINE)
-            found.append((best.place, best.uniqueness, best.direction == "reverse", candidates, newest))
+            found.append((best.place, best.uniqueness, best.direction == "reverse", newest))
     return gathered(found)
 
 
@@ -106,21 +99,10 @@ def open_matcher(
     return RowMatcher(segments, [views[0]] * len(segments), regions, near, config)
 
 
-def gathered(found: Sequence[tuple[int, float, bool, NDArray[np.intp], NDArray[np.float32]]]) -> Matches:
+def gathered(found: Sequence[tuple[int, float, bool, NDArray[np.float32]]]) -> Matches:
     """The matches of frames as one; each has the fields of `Matches`, place -1 and NaN where there is none."""
-    place, confidence, reverse, candidates, costs = zip(*found, strict=True)
-    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(candidates), np.stack(costs))
-
-
-def match_costs(costs: NDArray[np.floating], sequence: SequenceConfig, window_places: int) -> Matches:
-    """Search a cost matrix (reference x query) of any origin; ratios of costs are kept unless some are negative."""
-    least, most = float(costs.min()), float(costs.max())
-    low = min(least, 0.0)
-    scaled = np.rint((costs.T - low) * (LARGEST_COST / max(most - low, 1e-30))).astype(np.int32)
-    rows = (NormalizedRows(row[np.newaxis, np.newaxis]) for row in scaled)
-    places = np.arange(len(costs), dtype=np.float64)
-    matcher = open_matcher(np.full((len(costs), 2), np.nan), places, window_places, sequence)
-    return match(rows, lambda row: row.astype(np.int32), matcher)
+    place, confidence, reverse, costs = zip(*found, strict=True)
+    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(costs))
 
 
 def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], length: int) -> Matches:
@@ -128,25 +110,13 @@ def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], le
     differences = seqslam.difference_matrix(reference, query)
     ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
     found = seqslam.search(seqslam.enhance_contrast(differences, 10), seqslam.SeqslamSettings(length=ds))
-    shift = found.place - found.scores.argmin(axis=1)  # of the answer against its trajectory's start
-    starts = np.stack([lowest(scores, np.inf) for scores in found.scores])
-    candidates = np.where((starts < 0) | (found.place < 0)[:, np.newaxis], -1, starts + shift[:, np.newaxis])
-    candidates[candidates >= len(differences)] = -1
     # Best over second best: its inverse is the uniqueness of the other methods.
-    return Matches(found.place, -found.ratio, np.zeros(len(query), np.bool_), candidates, differences.T)
-
-
-def lowest(costs: NDArray[np.generic], none: float) -> NDArray[np.intp]:
-    """The CANDIDATES places of lowest cost, -1 where there are no more."""
-    order = np.argsort(costs, kind="stable")[:CANDIDATES]
-    out = np.full(CANDIDATES, -1)
-    out[: len(order)] = np.where(costs[order] == none, -1, order)
-    return out
+    return Matches(found.place, -found.ratio, np.zeros(len(query), np.bool_), differences.T)
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
     """Judge the matches of some queries by the true errors (Q, N)."""
-    best = errors_of(matches.place[:, np.newaxis], errors)[queries, 0]
+    best = errors_of(matches.place, errors)[queries]
     return Answers(
         confidence=matches.confidence[queries],
         correct=best <= tolerance,
@@ -163,6 +133,6 @@ def judged_queries(errors: NDArray[np.float64], length: int, drives: Sequence[sl
 
 
 def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """True error of each candidate, (Q, K) places -> (Q, K); inf where there is none (-1)."""
-    picked = np.take_along_axis(errors, np.maximum(places, 0), axis=1)
+    """True error of the place of each query, (Q,); inf where there is none (-1)."""
+    picked = errors[np.arange(len(places)), np.maximum(places, 0)]
     return np.where(places < 0, np.inf, picked)

@@ -59,7 +59,7 @@ class Outcome:
 
     def error_of_best(self) -> NDArray[np.float64]:
         """(Q,) true distance of each answer, inf where there is none."""
-        return errors_of(self.matches.place[:, np.newaxis], self.errors)[:, 0]
+        return errors_of(self.matches.place, self.errors)
 
     def within_twice(self) -> Answers:
         """The same answers by twice the tolerance."""

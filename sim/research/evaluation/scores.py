@@ -83,21 +83,3 @@ def average_precision(curve: PrecisionRecall) -> float:
     """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
     gains = np.diff(curve.recall_of_places, prepend=0.0)
     return float(gains @ curve.precision) if gains.size else 0.0
-
-
-def recall_of_best(errors: Floats, nearest: Floats, counts: Sequence[int], radii: Sequence[float]) -> Floats:
-    """Recall@K at several radii, (len(counts), len(radii)).
-
-    errors (Q, K): distance between each query's true position and its candidates, best first, in meters or frames,
-    inf where there is none. nearest (Q,): distance of the map's place nearest to the truth; a query counts at a radius
-    only if the map has a place within it. A query is a hit at K if any of its first K candidates is within the radius.
-    NaN where no query counts.
-    """
-    out = np.full((len(counts), len(radii)), np.nan)
-    for column, radius in enumerate(radii):
-        counted = nearest <= radius
-        if not counted.any():
-            continue
-        for row, count in enumerate(counts):
-            out[row, column] = (errors[counted, :count] <= radius).any(axis=1).mean()
-    return out

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
-from sim.research.evaluation.scores import at_threshold, max_f1_of_correct, recall_of_best, scores
+from sim.research.evaluation.scores import at_threshold, max_f1_of_correct, scores
 
 
 @st.composite
@@ -98,26 +98,6 @@ def test_a_correct_match_off_the_map_is_refused() -> None:
         Answers(np.ones(1), np.array([True]), np.array([False]))
     with pytest.raises(ValueError, match="one shape"):
         Answers(np.ones(2), np.array([True]), np.array([True]))
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), queries=st.integers(0, 12))
-def test_recall_of_the_best_k_is_that_counted_by_hand(seed: int, queries: int) -> None:
-    rng = np.random.default_rng(seed)
-    errors = rng.integers(0, 30, (queries, 10)).astype(np.float64)
-    errors[rng.random(errors.shape) < 0.2] = np.inf
-    nearest = rng.integers(0, 30, queries).astype(np.float64)
-    counts, radii = (1, 5, 10), (3.0, 10.0)
-    table = recall_of_best(errors, nearest, counts, radii)
-    for row, count in enumerate(counts):
-        for column, radius in enumerate(radii):
-            hits = total = 0
-            for query in range(queries):
-                if nearest[query] > radius:
-                    continue
-                total += 1
-                hits += any(error <= radius for error in errors[query, :count])
-            assert table[row, column] == pytest.approx(ratio(hits, total), nan_ok=True)
 
 
 def test_precision_and_recall_at_a_threshold_count_unanswered_queries_as_missed() -> None:
