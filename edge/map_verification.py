@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import DrivesDisagree, MapExcluded, Record
 from edge.map_agreement import AT_START, as_uncertain, disagreements

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import tomli_w
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
 from edge.journal.records import HomeAnswered

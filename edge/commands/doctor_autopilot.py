@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from msgspec.structs import replace
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.commands.doctor_findings import Examined, Found, bad, good, note
 from edge.config import TelemetryConfig

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, cast
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 Able: TypeAlias = Literal["starting", "warming up", "on the map", "off the map"]
 HealthState: TypeAlias = Literal["starting", "warming up", "on the map", "off the map", "degraded", "failed"]

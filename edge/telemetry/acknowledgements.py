@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.backoff import BackOff
 from edge.geodesy import VehiclePosition, east_north_of

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource

@@ -1,15 +1,16 @@
 """Bytes to MAVLink messages and back: pymavlink's generated dialect, used as a codec only.
 
+That of ArduPilot, which has all common messages as well; both EKF_STATUS_REPORT and VISION_POSITION_DELTA are its own.
+
 Not `mavutil`: it imports GPL modules, swallows write errors and opens ports that others hold.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.signing import SignatureCheck, Signer
 
@@ -21,59 +22,6 @@ USELESS_FRAMES = 10
 """In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
 MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
 """The first byte of a frame."""
-
-
-class EkfStatusReport(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
-    """EKF_STATUS_REPORT of ArduPilot's dialect, which costs 6 MB of memory as a whole."""
-
-    id, msgname, crc_extra = 193, "EKF_STATUS_REPORT", 71
-    fieldnames = (
-        "flags",
-        *(f"{of}_variance" for of in ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")),
-    )
-    ordered_fieldnames = (*fieldnames[1:], "flags")
-    orders, lengths, array_lengths = (5, 0, 1, 2, 3, 4), (1,) * 6, (0,) * 6
-    unpacker = struct.Struct("<fffffH")
-    instance_field, instance_offset = None, -1
-
-    def __init__(self, flags: int, *variances: float) -> None:
-        super().__init__(self.id, self.msgname)
-        self._fieldnames, self.flags, self.variances = ("flags",), flags, variances or (0.0,) * 5
-
-    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The message as a frame."""
-        return bytes(self._pack(mav, self.crc_extra, self.unpacker.pack(*self.variances, self.flags), force_mavlink1))
-
-
-class VisionPositionDelta(mavlink.MAVLink_message):  # type: ignore[misc]
-    """VISION_POSITION_DELTA of the same dialect: body turned (rad) and moved (m) within a time; confidence to 100."""
-
-    id, msgname, crc_extra = 11011, "VISION_POSITION_DELTA", 106
-    fieldnames = ordered_fieldnames = "time_usec", "time_delta_usec", "angle_delta", "position_delta", "confidence"
-    orders, lengths, array_lengths = (0, 1, 2, 3, 4), (1, 1, 3, 3, 1), (0, 0, 3, 3, 0)
-    unpacker = struct.Struct("<QQ3f3ff")
-    instance_field, instance_offset = None, -1
-
-    def __init__(
-        self,
-        time_usec: int,
-        time_delta_usec: int,
-        angle_delta: Sequence[float],
-        position_delta: Sequence[float],
-        confidence: float,
-    ) -> None:
-        super().__init__(self.id, self.msgname)
-        self._fieldnames = self.fieldnames
-        self.time_usec, self.time_delta_usec, self.confidence = time_usec, time_delta_usec, confidence
-        self.angle_delta, self.position_delta = angle_delta, position_delta
-
-    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """The message as a frame."""
-        values = self.time_usec, self.time_delta_usec, *self.angle_delta, *self.position_delta, self.confidence
-        return bytes(self._pack(mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1))
-
-
-mavlink.mavlink_map |= {kind.id: kind for kind in (EkfStatusReport, VisionPositionDelta)}
 
 
 class _Parser(SignatureCheck):

@@ -7,16 +7,15 @@ import textwrap
 from dataclasses import dataclass
 
 from msgspec import UNSET
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.motion import CameraSpeed
-from edge.telemetry.codec import Message, VisionPositionDelta
+from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 
 EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
-SET_EKF_SOURCE_SET = 42007  # MAV_CMD_SET_EKF_SOURCE_SET, of ArduPilot's dialect
 FORCES_M = 0.99
 """Accuracy below 1 m, with which PX4 always resets its position (`Ekf::resetGlobalPosToExternalObservation`). Others it
 weighs by its own, which does not grow as its error does: on five simulated roads 5 to 7 m (95 %), 2 to 4 m with it."""
@@ -171,7 +170,8 @@ def position_delta(speed: CameraSpeed) -> Message:
     share = (MOST_ERROR_MPS - speed.sigma_mps) / (MOST_ERROR_MPS - LEAST_ERROR_MPS)
     seconds = DELTA_US / 1e6
     moved, turned = (seconds * speed.speed_mps, 0.0, 0.0), (0.0, 0.0, seconds * speed.turn_radps)
-    return VisionPositionDelta(speed.stamp_ns // 1000, DELTA_US, turned, moved, 100 * min(max(share, 0.0), 1.0))
+    confidence = 100 * min(max(share, 0.0), 1.0)
+    return mavlink.MAVLink_vision_position_delta_message(speed.stamp_ns // 1000, DELTA_US, turned, moved, confidence)
 
 
 def describe(fix: PlaceFix) -> str:
@@ -232,7 +232,7 @@ def parameter_request(system_id: int, name: str) -> Message:
 
 def source_set(system_id: int, number: int) -> Message:
     """COMMAND_LONG 42007: which of ArduPilot's sets of sources (1 to 3) its filter uses."""
-    return _command(system_id, SET_EKF_SOURCE_SET, number)
+    return _command(system_id, mavlink.MAV_CMD_SET_EKF_SOURCE_SET, number)
 
 
 def acknowledgement(command: int, result: int, param2: int, system_id: int, component_id: int) -> Message:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import PositionSource, VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, GpsFix, GpsState

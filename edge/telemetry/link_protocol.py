@@ -15,14 +15,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
 from edge.journal.records import VelocityChanged
 from edge.motion import CameraSpeed
 from edge.telemetry import encoders
-from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import USE_PARAMETERS
@@ -34,7 +34,7 @@ STREAMS_HZ = {
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 4.0,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 10.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
-    EkfStatusReport.id: 2.0,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: 4.0,
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: 5.0,

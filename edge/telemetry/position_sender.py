@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 
 from msgspec.structs import replace
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
@@ -221,7 +221,7 @@ class PositionSender:
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
-        if command == encoders.SET_EKF_SOURCE_SET:
+        if command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
             self.sources.read_acknowledgement(result, now_ns)
         elif command == encoders.EXTERNAL_POSITION_ESTIMATE:
             self.use.read_acknowledgement(result, now_ns)

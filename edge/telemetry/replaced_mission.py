@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 from msgspec.structs import replace
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import reason
 from edge.files import replacing

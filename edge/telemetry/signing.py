@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError, reason
 from edge.files import read_key, replacing

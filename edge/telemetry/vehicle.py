@@ -11,12 +11,12 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition
 from edge.localization import GpsFix, Report
 from edge.telemetry.boot_clock import BootClock
-from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
@@ -302,7 +302,7 @@ READERS: dict[int, Callable[[Vehicle, Message, int], object]] = {
     mavlink.MAVLINK_MSG_ID_VFR_HUD: Vehicle._read_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: Vehicle._read_gps,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: Vehicle._read_gps,
-    EkfStatusReport.id: Vehicle._read_filter,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Vehicle._read_filter,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Vehicle._read_estimator,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: Vehicle._read_sensors,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: Vehicle._read_system_time,

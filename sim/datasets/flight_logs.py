@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import FeedError
 from edge.telemetry.codec import MavlinkCodec

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import (
     CameraConfig,

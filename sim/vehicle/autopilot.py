@@ -14,10 +14,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import LinkLost
-from edge.telemetry.codec import EkfStatusReport, MavlinkCodec, Message, VisionPositionDelta
+from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME
 from edge.telemetry.link import Link
 from sim import Pose
@@ -218,7 +218,7 @@ class SimulatedAutopilot:
             self.send(mavlink.MAVLink_timesync_message(self._timesync_ns, message.ts1))
         elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
             self.inputs.sensor(message, self._moment())
-        elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, VisionPositionDelta.id):
+        elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, mavlink.MAVLINK_MSG_ID_VISION_POSITION_DELTA):
             self.inputs.velocity(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
             self.inputs.vision(message, self._moment())
@@ -263,7 +263,9 @@ class SimulatedAutopilot:
 
     def _offers(self, message_id: int) -> bool:
         of_the_other = (
-            EkfStatusReport.id if self._firmware.reports_accuracy else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+            if self._firmware.reports_accuracy
+            else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
         )
         of_a_second = () if self._report.second else (mavlink.MAVLINK_MSG_ID_GPS2_RAW,)
         return message_id in ENCODERS and message_id not in (of_the_other, *of_a_second)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.telemetry.codec import EkfStatusReport, Message
+from edge.telemetry.codec import Message
 from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.vehicle.firmware import Firmware
 from sim.vehicle.gps import GpsReport
@@ -186,7 +186,7 @@ def _filter_flags(state: Snapshot) -> int:
 
 
 def _ekf_status(state: Snapshot) -> Message:
-    return EkfStatusReport(_filter_flags(state))
+    return mavlink.MAVLink_ekf_status_report_message(_filter_flags(state), *[0.0] * 5)
 
 
 def _estimator_status(state: Snapshot) -> Message:
@@ -224,7 +224,7 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: _wheel_distance,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
-    EkfStatusReport.id: _ekf_status,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

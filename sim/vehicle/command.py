@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, read_feed

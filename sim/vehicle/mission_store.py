@@ -14,7 +14,7 @@ import copy
 import math
 from collections.abc import Callable
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import Message
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import Firmware
@@ -70,7 +70,7 @@ class PositionInputs:
     def command(self, command: Message, moment: Moment) -> int:
         """The MAV_RESULT of 43003 (a fix) or 42007 (set of EKF sources)."""
         firmware = self._firmware
-        if command.command == SET_EKF_SOURCE_SET:
+        if command.command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
             if not firmware.fuses_vision:
                 return int(mavlink.MAV_RESULT_UNSUPPORTED)
             self.source_set = int(command.param1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import tomli_w
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.__main__ import main
 from edge.commands.doctor import examine

@@ -24,7 +24,7 @@ from typing import get_args
 
 import msgspec
 import pytest
-from pymavlink.dialects.v20.common import MAVLink_heartbeat_message
+from pymavlink.dialects.v20.ardupilotmega import MAVLink_heartbeat_message
 
 import edge
 from edge.commands.parser import build_parser

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, Verbosity, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
 from hypothesis.errors import FlakyFailure
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.localization import PlaceFix, PositionEstimator

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection

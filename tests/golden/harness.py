@@ -26,7 +26,7 @@ from typing import Protocol
 import cv2
 import msgspec
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
 from edge.commands.parser import build_parser

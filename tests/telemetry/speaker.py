@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.vehicle import Vehicle

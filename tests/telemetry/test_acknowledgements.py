@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.acknowledgements import VERDICTS, result_name
 

@@ -6,8 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import VelocityChanged
 from edge.motion import CameraSpeed
@@ -127,7 +126,7 @@ def test_what_speaks_against_sending(measured: CameraSpeed, aid: str | None, why
 
 
 def test_the_messages_as_others_read_them() -> None:
-    ours, theirs = MavlinkCodec(5, 191), ardupilotmega.MAVLink(None)
+    ours, theirs = MavlinkCodec(5, 191), mavlink.MAVLink(None)
     (delta,) = theirs.parse_buffer(ours.encode(encoders.position_delta(speed(10 * S, sigma_mps=0.5))))
     assert delta.get_type() == "VISION_POSITION_DELTA" and delta.time_usec == 9_900_000
     assert [one / delta.time_delta_usec * 1e6 for one in delta.position_delta] == pytest.approx([SPEED_MPS, 0, 0])

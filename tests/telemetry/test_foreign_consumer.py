@@ -23,7 +23,7 @@ pytest.importorskip("mavsdk")
 import mavsdk
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.mission_raw_server.mission_raw_server import MissionRawServer
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.localization import PlaceFix, PositionEstimator

@@ -7,7 +7,7 @@ import random
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import moved
 from edge.journal.records import FixAnswered

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.records import FixSent, FixWithheld
-from edge.telemetry.codec import EkfStatusReport, MavlinkCodec
+from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.gps import Gps
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.vehicle import Vehicle
@@ -101,7 +101,7 @@ class Sky:
         if self.second is not None:
             self._say(mavlink.MAVLink_gps2_raw_message(0, self.second, *place, 0, 0, 0, 0, self.h_acc_mm))
         if self.flags is not None:
-            self._say(EkfStatusReport(self.flags))
+            self._say(mavlink.MAVLink_ekf_status_report_message(self.flags, *[0.0] * 5))
 
     def _say(self, message: Any) -> None:
         assert self.rig.pty is not None

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import HomeAnswered
 from edge.mission import MissionItem

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import HomeConfig
 from edge.journal.records import HomeAnswered

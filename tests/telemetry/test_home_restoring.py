@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import HomeAnswered
 from edge.telemetry.home_requests import Answer

@@ -7,15 +7,17 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SET_EKF_SOURCE_SET
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim.vehicle.autopilot import SILENT
 from tests.files_written import wait_for_files
 from tests.telemetry.rig import OpenRig, Rig
 
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
+SET_EKF_SOURCE_SET = mavlink.MAV_CMD_SET_EKF_SOURCE_SET
 SELDOM = GatesConfig(min_interval_s=30.0, risk=1.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen

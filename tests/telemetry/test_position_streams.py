@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
-from edge.telemetry.encoders import SET_EKF_SOURCE_SET
 from edge.telemetry.position_messages import CONTROL, ID
 from tests.telemetry.positions import OFTEN, offer_for
 from tests.telemetry.rig import OpenRig
@@ -123,7 +122,7 @@ def test_the_set_of_sources_that_the_pilot_chose_stays_while_gps_works(open_rig:
     rig = open_rig(emit="vision_position", gates=GatesConfig())
     rig.run(12.0)
     assert rig.connection.vehicle.session.gps.state(rig.now_ns) == "healthy"
-    assert not [one for one in rig.received("COMMAND_LONG") if one.command == SET_EKF_SOURCE_SET]
+    assert not [one for one in rig.received("COMMAND_LONG") if one.command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET]
 
 
 def test_a_vision_stream_that_begins_far_off_says_that_it_jumps(open_rig: OpenRig) -> None:

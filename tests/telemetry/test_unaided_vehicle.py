@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect

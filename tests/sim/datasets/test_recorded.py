@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.__main__ import main
 from edge.errors import FeedError

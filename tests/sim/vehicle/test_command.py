@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, FeedHeader, FeedRow

@@ -6,7 +6,7 @@ import gzip
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.mission_store import KINDS, MissionStore
