@@ -133,7 +133,7 @@ class Daemon:
         speed = motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
         use = self.parts.config.motion.use
         if speed is not None and use != "report":
-            self._autopilot.vehicle.motion.use_speed(speed.stamp_ns, speed.speed_mps)
+            self._autopilot.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps)
         if speed is not None and use == "send":
             self._autopilot.send_velocity(speed)
 
@@ -184,8 +184,8 @@ class Daemon:
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
-        if self._distance_gaps != self._autopilot.vehicle.motion.distance_gaps:
-            self._distance_gaps = self._autopilot.vehicle.motion.distance_gaps
+        if self._distance_gaps != self._autopilot.vehicle.motion.gaps:
+            self._distance_gaps = self._autopilot.vehicle.motion.gaps
             self._recognizer.restart_odometer()
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
         if self._recognizer.was_carried:
@@ -343,7 +343,7 @@ class Daemon:
         if ros2 is None:
             return
         for odometry in ros2.odometry():
-            self._autopilot.vehicle.motion.use_odometry(*odometry)
+            self._autopilot.vehicle.velocity.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, self._autopilot.status)
         fix = self._estimator.position_at_exposure()
         if fix is None or fix.stamp_ns == ros2.judged_ns:

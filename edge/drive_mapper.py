@@ -100,7 +100,7 @@ class DriveMapper:
         if frames is not None:
             parts.enter_context(closing(frames))
             self._own = OwnCamera(config, frames, device, autopilot.vehicle, clock_ns)
-        self._gaps = autopilot.vehicle.motion.distance_gaps
+        self._gaps = autopilot.vehicle.motion.gaps
         self.paused = ""
         """Why a person has mapping pause; "" where nobody has."""
         self._told: tuple[str, str] = (self.status.state, self.status.why)
@@ -166,8 +166,8 @@ class DriveMapper:
         self.live.add(raw, image, position, distance_m, self.paused or self._autopilot.gps_fault, missed)
 
     def _notice_gap(self) -> None:
-        if self._gaps != self._autopilot.vehicle.motion.distance_gaps:
-            self._gaps = self._autopilot.vehicle.motion.distance_gaps
+        if self._gaps != self._autopilot.vehicle.motion.gaps:
+            self._gaps = self._autopilot.vehicle.motion.gaps
             self.live.interrupt()
 
     def _publish_change(self) -> None:

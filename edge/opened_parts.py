@@ -114,7 +114,7 @@ class OpenedParts:
             frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
         may_be_old = config.camera.kind == "stream"
         self.pictures = PictureCheck(self.device, config.gates.min_speed_mps, may_be_old=may_be_old)
-        turned = self.autopilot.vehicle.motion.turned_rad
+        turned = self.autopilot.vehicle.velocity.turned_rad
         self.motion = CameraMotion(config, self.record, turned) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))
         self.recorder: Recorder | None = None

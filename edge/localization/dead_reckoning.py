@@ -235,6 +235,10 @@ class DeadReckoning:
         total = self._distance.total
         return None if total is None else total[1]
 
+    def driven_m(self, now_ns: int) -> float | None:
+        """The same; None when no speed has come for a second."""
+        return None if self.speed_mps(now_ns) is None else self.total_m
+
     def distance_m(self, stamp_ns: int) -> float | None:
         """Meters to sample places by at `stamp_ns`, see the module; None when no speed was known around then.
 

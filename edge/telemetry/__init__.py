@@ -2,7 +2,7 @@
 
 In: `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` opens it
 again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilot's time, `gps` for its receivers,
-`vehicle_motion` for how it moves, and `confirmation` for what a single message may not change. What it knows of one
+`vehicle_velocity` for how it moves, and `confirmation` for what a single message may not change. What it knows of one
 autopilot is a `Session`, which another one replaces. `position_history` has its position at an exposure.
 
 Out: `link_protocol` requests what is read, and says what measures the velocity without GPS. `position_sender` sends

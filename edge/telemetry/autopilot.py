@@ -263,7 +263,7 @@ class AutopilotConnection:
         receiver = vehicle.session.gps.behind(own, now_ns)
         source: PositionSource = "dead_reckoning"
         sigma_m = self._estimator.uncertainty_m(vehicle.report(now_ns))
-        if vehicle.motion.has_our_position:
+        if vehicle.velocity.has_our_position:
             source = "place_fixes"
         elif receiver is not None:
             source, sigma_m = receiver.source, receiver.accuracy_m or vehicle.accuracy_m(now_ns)
@@ -305,7 +305,7 @@ class AutopilotConnection:
         self._send(self.requests.due(self._clock_ns()))
         if self.positions.enabled:
             self._aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
-        runs_away = not self.vehicle.motion.is_aided and self._aid.without_gps is not None
+        runs_away = not self.vehicle.velocity.is_aided and self._aid.without_gps is not None
         self._bound.follow(self.positions.use, now_ns, runs_away=runs_away)
         self._send(self.positions.follow_up(now_ns))
         self._send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))

@@ -217,9 +217,9 @@ class VelocityAid:
         Where none are sent the autopilot's parameters are not requested.
         """
         self.without_gps = velocity_aid(self._vehicle, source_set)
-        motion, is_px4 = self._vehicle.motion, self._vehicle.session.autopilot == PX4
-        motion.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
-        motion.is_aided_by_camera = is_px4 and not is_by_gps and self._sends and self.without_gps == VISION
+        velocity, is_px4 = self._vehicle.velocity, self._vehicle.session.autopilot == PX4
+        velocity.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
+        velocity.is_aided_by_camera = is_px4 and not is_by_gps and self._sends and self.without_gps == VISION
 
     def warn_without(self, *, all_came: bool) -> None:
         """Once in a session, where none is known. all_came: whether no further parameter will."""

@@ -74,11 +74,11 @@ class OwnBound:
 
     def follow(self, use: PositionUse, now_ns: int, *, runs_away: bool) -> None:
         """To be called often. runs_away: nothing measures the autopilot's velocity, as far as that is known."""
-        estimator, motion, report = self._estimator, self._vehicle.motion, self._vehicle.report(now_ns)
+        estimator, velocity, report = self._estimator, self._vehicle.velocity, self._vehicle.report(now_ns)
         estimator.bind_by_gps(report)
         is_settled = use.newest is None or now_ns - use.newest.at_ns > SETTLED_NS
         if is_settled and report.gps_sigma_m is not None and not estimator.ignores_gps:
-            motion.has_our_position = False
+            velocity.has_our_position = False
         self._warn_of_lost_gps(now_ns)
         if runs_away and self._bound is not None:
             self._drop()
@@ -89,7 +89,7 @@ class OwnBound:
         if sigma_m is not None:
             self._keep(sigma_m, now_ns)
         elif (remembered := self._recall(now_ns)) is not None:
-            motion.has_our_position |= remembered.by_fixes
+            velocity.has_our_position |= remembered.by_fixes
             use.bind(remembered.sigma_m, now_ns)
 
     def _warn_of_lost_gps(self, now_ns: int) -> None:
@@ -149,7 +149,7 @@ class OwnBound:
         booted_ns = now_ns - round(boot_s * 1e9)
         own = position.lat_deg, position.lon_deg
         system = self._computer_boot, vehicle.system_id
-        return Bound(*system, booted_ns, now_ns, sigma_m, speed_mps, *own, vehicle.motion.has_our_position)
+        return Bound(*system, booted_ns, now_ns, sigma_m, speed_mps, *own, vehicle.velocity.has_our_position)
 
 
 def _replace(path: Path, data: bytes) -> None:

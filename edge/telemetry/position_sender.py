@@ -179,14 +179,14 @@ class PositionSender:
             origin=origin,
             down_m=origin.alt_m - own.alt_m if own and origin else 0.0,
             reset_counter=self.use.reset_counter,
-            forces=self.use.is_ignored and vehicle.motion.is_aided and is_px4,
+            forces=self.use.is_ignored and vehicle.velocity.is_aided and is_px4,
         )
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
             values = encoders.protection_values(decision.level, round(1000 * boot_s))
-        vehicle.motion.has_our_position = True
-        if message.shares_information or not (message.acknowledged or vehicle.motion.is_aided):
+        vehicle.velocity.has_our_position = True
+        if message.shares_information or not (message.acknowledged or vehicle.velocity.is_aided):
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending), *values]
 

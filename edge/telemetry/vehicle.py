@@ -1,4 +1,4 @@
-"""What the autopilot reports about its vehicle: identity, time and position; `vehicle_motion` is how it moves.
+"""What the autopilot reports about its vehicle: identity, time and position; `vehicle_velocity` is how it moves.
 
 No I/O: messages and the time come in as arguments.
 """
@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition
-from edge.localization import GpsFix, Report
+from edge.localization import DeadReckoning, GpsFix, Report
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
 from edge.telemetry.position_messages import autopilot_name
-from edge.telemetry.vehicle_motion import HUD, LOCAL, POSITIONS_APART_S, VehicleMotion, signed_speed
+from edge.telemetry.vehicle_velocity import HUD, LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -74,7 +74,9 @@ class Vehicle:
         self.connected = False
         self.session = Session()
         """Another one when the link comes up and when the autopilot reboots: streams must be requested again."""
-        self.motion = VehicleMotion()
+        self.motion = DeadReckoning()
+        """The distance driven and the displacement, of all sessions."""
+        self.velocity = VehicleVelocity(self.motion)
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
         self._alternations = {message: Alternation() for message in POSITIONS}
@@ -158,7 +160,7 @@ class Vehicle:
             accuracy_m=self.accuracy_m(now_ns),
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
-            is_aided=motion.is_aided,
+            is_aided=self.velocity.is_aided,
         )
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
@@ -184,7 +186,7 @@ class Vehicle:
         is_of_this = before.clock.has_ended_by(arrived_ns)  # a version may come before the reboot is sure
         version = before.version if is_of_this else None
         self.session = Session(before.number + 1, before.autopilot, before.kind, version)
-        self.motion.end_leg(is_same_vehicle=is_same_vehicle)
+        self.velocity.end_leg(is_same_vehicle=is_same_vehicle)
 
     def _read_boot_time(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC.
@@ -223,7 +225,7 @@ class Vehicle:
         if self.is_doubled:
             return
         before, self.session.position = self.session.position, now
-        self.motion.move(before, now)
+        self.velocity.move(before, now)
 
     def _read_local_position(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
@@ -236,15 +238,15 @@ class Vehicle:
         self.session.origins.add_local(stamp_ns, message.y, message.x)
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
-        self.motion.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), LOCAL)
+        self.velocity.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), LOCAL)
         newest = self.session.position
         if newest is None or stamp_ns - newest.stamp_ns > POSITIONS_APART_S * 1e9:
-            self.motion.add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
+            self.velocity.add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
 
     def _read_attitude(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
         if stamp_ns is not None:
-            self.motion.turn(stamp_ns, message.pitchspeed, message.yawspeed)
+            self.velocity.turn(stamp_ns, message.pitchspeed, message.yawspeed)
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
@@ -252,7 +254,7 @@ class Vehicle:
         if stamp_ns is None:
             return
         driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
-        self.motion.turn_wheels(stamp_ns, driven_m)
+        self.velocity.turn_wheels(stamp_ns, driven_m)
 
     def _read_estimator(self, message: Message, now_ns: int) -> None:
         self._read_filter(message, now_ns)
@@ -285,7 +287,7 @@ class Vehicle:
         self.session.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
     def _read_hud(self, message: Message, now_ns: int) -> None:
-        self.motion.add_speed(now_ns, message.groundspeed, HUD)
+        self.velocity.add_speed(now_ns, message.groundspeed, HUD)
 
     def _read_system_time(self, message: Message, now_ns: int) -> None:
         self._read_boot_time(message.time_boot_ms, now_ns)

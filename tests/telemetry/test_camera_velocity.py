@@ -38,7 +38,7 @@ def see(rig: Rig, seconds: float, mps: float = SPEED_MPS, followed_mps: float | 
     for _ in range(round(10 * seconds)):
         rig.run(0.1)
         measured = speed(rig.now_ns, mps)
-        rig.connection.vehicle.motion.use_speed(measured.stamp_ns, followed_mps or measured.speed_mps)
+        rig.connection.vehicle.velocity.use_speed(measured.stamp_ns, followed_mps or measured.speed_mps)
         rig.connection.send_velocity(measured)
 
 
@@ -49,7 +49,7 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert rig.autopilot.estimate.error_m < 3.0
     assert kind in {one.message.get_type() for one in rig.autopilot.received}
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
-    assert rig.connection.vehicle.motion.is_aided
+    assert rig.connection.vehicle.velocity.is_aided
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
 
 
@@ -74,7 +74,7 @@ def test_the_attitude_is_requested_for_the_camera_alone(motion: str, tmp_path: P
     rig = Rig(tmp_path, "report", LENIENT, motion=motion, firmware="ardupilot", errors=RUNS_AWAY)
     rig.run(8.0)
     now_ns = rig.now_ns
-    turned = rig.connection.vehicle.motion.turned_rad(now_ns - S, now_ns)
+    turned = rig.connection.vehicle.velocity.turned_rad(now_ns - S, now_ns)
     assert (turned is None) == (motion == "off")
 
 
@@ -96,10 +96,10 @@ def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_
     see(rig, 12.0)
     assert rig.bounded_m is not None
     rig.run(1.3)
-    assert not rig.connection.vehicle.motion.is_aided
+    assert not rig.connection.vehicle.velocity.is_aided
     assert rig.bounded_m is None
     see(rig, 2.0)
-    assert rig.connection.vehicle.motion.is_aided
+    assert rig.connection.vehicle.velocity.is_aided
     assert rig.bounded_m is None, "how far it went meanwhile, nobody knows"
 
 

@@ -178,7 +178,7 @@ def test_a_position_that_px4_weighs_too_little_is_noticed_and_forced(open_rig: O
 
 def see_road(rig: Rig) -> None:
     """The camera measures the speed of a vehicle that drives at 8 m/s, ten times a second."""
-    rig.connection.vehicle.motion.use_speed(rig.now_ns, 8.0)
+    rig.connection.vehicle.velocity.use_speed(rig.now_ns, 8.0)
 
 
 def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:

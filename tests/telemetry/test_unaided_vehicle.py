@@ -16,7 +16,7 @@ def unaided(speaker: Speaker) -> Vehicle:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-    vehicle.motion.is_aided = False
+    vehicle.velocity.is_aided = False
     return vehicle
 
 
@@ -79,7 +79,7 @@ def test_wheels_that_reported_before_the_link_was_lost_say_nothing_afterwards() 
     for tenth in range(81, 110):
         if tenth in (82, 92):
             vehicle.handle(speaker.heartbeat(), tenth * S // 10)
-        vehicle.motion.is_aided = False
+        vehicle.velocity.is_aided = False
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), tenth * S // 10)
     assert vehicle.session.number == 2
     assert vehicle.motion.displacement(tenth * S // 10) is None
@@ -89,7 +89,7 @@ def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> No
     speaker = Speaker()
     vehicle = unaided(speaker)
     for tenth in range(41, 81):
-        vehicle.motion.use_speed(tenth * S // 10 - S // 20, 9.0)
+        vehicle.velocity.use_speed(tenth * S // 10 - S // 20, 9.0)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=-float(tenth)), tenth * S // 10)
     assert moved_m(vehicle, 5 * S, 8 * S) == pytest.approx((0.0, 27.0), abs=0.1)
     assert driven_m(vehicle, 6 * S, 8 * S) == pytest.approx(18.0, abs=0.1)
@@ -110,7 +110,7 @@ def test_wheels_may_slip_but_a_camera_that_saw_nothing_has_missed_a_braking(whee
             message = mavlink.MAVLink_wheel_distance_message(tenth * 100_000, 1, [turned_m] + [0.0] * 15)
             vehicle.handle(speaker.say(message), now_ns)
         else:
-            vehicle.motion.use_speed(now_ns - S // 20, mps)
+            vehicle.velocity.use_speed(now_ns - S // 20, mps)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), now_ns)
     moved = vehicle.motion.displacement(8 * S)
     assert moved is not None and (moved.doubtful_north_m != 0) == doubtful
@@ -121,7 +121,7 @@ def test_wheels_count_before_the_camera() -> None:
     speaker = Speaker()
     vehicle = unaided(speaker)
     run_away(vehicle, speaker, wheels_mps=5.0)
-    vehicle.motion.use_speed(8 * S + 1, 9.0)
+    vehicle.velocity.use_speed(8 * S + 1, 9.0)
     assert vehicle.motion.speed_mps(8 * S + 1) == pytest.approx(5.0)
 
 
@@ -130,7 +130,7 @@ def test_the_camera_counts_not_where_the_autopilot_measures_its_speed() -> None:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-        vehicle.motion.use_speed(tenth * S // 10 + 1, 3.0)
+        vehicle.velocity.use_speed(tenth * S // 10 + 1, 3.0)
     assert vehicle.motion.speed_mps(4 * S) == pytest.approx(10.0)
 
 
@@ -144,12 +144,12 @@ def test_how_far_the_body_turned_between_two_pictures_but_not_over_a_silence() -
             vehicle.handle(speaker.say(message), ms * S // 1000)
 
     turn(1000, 1400)
-    assert vehicle.motion.turned_rad(11 * S // 10, 12 * S // 10) == pytest.approx((0.02, -0.05))
+    assert vehicle.velocity.turned_rad(11 * S // 10, 12 * S // 10) == pytest.approx((0.02, -0.05))
     turn(1800, 2000)
-    assert vehicle.motion.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075)), (
+    assert vehicle.velocity.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075)), (
         "as it turned last"
     )
-    assert vehicle.motion.turned_rad(13 * S // 10, 19 * S // 10) is None
-    assert vehicle.motion.turned_rad(19 * S // 10, 22 * S // 10) is None
+    assert vehicle.velocity.turned_rad(13 * S // 10, 19 * S // 10) is None
+    assert vehicle.velocity.turned_rad(19 * S // 10, 22 * S // 10) is None
     turn(2000, 2020, math.nan, 1e9)
-    assert vehicle.motion.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075))
+    assert vehicle.velocity.turned_rad(19 * S // 10, 2 * S + S // 20) == pytest.approx((0.03, -0.075))

@@ -223,7 +223,7 @@ def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_mo
     vehicle.handle(speaker.fix(2000, 20.0, vn_mps=9.986, ve_mps=0.523), 2 * S)
     assert drive(2000, 20) == pytest.approx((0.0, 20.0), abs=0.06)
     assert drive(4000, 20, jump_m=5.0)[1] == pytest.approx(20.0, abs=0.2), "a jump is no displacement"
-    vehicle.motion.has_our_position = True
+    vehicle.velocity.has_our_position = True
     assert drive(6000, 20) == pytest.approx((1.05, 19.97), abs=0.1)
 
 

@@ -158,7 +158,7 @@ class Playback:
         """What was sent then moved the recorded autopilot."""
         while self._ours_s and self._ours_s[0] <= self.now_ns / 1e9:
             self._ours_s.popleft()
-            vehicle.motion.has_our_position = True
+            vehicle.velocity.has_our_position = True
 
     def _step(self) -> None:
         self.now_ns += round(STEP_S * 1e9)

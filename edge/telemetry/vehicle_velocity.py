@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Displacement, Integral
+from edge.localization import DeadReckoning, Integral
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
@@ -24,11 +24,12 @@ ALIKE_MPS, ALIKE = 0.5, 0.1
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
 
 
-class VehicleMotion:
-    """The distance driven and the displacement, of all sessions; what is known of the velocity, of this one."""
+class VehicleVelocity:
+    """What is known of the velocity in this session, and which of it counts for the motion."""
 
-    def __init__(self) -> None:
-        self._motion = DeadReckoning()
+    def __init__(self, motion: DeadReckoning) -> None:
+        """motion: gets the speeds and velocities that count."""
+        self._motion = motion
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
@@ -48,10 +49,6 @@ class VehicleMotion:
         self._wheels = None
         self._speeds.clear()
         self.is_aided = True
-
-    def distance_m(self, stamp_ns: int) -> float | None:
-        """Meters driven since the first report, at the moment of a frame; None when no speed is known around it."""
-        return self._motion.distance_m(stamp_ns)
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
@@ -89,23 +86,6 @@ class VehicleMotion:
         """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
         before, after = self._turned.at(since_ns), self._turned.at(until_ns)
         return None if before is None or after is None else (after[0] - before[0], after[1] - before[1])
-
-    @property
-    def distance_gaps(self) -> int:
-        """How often the reports of speed paused for so long that the distance driven meanwhile is not known."""
-        return self._motion.gaps
-
-    def driven_m(self, now_ns: int) -> float | None:
-        """Meters driven up to the newest report; None when no speed has come for a second."""
-        return None if self._motion.speed_mps(now_ns) is None else self._motion.total_m
-
-    def displacement(self, stamp_ns: int) -> Displacement | None:
-        """Meters east and north at the moment of a frame, None where nothing measures the velocity."""
-        return self._motion.displacement(stamp_ns)
-
-    def speed_mps(self, now_ns: int) -> float | None:
-        """Ground speed, None when the newest is over a second old."""
-        return self._motion.speed_mps(now_ns)
 
     def move(self, before: VehiclePosition | None, now: VehiclePosition) -> None:
         """The autopilot's own position, and the one before it."""
