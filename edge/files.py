@@ -10,6 +10,7 @@ import ctypes
 import errno
 import fcntl
 import glob
+import logging
 import os
 import shutil
 import tempfile
@@ -18,12 +19,16 @@ from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
-from edge.errors import ConfigError, MapError
+import msgspec
+
+from edge.errors import ConfigError, MapError, reason
 
 KEY_BYTES = 32
 """Of MAVLink's signing, and of Ed25519."""
+T = TypeVar("T")
+log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -45,6 +50,17 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             new.unlink(missing_ok=True)
         raise
     flush_to_disk(path.parent)
+
+
+def read_kept(path: Path, kind: type[T], lost: str) -> T | None:
+    """What a file of JSON keeps; None where there is none, and, with a line that says what is lost, a damaged one."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        log.warning("%s: %s: %s", path, lost, reason(error))
+        return None
 
 
 def flush_to_disk(path: Path) -> None:

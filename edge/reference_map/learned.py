@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import MapError, reason
-from edge.files import replacing
+from edge.errors import MapError
+from edge.files import read_kept, replacing
 from edge.reference_map.place_records import check_places
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import ReferenceMap, read_header
@@ -55,13 +55,8 @@ class LearnedFolder:
     def __init__(self, folder: Path) -> None:
         """Read the file."""
         self._file, self._positions = folder / LEARNED_FILE, folder / POSITIONS
-        self._states: list[Learned] = []
-        try:
-            self._states = msgspec.json.decode(self._file.read_bytes(), type=list[Learned])
-        except FileNotFoundError:
-            pass
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            log.warning("%s: cannot read it, so all drives are searched: %s", self._file, reason(error))
+        lost = "cannot read it, so all drives are searched"
+        self._states = read_kept(self._file, list[Learned], lost) or []
 
     @property
     def newest(self) -> Learned:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import reason
-from edge.files import replacing
+from edge.files import read_kept, replacing
 from edge.mission import MissionItem
 from edge.telemetry.codec import Message
 
@@ -47,15 +47,8 @@ class ReplacedMission:
 
     def __init__(self, path: Path | None) -> None:
         """path: None keeps it in memory only."""
-        self._path, self.kept = path, Kept()
-        if path is None:
-            return
-        try:
-            self.kept = msgspec.json.decode(path.read_bytes(), type=Kept)
-        except FileNotFoundError:
-            pass
-        except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-            log.warning("%s: ignored, so the mission that was replaced is not known: %s", path, reason(error))
+        lost = "ignored, so the mission that was replaced is not known"
+        self._path, self.kept = path, (path and read_kept(path, Kept, lost)) or Kept()
 
     def items(self, system_id: int) -> tuple[MissionItem, ...]:
         """The mission that was replaced in this vehicle; empty where there was none."""

@@ -19,8 +19,8 @@ from typing import TypeAlias
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.errors import ConfigError, reason
-from edge.files import read_key, replacing
+from edge.errors import ConfigError
+from edge.files import read_kept, read_key, replacing
 
 TICKS_PER_S = 100_000
 """Timestamps are in units of 10 us since the beginning of 2015."""
@@ -138,7 +138,8 @@ class Signer:
         self._file = timestamp_file
         self._link_id = link_id
         self._unix_time_s = unix_time_s
-        self._stored = _read(timestamp_file)
+        lost = "ignored, so replayed signed frames of the last minute may be accepted"
+        self._stored = read_kept(timestamp_file, SigningClock, lost) or SigningClock()
         self._heard_stored = dict(self._stored.heard)
         self._guard = ReplayGuard(self._heard_stored, clock_ns)
         self._logged: set[object] = set()
@@ -206,16 +207,3 @@ def load_key(name: str) -> bytes:
             raise ConfigError(f"{where}: the name of a credential must not contain /")
         path = Path(folder) / name.removeprefix(CREDENTIAL)
     return read_key(path, where, is_secret=not name.startswith(CREDENTIAL))
-
-
-def _read(file: Path) -> SigningClock:
-    """The stored timestamps; none where there is no file, or a damaged one."""
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=SigningClock)
-    except FileNotFoundError:
-        return SigningClock()
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        log.warning(
-            "%s: ignored, so replayed signed frames of the last minute may be accepted: %s", file, reason(error)
-        )
-        return SigningClock()
