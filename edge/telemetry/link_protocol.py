@@ -112,7 +112,7 @@ class ParameterRequests:
     def __init__(self, session: Session, names: Iterable[str] = ()) -> None:
         self._session = session
         self._tries = dict.fromkeys(names, 0)
-        self._due_ns = 0
+        self._last, self._due_ns = "", 0
 
     def add(self, names: Iterable[str]) -> None:
         """Request these as well."""
@@ -120,13 +120,14 @@ class ParameterRequests:
             self._tries.setdefault(name, 0)
 
     def due(self, system_id: int, now_ns: int) -> list[Message]:
-        """The next request; none where all have come, or have been requested too often."""
+        """The next request, once the last one is answered; none where all have come, or none ever will."""
         missing = self._missing()
         name = min(missing, key=missing.__getitem__, default="")
-        if not name or missing[name] >= TRIES_MOST or now_ns < self._due_ns:
+        is_due = now_ns >= self._due_ns or self._last not in missing
+        if not name or missing[name] >= TRIES_MOST or not is_due:
             return []
         self._tries[name] += 1
-        self._due_ns = now_ns + PARAMETER_NS
+        self._last, self._due_ns = name, now_ns + PARAMETER_NS
         return [encoders.parameter_request(system_id, name)]
 
     def are_over(self, now_ns: int) -> bool:

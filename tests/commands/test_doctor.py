@@ -23,6 +23,17 @@ from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
 
+ARDUPILOT = {
+    "AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0, "ARMING_CHECK": 1.0, "FLOW_TYPE": 0.0, "VISO_TYPE": 0.0,
+    "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC2_POSXY": 0.0, "EK3_SRC2_VELXY": 0.0,
+    "WENC_TYPE": 0.0, "WENC_POS_Y": 0.0, "WENC_RADIUS": 0.05, "WENC_CPR": 3200.0,
+}  # fmt: skip
+PX4 = (*(f"EKF2_{name}_CTRL" for name in ("AGP0", "EV", "OF", "OF0")), "EKF2_AGP0_ID", "EKF2_GPS_MODE")
+DEFAULTS = {
+    "ardupilot": {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in ARDUPILOT.items()},
+    "px4": dict.fromkeys(PX4, (0.0, mavlink.MAV_PARAM_TYPE_INT32)),
+}
+"""What a test does not set is answered as well, as by a real autopilot, so that doctor need not wait for it."""
 WHEELS = {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 1.0, "WENC_POS_Y": -0.2, "WENC_RADIUS": 0.1, "WENC_CPR": 3200.0}
 
 
@@ -36,7 +47,7 @@ def fly() -> Iterator[Callable[..., str]]:
     def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot") -> str:
         links.append(open_pty())
         autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
-        autopilot.parameters = parameters
+        autopilot.parameters = DEFAULTS[firmware] | parameters
         threads.append(threading.Thread(target=autopilot.run, args=(stop,)))
         threads[-1].start()
         return f"serial:{links[-1].device}:921600"
