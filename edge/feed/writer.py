@@ -37,14 +37,15 @@ class FeedWriter:
         self._whole_bytes = 0
         self._extra_columns = extra_columns
         text = tomli_w.dumps(msgspec.structs.asdict(header))
-        self.count = self._count_begun(text, begins)
+        begun = self._count_begun(text, begins)
+        self.count = begun or 0
         """Frames that are written."""
-        if self.count:
+        if begun:
             self._file = (path / "frames.csv").open("r+b", buffering=0)
             self._file.truncate(self._whole_bytes)
             self._file.seek(self._whole_bytes)
             return
-        if (path / "frames.csv").exists():
+        if begun is None and (path / "frames.csv").exists():
             raise FeedError(f"{path}: a feed already exists here; name another folder")
         try:
             (path / "frames").mkdir(parents=True, exist_ok=True)
@@ -54,17 +55,17 @@ class FeedWriter:
         except OSError as error:
             raise FeedError(f"{path}: cannot write a feed here: {error.strerror}") from None
 
-    def _count_begun(self, header: str, stamps_ns: Sequence[int]) -> int:
-        """How many frames of this very feed are there already; 0 where it is another one, or whole."""
+    def _count_begun(self, header: str, stamps_ns: Sequence[int]) -> int | None:
+        """How many frames of this very feed are there already; None where there is none, another one, or all of it."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             data = (self.path / "frames.csv").read_bytes()
-            whole = data[: data.rindex(b"\n") + 1]
+            whole = data[: data.rfind(b"\n") + 1]
             there = [int(row.split(b",", 2)[1]) for row in whole.splitlines()[1:]]
             is_same = (self.path / "feed.toml").read_text(encoding="utf-8") == header
             if is_same and there == list(stamps_ns[: len(there)]) and len(there) < len(stamps_ns):
                 self._whole_bytes = len(whole)
                 return len(there)
-        return 0
+        return None
 
     def write(self, image: NDArray[np.uint8] | bytes, row: FeedRow) -> None:
         """Append one frame; image (H, W, 3) uint8 BGR, or the bytes of a JPEG or PNG file, which are kept as they are.

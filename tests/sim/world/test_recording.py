@@ -78,6 +78,21 @@ def test_an_interrupted_drive_goes_on_where_it_was(tmp_path: Path) -> None:
         record_drive(HOME, begun, spacing_m=50.0)
 
 
+@pytest.mark.parametrize("has_header", [True, False])
+def test_a_drive_that_was_interrupted_before_its_first_frame_begins_anew(tmp_path: Path, has_header: bool) -> None:
+    """As where the renderer is not installed: what is named then must work after it is."""
+
+    def interrupted(times_s: list[float]) -> list[float]:
+        raise KeyboardInterrupt
+
+    path = tmp_path / "drive"
+    with pytest.raises(KeyboardInterrupt):
+        record_drive(HOME, path, spacing_m=50.0, progress=interrupted)
+    if not has_header:
+        (path / "frames.csv").write_bytes(b"")
+    assert record_drive(HOME, path, spacing_m=50.0) == len(read_feed(path).rows) == 4
+
+
 def test_a_steady_rate_covers_the_whole_drive() -> None:
     drive = HOME.drive()
     times_s = times_by_rate(drive, 4.0)
