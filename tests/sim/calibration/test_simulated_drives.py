@@ -35,7 +35,7 @@ from sim.traverse import traverse
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
-STREET = Scenario(seed=7, length_m=240.0, width=160, height=120)
+STREET = Scenario(seed=7, length_m=200.0, width=160, height=120)
 CONFIG = Config(sequence=SequenceConfig(length=20))
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
@@ -113,7 +113,7 @@ def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network,
 
     Cameras that look opposite ways are believed after a longer way than this module's street has.
     """
-    street = replace(STREET, seed=8, length_m=480.0)
+    street = replace(STREET, seed=8, length_m=400.0)
     rear = record(replace(street, view="rear"), tmp_path / "long_rear")
     build_map([rear], tmp_path / "long.map", DescriptorConfig(), SamplingConfig(), network=network)
     long_map = open_map(tmp_path / "long.map")

@@ -23,7 +23,7 @@ def replayed(shared: Path, tmp_path: Path) -> Callable[[str], Replayed]:
         folder = shared / "flights_b06f79e" / name
         if not folder.is_dir():
             pytest.skip(f"needs the recorded drive {folder}")
-        library = RoadLibrary(Network.load(), tmp_path / "views", cell_m=2)
+        library = RoadLibrary(Network.load(), tmp_path / "views", cell_m=3)
         try:
             return replay(read_drive(folder), tmp_path, library)
         finally:

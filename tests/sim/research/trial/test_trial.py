@@ -39,7 +39,7 @@ from sim.trial.way import along
 from sim.vehicle.driver import Driver, Leg
 from sim.world.scenario import Scenario
 
-LENGTH_M, WORLD = 560.0, 21
+LENGTH_M, WORLD = 500.0, 21
 CELL_M = 2
 """Views as far apart as the map's places are: most drives see no others than the map's camera and the first one."""
 SMALL = (
@@ -88,8 +88,8 @@ def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> 
 
 
 def test_old_pictures_of_a_vehicle_that_never_stops_send_no_position(library: RoadLibrary, tmp_path: Path) -> None:
-    """Where their age is not looked for, this drive gets 10 positions 22 m off, 6.4 standard deviations."""
-    run = drive(COURSES["pictures-3"], 70001, LENGTH_M, WORLD, tmp_path, library)
+    """Where their age is not looked for, this drive gets 10 positions 23 to 44 m off."""
+    run = drive(COURSES["pictures-3"], 4, LENGTH_M, WORLD, tmp_path, library)
     assert not run.failures, line("pictures-3", run)
 
 
