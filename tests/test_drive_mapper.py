@@ -37,7 +37,7 @@ from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 
-ROAD_M, SPEED_MPS, SPACING_M = 400.0, 10.0, 2.0
+ROAD_M, SPEED_MPS, SPACING_M = 300.0, 10.0, 2.0
 STEP_NS = 100_000_000
 PLACES = int(ROAD_M / SPACING_M) + 10
 

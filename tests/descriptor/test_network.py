@@ -132,11 +132,11 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
     shared: Path, network: Network, float_network: Network
 ) -> None:
     names = "corridor_query", "corridor_reference"
-    query, reference = (read_regions(shared / "feeds" / name, "left-right", 2) for name in names)
+    query, reference = (read_regions(shared / "feeds" / name, "left-right", 3) for name in names)
     exact, rounded = ((describe(each, query), describe(each, reference)) for each in (float_network, network))
     for pair in zip(exact, rounded, strict=True):
         assert compare(*pair).nsd_mean >= NSD_COSINE_MIN
-    rows = 2 * np.arange(len(query))
+    rows = 3 * np.arange(len(query))
     correct = abs(rows[:, None] - rows) <= 3
     float_share, int8_share = matching_accuracy(*exact, correct), matching_accuracy(*rounded, correct)
     assert float_share > 0.8

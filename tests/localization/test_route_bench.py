@@ -126,9 +126,9 @@ def check_false(results: list[Result]) -> None:
     assert not any(result.sigmas for result in results)
 
 
-@pytest.mark.parametrize("course", RIGHT.values(), ids=RIGHT.keys())
-def test_positions_are_as_good_as_they_say(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
-    check_right(drives(course, 2, tmp_path))
+@pytest.mark.parametrize("name", [name for name in RIGHT if name != "false stretch of 140 m"])
+def test_positions_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
+    check_right(drives(RIGHT[name], 2, tmp_path))
 
 
 @pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
@@ -145,7 +145,9 @@ def test_no_false_place_is_published(course: Callable[[np.random.Generator], Cou
 
 def test_right_positions_go_on_soon_after_a_false_stretch(tmp_path: Path) -> None:
     """It ends at 490 m, the next one begins at 530 m, and a line of 80 m must lie on it."""
-    for result in drives(false_stretch(140.0), 2, tmp_path):
+    results = drives(RIGHT["false stretch of 140 m"], 2, tmp_path)
+    check_right(results)
+    for result in results:
         after_m = [at_m for at_m in result.sent_at_m if at_m > 490.0]
         assert min(after_m) <= 490.0 + 200.0
 

@@ -39,6 +39,12 @@ def image() -> NDArray[np.uint8]:
     return np.asarray(np.clip(mixed * 200 - 20, 0, 255), np.uint8)
 
 
+@pytest.fixture(scope="module")
+def expected(weights: Weights, image: NDArray[np.uint8], alexnet: Oracle) -> dict[str, NDArray[np.float64]]:
+    """The layers of the image by AlexNet."""
+    return alexnet(weights, image)
+
+
 def save(model: object, file: Path) -> Path:
     file.write_bytes(model.SerializeToString())  # type: ignore[attr-defined]
     return file
@@ -46,17 +52,26 @@ def save(model: object, file: Path) -> Path:
 
 @pytest.mark.parametrize("tap", ["fc6", "conv3"])
 def test_float_network_is_alexnet(
-    tap: str, weights: Weights, image: NDArray[np.uint8], info: ModelInfo, alexnet: Oracle, tmp_path: Path
+    tap: str,
+    weights: Weights,
+    image: NDArray[np.uint8],
+    info: ModelInfo,
+    expected: dict[str, NDArray[np.float64]],
+    tmp_path: Path,
 ) -> None:
     info = msgspec.structs.replace(info, tap=tap, dimensions=DIMENSIONS[tap])
     network = Network.load(save(build_float(weights, info), tmp_path / "float.onnx"))
-    expected = alexnet(weights, image)[tap].ravel()
-    assert np.count_nonzero(expected) > 1000
-    np.testing.assert_allclose(network.describe(image[None])[0], expected, rtol=1e-3, atol=1e-4)
+    layer = expected[tap].ravel()
+    assert np.count_nonzero(layer) > 1000
+    np.testing.assert_allclose(network.describe(image[None])[0], layer, rtol=1e-3, atol=1e-4)
 
 
 def test_int8_network_and_head_are_close_to_alexnet(
-    weights: Weights, image: NDArray[np.uint8], info: ModelInfo, alexnet: Oracle, tmp_path: Path
+    weights: Weights,
+    image: NDArray[np.uint8],
+    info: ModelInfo,
+    expected: dict[str, NDArray[np.float64]],
+    tmp_path: Path,
 ) -> None:
     labels = read_labels(None, weights)
     info = msgspec.structs.replace(info, labels=labels)
@@ -66,7 +81,6 @@ def test_int8_network_and_head_are_close_to_alexnet(
     head_info = msgspec.structs.replace(info, tap="categories", dimensions=365, fc6_sha256=network.info.sha256)
     save(as_int8(build_head(weights, head_info), {"fc6": greatest[FC6]}, head_info), tmp_path / HEAD_FILE)
 
-    expected = alexnet(weights, image)
     found = network.describe(image[None])
     cosine = found[0] @ expected["fc6"] / np.linalg.norm(found[0]) / np.linalg.norm(expected["fc6"])
     assert cosine > 0.999
