@@ -342,9 +342,10 @@ class Bench:
         if len(frames) < LENGTH // 2:
             return None
         k, along = np.array(frames).T
-        slope, _ = np.polyfit(k, along, 1)
+        middle, middle_m = float(k.mean()), float(along.mean())
+        slope = float((k - middle) @ (along - middle_m) / ((k - middle) @ (k - middle)))  # least squares
         slope = float(np.clip(slope / SPACING_M, 0.82, 1.2)) * SPACING_M
-        end_m = float(np.mean(along) + slope * (len(self.history) - 1 - np.mean(k)))
+        end_m = middle_m + slope * (len(self.history) - 1 - middle)
         end_m += self.bias_m + self.wander_m + self.rng.normal(0.0, 0.7)
         first, _, _, places = self.segments[number]
         row = int(np.clip(round(end_m / SPACING_M), 0, places - 1))
