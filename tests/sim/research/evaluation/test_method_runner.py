@@ -21,7 +21,7 @@ from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, TraversePlan, load_plan
 from sim.research.evaluation.run import SHIPPED, Folders, open_runner
 
-LENGTH, TOLERANCE, FRAMES = 10, 5.0, 60
+LENGTH, TOLERANCE, FRAMES = 10, 5.0, 40
 
 
 def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Network, tmp_path: Path) -> None:
