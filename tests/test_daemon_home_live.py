@@ -46,7 +46,7 @@ def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
                 connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")
             ),
         )
-        autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=world.now_ns / 1e9 + 40)
+        autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=world.now_ns / 1e9 + 28)
         frames = Camera(world, ahead=True), Camera(world, ahead=False)
         opened = OpenedParts(config, parts, world.clock_ns, frames=frames[0], mapping_frames=frames[1], network=network)
         daemon = Daemon(opened)
@@ -58,11 +58,11 @@ def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
                     autopilot.step()
                     daemon.turn()
 
-        run(41.0)  # 380 m out, and GPS has failed
+        run(29.0)  # 260 m out, and GPS has failed
         autopilot.send(mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_5, 0, 1, 5665, 0, 0, 0, 0, 0))
         run(2.0)
     (answer,) = records_of(tmp_path / "events.jsonl", HomeAnswered)
     assert answer.verified, answer.text
     first, *_, last = autopilot.mission.waypoints_deg
     assert last == pytest.approx(geodetic(0.0, 0.0), abs=3e-5)
-    assert first == pytest.approx(geodetic(370.0, 0.0), abs=1e-4), "GPS was lost there, and mapping ended"
+    assert first == pytest.approx(geodetic(250.0, 0.0), abs=1e-4), "GPS was lost there, and mapping ended"
