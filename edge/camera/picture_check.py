@@ -39,6 +39,9 @@ BEFORE_NS, LEAST_NS, AFTER_NS = 1_500_000_000, 4_000_000_000, 10_000_000_000
 compared, at least and at most: older ones than that are not noticed."""
 LASTS_NS = 1_000_000_000
 """A start or stop that lasts less is none: by its speed, a vehicle that creeps starts and stops."""
+HOLE_NS = 1_000_000_000
+"""A longer hole in the pictures hides when they, or the vehicle, started or stopped: those of a stream, 3 s old, seemed
+1.3 to 1.8 s old, which counts as in time, and positions 12 to 22 m off were sent."""
 CONTRAST = 3.0
 """Times by which pictures must change more while the vehicle moves than while it stands."""
 OLD_NS = 2_000_000_000
@@ -122,10 +125,11 @@ class PictureAge:
         self._means: NDArray[np.float32] | None = None
         self._changes: deque[tuple[int, float]] = deque()
         """Of the pictures since BEFORE_NS + AFTER_NS ago: stamp, and logarithm of the gray levels of the change."""
-        self._newest: tuple[bool | None, int] = None, 0
+        self._newest: tuple[bool | None, int, bool] = None, 0, False
         self._moves: bool | None = None
         self._since_ns = 0
-        """What the vehicle does, once that lasts, and since when; the newest may not last."""
+        """What the vehicle does, once that lasts, and since when; the newest may not last. Last of the newest: whether
+        it began while pictures were missing, so that nobody knows when."""
         self._is_judged = True
         self._ages_ns: deque[int] = deque(maxlen=2)
         self.age = Age()
@@ -158,14 +162,16 @@ class PictureAge:
         while self._changes and stamp_ns - self._changes[0][0] > BEFORE_NS + AFTER_NS:
             self._changes.popleft()
         if moves is not self._newest[0]:
-            self._newest = moves, stamp_ns
+            is_hidden = len(self._changes) < 2 or stamp_ns - self._changes[-2][0] > HOLE_NS
+            self._newest = moves, stamp_ns, is_hidden
         is_new = moves is not self._moves and stamp_ns - self._newest[1] >= LASTS_NS
         lasted_ns = (self._newest[1] if is_new else stamp_ns) - self._since_ns
         if not self._is_judged and (lasted_ns >= AFTER_NS or (is_new and lasted_ns >= LEAST_NS)):
             self._judge()
         if is_new:
-            self._is_judged = self._moves is None or moves is None or lasted_ns < BEFORE_NS
-            self._moves, self._since_ns = self._newest
+            is_unknown = self._moves is None or moves is None
+            self._moves, self._since_ns, is_hidden = self._newest
+            self._is_judged = is_unknown or is_hidden or lasted_ns < BEFORE_NS
 
     def _judge(self) -> None:
         """Find the moment at which the pictures started or stopped as the vehicle did."""
@@ -181,7 +187,10 @@ class PictureAge:
         is_as_later = np.abs(changes - later) < np.abs(changes - earlier)
         # The moment after which most of the pictures change as they do later, and before which they do not.
         wrong = np.cumsum(is_as_later) + np.cumsum(~is_as_later[::-1])[::-1] - ~is_as_later
-        self._observe(int(stamps_ns[wrong.argmin()] - self._since_ns))
+        last = int(wrong.argmin())
+        hole_ns = stamps_ns[last + 1] - stamps_ns[last] if last + 1 < len(stamps_ns) else 0
+        if hole_ns <= HOLE_NS:
+            self._observe(int(stamps_ns[last] - self._since_ns))
 
     def _observe(self, age_ns: int) -> None:
         """By a start, a stop, or turns."""

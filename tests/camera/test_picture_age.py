@@ -178,3 +178,14 @@ def test_of_a_stream_that_was_opened_again_the_age_is_not_known() -> None:
     check.dated(Frame(picture(17.0, 0), 17 * SECOND, 0), 8.0)
     assert check.why_no_position == UNDATED
     device.close()
+
+
+@pytest.mark.parametrize("hole_s", [(6.3, 8.8), (4.8, 6.8)], ids=["of the pictures' start", "of the vehicle's start"])
+def test_a_start_that_a_hole_in_the_pictures_hides_shows_nothing(hole_s: tuple[float, float]) -> None:
+    """Pictures that are 3 s old would seem less than 2 s old, which counts as in time."""
+    found, (begins_s, ends_s) = PictureAge(), hole_s
+    for number, at_s in enumerate(np.arange(0.0, 24.0, FRAME_S)):
+        if not begins_s < at_s < ends_s:
+            found.add(picture(float(at_s) - 3.0, number), round(at_s * SECOND), speed_mps(float(at_s)) >= 0.3)
+    assert not found.is_known
+    assert watched(3.0, 24.0).is_known
