@@ -29,7 +29,8 @@ FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.979, two of five simulated drives in snow that were hardly recognized were warned of."""
 UNSEEN_M = 80.0
-"""What is not recognized before that is said; up to half as much where the last places made GPS doubtful."""
+"""What is not recognized before that is said; down to half of it where the last places made GPS doubtful. With honest
+GPS it is said in none of 35 drives home by night, and in 9 of 91 in the map's direction at dusk, in rain and snow."""
 BESIDE_SIGMAS = 2.0
 """Beside the lane, of the road, the map and GPS: as far GPS is on the drive."""
 MOST_PLACES = 2
@@ -85,8 +86,8 @@ class GpsJudge:
             comparison = replace(comparison, displacement=displacement) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, missed)
-        doubt = verdict.doubt if verdict.state == "doubtful" else None
-        self._is_unseen = self._unseen_road.update(match, gps, doubt or 0.0)
+        doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
+        self._is_unseen = self._unseen_road.update(match, gps, doubt)
         return verdict.state == "wrong" and not was_wrong
 
     @property
@@ -194,7 +195,8 @@ class UnseenRoad:
             self._unseen_m = 0.0
         else:
             # A vehicle that leaves the road is recognized there now and then, but not firmly.
-            self._firm_m = self._firm_m if doubt else max(0.0, self._firm_m - spacing_m)
+            if not doubt:
+                self._firm_m = max(0.0, self._firm_m - spacing_m)
             self._unseen_m = max(0.0, self._unseen_m - spacing_m)
         is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
         self._last, self._ahead_m, self._doubt = (match if is_firm else None), 0.0, doubt

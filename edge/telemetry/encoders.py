@@ -15,7 +15,7 @@ from edge.motion import CameraSpeed
 from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 
-EXTERNAL_POSITION_ESTIMATE = 43003  # MAV_CMD_EXTERNAL_POSITION_ESTIMATE
+EXTERNAL_POSITION_ESTIMATE: int = mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE  # 43003
 FORCES_M = 0.99
 """Accuracy below 1 m, with which PX4 always resets its position (`Ekf::resetGlobalPosToExternalObservation`). Others it
 weighs by its own, which does not grow as its error does: on five simulated roads 5 to 7 m (95 %), 2 to 4 m with it."""

@@ -120,7 +120,7 @@ class ParameterRequests:
             self._tries.setdefault(name, 0)
 
     def due(self, system_id: int, now_ns: int) -> list[Message]:
-        """The next request, once the last one is answered; none where all have come, or none ever will."""
+        """The next request, once the last is answered or overdue; none where all came or were requested too often."""
         missing = self._missing()
         name = min(missing, key=missing.__getitem__, default="")
         is_due = now_ns >= self._due_ns or self._last not in missing

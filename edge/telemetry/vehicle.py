@@ -1,4 +1,4 @@
-"""What the autopilot reports about its vehicle: identity, time and position; `vehicle_velocity` is how it moves.
+"""What the autopilot reports about its vehicle: identity, time and position; `vehicle_velocity` is how fast.
 
 No I/O: messages and the time come in as arguments.
 """

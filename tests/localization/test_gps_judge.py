@@ -154,6 +154,21 @@ def test_it_is_a_state_of_the_verdict_and_the_position_stays_as_it_is(map_set: M
     assert verdict(unseen(FROM), FROM) != "not recognized"
 
 
+def test_gps_that_was_called_wrong_stays_wrong_where_nothing_is_recognized(map_set: MapSet) -> None:
+    judge = GpsJudge(settings(RigConfig()))
+    judge.use_route(Route(map_set))
+
+    def state(answer: PlaceMatch, gps: GpsFix) -> str:
+        judge.update(answer, gps, None, Report(0), None, 0)
+        return judge.verdict.state
+
+    agreed = [state(seen(place), gps_at(place * SPACING_M)) for place in range(20, FROM - 20)]
+    called = [state(seen(place), gps_at(place * SPACING_M, 200.0)) for place in range(FROM - 20, FROM)]
+    after = [state(unseen(FROM + frame), on_the_road(frame)) for frame in range(FRAMES)]
+    assert agreed[-1] == "agrees" and called[-1] == "wrong"
+    assert set(after) == {"wrong"}
+
+
 def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_followed_it() -> None:
     def report(east_m: float, north_m: float, gps_sigma_m: float | None = 3.0) -> Report:
         at = moved(LAT_DEG, 153.0, east_m, north_m)

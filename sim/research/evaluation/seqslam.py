@@ -37,13 +37,11 @@ class SeqslamSettings:
 @dataclass(frozen=True)
 class SeqslamMatches:
     """place: (Q,) index of the reference (from 0), -1 where no whole window fits. ratio: (Q,) best score over the best
-    outside the window, smaller is surer, NaN where there is none. scores: (Q, N) of the trajectory of each query that
-    starts at each place.
+    outside the window, smaller is surer, NaN where there is none.
     """
 
     place: NDArray[np.intp]
     ratio: NDArray[np.float64]
-    scores: NDArray[np.float32]
 
 
 def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -98,7 +96,6 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
     rows = np.minimum(np.arange(places)[:, np.newaxis, np.newaxis] + lines, places)
     place = np.full(queries, -1, dtype=np.intp)
     ratio = np.full(queries, np.nan)
-    all_scores = np.full((queries, places), np.inf, dtype=np.float32)
     ahead = length // 2
     for query in range(length - ahead, queries - ahead):
         columns = np.arange(query + ahead - length, query + ahead + 1)
@@ -107,10 +104,9 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
         best = int(scores.argmin())
         if not np.isfinite(scores[best]):
             continue
-        all_scores[query] = scores
         ratio[query] = _uniqueness(scores, best, settings.window)
         place[query] = best + ahead
-    return SeqslamMatches(place, ratio, all_scores)
+    return SeqslamMatches(place, ratio)
 
 
 def _offsets(settings: SeqslamSettings) -> NDArray[np.intp]:

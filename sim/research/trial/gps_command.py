@@ -20,7 +20,8 @@ from sim.research.trial.gps_histories import DRAG_MPS, TURNS_DEG, History
 from sim.trial.views import RoadLibrary
 
 LEAST_CALLED = 0.9
-"""Share of the drag-offs with sightings that must be called in time; of 190, 0.93 were, 0.99 by night and dusk."""
+"""Share of the drag-offs with sightings that must be called in time; of 190, 0.93 were: all by
+night and dusk, 0.93 in rain, 0.70 in snow."""
 
 
 class GpsTrial:
