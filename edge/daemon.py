@@ -100,13 +100,11 @@ class Daemon:
     def _dated(self, frame: Frame) -> Frame:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
         pictures, vehicle, now_ns = self.parts.pictures, self._autopilot.vehicle, self._clock_ns()
-        before_ns, own = pictures.age_ns, vehicle.position(now_ns)
-        heading = None if own is None or own.heading_deg is None else (own.stamp_ns, own.heading_deg)
-        frame = pictures.dated(frame, vehicle.motion.speed_mps(now_ns), heading)
-        age_ns = pictures.age_ns
-        if age_ns != before_ns:
-            log.warning("pictures are %.1f s older than they say; their stamps are corrected", age_ns / 1e9)
-            self._autopilot.status_text(f"pictures {age_ns / 1e9:.1f} s late: corrected", mavlink.MAV_SEVERITY_WARNING)
+        before_ns = pictures.age_ns
+        frame = pictures.dated(frame, vehicle.motion.speed_mps(now_ns), vehicle.position(now_ns))
+        if pictures.age_ns != before_ns:
+            late_s = pictures.age_ns / 1e9
+            self._autopilot.status_text(f"pictures {late_s:.1f} s late: corrected", mavlink.MAV_SEVERITY_WARNING)
             self._reset()
         return frame
 
@@ -163,7 +161,7 @@ class Daemon:
         self._publish_frame(frame, match, missed)
         self._warn_without_odometer()
         recorder = self.parts.recorder
-        if recorder is not None:
+        if recorder is not None and not self.parts.pictures.why_undated:
             self._autopilot.history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
         self.parts.times.lap("telemetry")
         now_ns = self._clock_ns()
@@ -177,8 +175,10 @@ class Daemon:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
         now_ns, vehicle = self._clock_ns(), self._autopilot.vehicle
         report, gps = vehicle.report(now_ns), vehicle.gps_fix(stamp_ns, now_ns)
-        in_line = self._recognizer.is_in_line
-        verdict = self._estimator.update(match, stamp_ns, displacement, report, gps, missed=missed, in_line=in_line)
+        in_line, stamp_sigma_s = self._recognizer.is_in_line, self.parts.pictures.stamp_sigma_s
+        verdict = self._estimator.update(
+            match, stamp_ns, displacement, report, gps, missed=missed, in_line=in_line, stamp_sigma_s=stamp_sigma_s
+        )
         if in_line:
             self._autopilot.judge_gps(verdict)
 
@@ -245,7 +245,7 @@ class Daemon:
     def _map_frame(self, frame: Frame, distance_m: float | None, missed: int) -> None:
         """Map a frame that was recognized, and search what of this drive's map lies far enough behind by now."""
         parts, raw = self.parts, self._recognizer.raw_of(frame.stamp_ns)
-        if parts.mapper is None or raw is None:
+        if parts.mapper is None or raw is None or parts.pictures.why_undated:
             return
         newest = parts.mapper.map_recognized(frame, raw, distance_m, missed)
         if newest is not None:

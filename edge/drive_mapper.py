@@ -48,7 +48,8 @@ class OwnCamera:
         """device: opens it again; None where it cannot be."""
         self.frames, self._vehicle, self._clock_ns = frames, vehicle, clock_ns
         self._sampler = Sampler(config.sampling)
-        self._pictures = PictureCheck(device, config.gates.min_speed_mps)
+        kind = "" if config.mapping.camera is UNSET else config.mapping.camera.kind
+        self.pictures = PictureCheck(device, kind, config.gates.min_speed_mps)
         self._takes_s = 0.0  # what its last frame took
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
@@ -59,7 +60,11 @@ class OwnCamera:
         busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
         self._spare_s = min(self._takes_s, self._spare_s + waited_s + LEAST_SHARE * max(0.0, busy_s))
         frame = self.frames.take(0.0) if self._spare_s >= self._takes_s else None
-        if frame is None or not self._pictures.is_usable(frame, self._vehicle.motion.speed_mps(self._clock_ns())):
+        if frame is None:
+            return None
+        speed_mps = self._vehicle.motion.speed_mps(now_ns)
+        frame = self.pictures.dated(frame, speed_mps, self._vehicle.position(now_ns))
+        if not self.pictures.is_usable(frame, speed_mps) or self.pictures.why_undated:
             return None
         distance_m = self._vehicle.motion.distance_m(frame.stamp_ns)
         if distance_m is None or not self._sampler.is_place(frame.stamp_ns, distance_m):
@@ -108,10 +113,12 @@ class DriveMapper:
     @property
     def status(self) -> MappingStatus:
         """What is mapped now, for people."""
-        camera = self._own.frames.health if self._own is not None else None
-        if camera is not None and camera.state == "lost":
-            return replace(self.live.status, state="waiting", why=f"camera: {camera.reason}")
-        return self.live.status
+        own, status = self._own, self.live.status
+        if own is not None and own.frames.health.state == "lost":
+            return replace(status, state="waiting", why=f"camera: {own.frames.health.reason}")
+        if own is not None and own.pictures.why_undated:
+            return replace(status, state="waiting", why=own.pictures.why_undated)
+        return status
 
     def view(self) -> MappingView:
         """The map of this drive, and what to expect of it, for people."""

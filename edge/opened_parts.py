@@ -112,8 +112,7 @@ class OpenedParts:
             if config.camera.kind == "feed" and config.sampling.by == "distance":
                 self._await_speed()
             frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
-        may_be_old = config.camera.kind == "stream"
-        self.pictures = PictureCheck(self.device, config.gates.min_speed_mps, may_be_old=may_be_old)
+        self.pictures = PictureCheck(self.device, config.camera.kind, config.gates.min_speed_mps)
         turned = self.autopilot.vehicle.velocity.turned_rad
         self.motion = CameraMotion(config, self.record, turned) if config.motion.use != "off" else None
         self.camera: Frames = parts.enter_context(closing(frames))

@@ -54,8 +54,9 @@ class PlacedNetwork(Network):
 class World:
     """A road, driven out and home; what looks along it in one direction sees one thing, in the other another."""
 
-    def __init__(self, network: PlacedNetwork, *, home: bool = True) -> None:
+    def __init__(self, network: PlacedNetwork, *, home: bool = True, stands_s: float = 3.0) -> None:
         self.now_ns = 10**12
+        self._stands_s = stands_s
         self.network = network
         rng = np.random.default_rng(7)
         noise = rng.normal(size=(2, PLACES + 2, 2, 4096)).astype(np.float32)
@@ -67,7 +68,7 @@ class World:
 
     @property
     def driven_m(self) -> float:
-        return max(0.0, SPEED_MPS * (self.now_ns - 10**12 - 3 * 10**9) / 1e9)
+        return max(0.0, SPEED_MPS * ((self.now_ns - 10**12) / 1e9 - self._stands_s))
 
     @property
     def is_over(self) -> bool:
@@ -127,11 +128,23 @@ class Camera:
             return None
         self._taken_ns, self._index = self._world.now_ns, self._index + 1
         self._world.network.current = self._world.seen(ahead=self._ahead)
-        picture = np.random.default_rng(self._index).integers(0, 255, (32, 32, 3), np.uint8)
-        return Frame(picture, self._world.now_ns, self._index)
+        return Frame(self.picture(np.random.default_rng(self._index)), self._world.now_ns, self._index)
+
+    def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        return rng.integers(0, 255, (32, 32, 3), np.uint8)
 
     def close(self) -> None:
         pass
+
+
+class StartShown(Camera):
+    """Its pictures hardly change before the vehicle drives."""
+
+    def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
+        if self._world.driven_m:
+            return super().picture(rng)
+        still = super().picture(np.random.default_rng(0)) & np.uint8(0xFE)
+        return np.asarray(still + rng.integers(0, 2, (32, 32, 3), np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -158,6 +171,7 @@ def drive(
     parts: ExitStack,
     mapping: MappingConfig,
     *,
+    rear: Camera | None = None,
     gps_out_only: bool = True,
     killed_at_m: float = math.inf,
     page: PageConfig = PageConfig(port=0),  # noqa: B008  # frozen
@@ -184,7 +198,8 @@ def drive(
     )
     fails_s = world.now_ns / 1e9 + 3 + ROAD_M / SPEED_MPS if gps_out_only else float("inf")
     autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=fails_s)
-    rear = None if mapping.camera is msgspec.UNSET else Camera(world, ahead=False)
+    if mapping.camera is not msgspec.UNSET:
+        rear = rear or Camera(world, ahead=False)
     front = Camera(world, ahead=True)
     for until_m in sorted({killed_at_m, math.inf}):
         with ExitStack() as open_parts:
@@ -227,6 +242,25 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
         assert frame.place is not None
         assert frame.place * SPACING_M == pytest.approx(2 * ROAD_M - driven_m, abs=4 * SPACING_M)
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
+
+
+@pytest.mark.parametrize(("camera", "from_m"), [(StartShown, 100.0), (Camera, math.inf)])
+def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
+    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack, camera: type[Camera], from_m: float
+) -> None:
+    """A start shows it ten seconds later; those of a camera that never shows one may be of another place."""
+    world, maps = World(placed_network, home=False, stands_s=8.0), tmp_path / "maps"
+    mapping = mapping_to(maps, second_camera=True)
+    mapping = msgspec.structs.replace(mapping, camera=CameraConfig(kind="stream", view="rear"))
+    mapped_m: list[float] = []
+
+    def watch(driven_m: float) -> None:
+        if logs_in(maps):
+            mapped_m.append(driven_m)
+
+    rear = camera(world, ahead=False)
+    drive(world, tmp_path, parts, mapping, rear=rear, gps_out_only=False, each_turn=watch)
+    assert min(mapped_m, default=math.inf) == pytest.approx(from_m, abs=10)
 
 
 def test_mapping_pauses_and_goes_on_by_the_page(

@@ -17,6 +17,7 @@ from typing import Literal, TypeAlias
 from tqdm import tqdm
 
 from edge.camera.newest import NewestFrame
+from edge.camera.picture_check import PictureCheck
 from edge.commands.stop_signal import on_stop_signal
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
@@ -86,6 +87,7 @@ def record(
 
         recorder = Recorder(begin, min_free_bytes, free_bytes=free_bytes)
         sampler, deadline_s = Sampler(config.sampling), time.monotonic() + duration_s
+        pictures = PictureCheck(camera, config.camera.kind, config.gates.min_speed_mps)
 
         def ended() -> Why | None:
             if stop.is_set():
@@ -95,7 +97,7 @@ def record(
             return "camera ended" if camera.ended or recorder.stopped else None
 
         try:
-            why = _fill(recorder, camera, autopilot, sampler, ended)
+            why = _fill(recorder, camera, pictures, autopilot, sampler, ended)
         finally:
             recorder.close(FLUSH_S)
         if recorder.stopped == DISK_FULL:
@@ -103,7 +105,7 @@ def record(
         elif recorder.stopped:
             raise FeedError(f"{path}: stopped after {recorder.written} frames: {recorder.stopped}")
         if recorder.written == 0:
-            reason = camera.health.reason or "the camera gave no frame"
+            reason = camera.health.reason or pictures.why_undated or "the camera gave no frame"
             raise CameraLost(f"{path}: nothing recorded ({why}): {reason}")
         return Recording(recorder.written, recorder.with_position, recorder.skipped, why)
 
@@ -111,21 +113,32 @@ def record(
 def _fill(
     recorder: Recorder,
     camera: NewestFrame,
+    pictures: PictureCheck,
     autopilot: AutopilotConnection,
     sampler: Sampler,
     ended: Callable[[], Why | None],
 ) -> Why:
-    """Move frames from the camera to the recorder until `ended` says why to stop."""
-    camera_state, history = "", autopilot.history
+    """Move frames from the camera to the recorder until `ended` says why to stop.
+
+    None with a position before the age of a stream's pictures is known: it would be of another place.
+    """
+    camera_state, history, vehicle, warned = "", autopilot.history, autopilot.vehicle, False
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:
             autopilot.poll()
             frame = camera.take(TURN_S)
             if frame is not None:
-                distance_m = autopilot.vehicle.motion.distance_m(frame.stamp_ns)
-                if sampler.is_place(frame.stamp_ns, distance_m):
+                now_ns = time.monotonic_ns()
+                own = vehicle.position(now_ns)
+                frame = pictures.dated(frame, vehicle.motion.speed_mps(now_ns), own)
+                why_not = pictures.why_undated if own is not None else ""
+                distance_m = vehicle.motion.distance_m(frame.stamp_ns)
+                if not why_not and sampler.is_place(frame.stamp_ns, distance_m):
                     history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
+                if why_not and not warned:
+                    log.warning("nothing is recorded yet: %s", why_not)
+                warned = bool(why_not)
             history.release()
             counter.update(recorder.written - counter.n)
             camera_state = _log_camera(camera, camera_state)

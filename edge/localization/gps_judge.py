@@ -69,17 +69,18 @@ class GpsJudge:
         report: Report,
         anchor: Anchor | None,
         missed: int,
+        undated_m: float = 0.0,
     ) -> bool:
         """Compare GPS with the place of a frame at which the vehicle moved; True where it is called wrong by that.
 
-        anchor: where GPS had the vehicle last, by the autopilot's filter.
+        anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
         """
         assert self._route is not None and self._unseen_road is not None
         if report.gps_sigma_m is None and anchor is not None:
             self._referee.keep_until_lost(anchor)
         comparison = None
         if match is not None:
-            comparison = compare(match, gps, self._route, self._rig, self._length)
+            comparison = compare(match, gps, self._route, self._rig, self._length, undated_m)
         if comparison is not None:
             heading_deg = None if report.position is None else report.position.heading_deg
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
@@ -132,10 +133,12 @@ class GpsJudge:
         return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
 
 
-def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int) -> Comparison | None:
+def compare(
+    match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int, undated_m: float = 0.0
+) -> Comparison | None:
     """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
 
-    length: frames in a sequence.
+    length: frames in a sequence. undated_m: see `Sighting`.
     """
     if not match.accepted or line_middle(match, route, length) is None:
         return None
@@ -157,7 +160,7 @@ def compare(match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig,
         heading_rad=heading_rad,
         off_along_m=off_along_m,
         off_left_m=off_left_m,
-        along_sigma_m=math.hypot(match_m, map_m, gps_m),
+        along_sigma_m=math.hypot(match_m, map_m, gps_m, undated_m),
         left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
         match_sigma_m=match_m,
     )

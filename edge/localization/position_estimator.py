@@ -73,16 +73,17 @@ class PositionEstimator:
         *,
         missed: int = 0,
         in_line: bool = True,
+        stamp_sigma_s: float = 0.0,
     ) -> GpsVerdict:
         """Use the answer to one frame; what the places say of GPS since: "wrong" until it agrees again.
 
         displacement, gps: at its exposure. missed: see `RouteFilter.update`. in_line: whether a line may
-        lead through the frame, see `PlaceRecognizer`.
+        lead through the frame, see `PlaceRecognizer`. stamp_sigma_s: one standard deviation of the time of exposure.
         """
         assert self._filter is not None
-        believed = self._gps.believed(report)
-        self._filter.update(match, stamp_ns, displacement, missed, in_line=in_line)
-        if in_line and self._gps.update(match, gps, displacement, believed, self._own.by_gps, missed):
+        believed, undated_m = self._gps.believed(report), stamp_sigma_s * (report.speed_mps or 0.0)
+        self._filter.update(match, stamp_ns, displacement, missed, in_line=in_line, undated_m=undated_m)
+        if in_line and self._gps.update(match, gps, displacement, believed, self._own.by_gps, missed, undated_m):
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
         own, sigma_m = believed.position, believed.gps_sigma_m

@@ -95,11 +95,13 @@ class RouteFilter:
         missed: int = 0,
         *,
         in_line: bool = True,
+        undated_m: float = 0.0,
     ) -> None:
         """Use the answer to one frame; displacement: by the autopilot's velocity at its exposure, None where unknown.
 
-        missed: as `observe` got it. in_line: whether a line may lead through the frame. Four that counted though none
-        did, beside gaps of 8 to 15 m, put lines 12 m off. Without a displacement there is no position.
+        missed: as `observe` got it. undated_m: see `Sighting`. in_line: whether a line may lead through the frame. Four
+        that counted though none did, beside gaps of 8 to 15 m, put lines 12 m off. Without a displacement there is no
+        position.
         """
         if displacement is None or (self._at is not None and displacement.leg != self._at.leg):
             self.reset()
@@ -121,7 +123,7 @@ class RouteFilter:
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return
-        sighting = self._sightings.of(match, None if track is None else track.estimate)
+        sighting = self._sightings.of(match, None if track is None else track.estimate, undated_m)
         if sighting is not None:
             self._use(sighting, stamp_ns)
             self._choose_origin()
@@ -219,7 +221,7 @@ class RouteFilter:
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = self._innovations.factor**2 * estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
-        covariance += _line_variance(estimate, newest) * np.outer(along, along)
+        covariance += (_line_variance(estimate, newest) + newest.undated_m**2) * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(
             stamp_ns=stamp_ns,

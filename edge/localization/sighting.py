@@ -64,7 +64,8 @@ class Sighting:
     passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along the drive.
     shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the vehicle may be
     off its lane. regions: the lines of its two regions; None where the match has none. faint: times by which it may be
-    wrong by more than a match whose line is sharp.
+    wrong by more than a match whose line is sharp. undated_m: one standard deviation along the road by that of the time
+    of exposure.
     """
 
     match: PlaceMatch
@@ -78,6 +79,7 @@ class Sighting:
     shows_parallax: bool
     regions: RegionLines | None
     faint: float
+    undated_m: float
 
 
 class Sightings:
@@ -112,10 +114,10 @@ class Sightings:
         offset_m = along_m - self._route.route_m(match.place_index)
         return position_on_route(self._route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, estimate: RouteEstimate | None) -> Sighting | None:
+    def of(self, match: PlaceMatch, estimate: RouteEstimate | None, undated_m: float) -> Sighting | None:
         """The match in local meters; None where the map has no positions, or if the line led another way.
 
-        estimate: of the vehicle now, where there is one.
+        estimate: of the vehicle now, where there is one. undated_m: see `Sighting`.
         """
         line = line_middle(match, self._route, self.length)
         if line is None or len(self._readings) < self.length:
@@ -141,6 +143,7 @@ class Sightings:
             shows_parallax=match.order == "same" and self._rig.parallax > 0,
             regions=self._regions(match, line, estimate, scale_sigma, faint),
             faint=faint,
+            undated_m=undated_m,
         )
 
     def _errors(self, match: PlaceMatch) -> MatchErrors:

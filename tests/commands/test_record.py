@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 import resource
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from edge.camera.picture_check import UNDATED
 from edge.commands import record
 from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
@@ -128,6 +130,36 @@ def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
     with pytest.raises(CameraLost, match=r"out: nothing recorded \(duration reached\): /dev/video-none: No such file"):
         record.record(no_camera, tmp_path / "out", threading.Event(), duration_s=0.05)
     assert not (tmp_path / "out").exists()
+
+
+class StopsAt(logging.Handler):
+    """Stops a recording when the log says something."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.stop, self._text = threading.Event(), text
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if self._text in record.getMessage():
+            self.stop.set()
+
+
+def test_a_stream_whose_age_is_not_known_is_not_recorded_with_positions(
+    config: Config, tmp_path: Path, drive_north: tuple[str, float]
+) -> None:
+    """The vehicle never starts nor turns, so that nothing shows how old the pictures are."""
+    pytest.importorskip("av")
+    writer = Path(__file__).parents[1] / "camera/write_stream.py"
+    config = replace(
+        config,
+        camera=CameraConfig(kind="stream", device=f"exec:{sys.executable} {writer} mpegts mpeg4 100000"),
+        telemetry=TelemetryConfig(connection=f"serial:{drive_north[0]}:921600"),
+    )
+    stops = StopsAt(UNDATED)
+    logging.getLogger("edge.commands.record").addHandler(stops)
+    done = record.record(config, tmp_path / "out", stops.stop, duration_s=60.0)
+    logging.getLogger("edge.commands.record").removeHandler(stops)
+    assert (done.why, done.with_position) == ("stopped by a signal", 0)
 
 
 def test_a_feed_that_is_there_already_is_not_touched(config: Config, tmp_path: Path) -> None:

@@ -39,8 +39,8 @@ def match(place: int, direction: Any = "forward", **changes: Any) -> PlaceMatch:
 class Drive:
     """A vehicle that sees what it should: one frame each 2 m, a fifth of a second apart."""
 
-    def __init__(self, one: RouteFilter, start_place: int, direction: Any = "forward") -> None:
-        self.filter, self.direction = one, direction
+    def __init__(self, one: RouteFilter, start_place: int, direction: Any = "forward", undated_m: float = 0.0) -> None:
+        self.filter, self.direction, self.undated_m = one, direction, undated_m
         self.sign = 1 if direction == "forward" else -1
         self.place, self.frames, self.stamp_ns = start_place, 0, 100 * S
         self.drift = 0.0  # see `Displacement`
@@ -56,15 +56,17 @@ class Drive:
             self.stamp_ns += FRAME_NS
             self.place += self.sign
             seen = sees(self.place) if sees else match(self.place, self.direction)
-            self.filter.update(seen, self.stamp_ns, self.displacement(), missed)
+            self.filter.update(seen, self.stamp_ns, self.displacement(), missed, undated_m=self.undated_m)
 
     def north_m(self, tracked: PlaceFix | None) -> float:
         assert tracked is not None and tracked.lat_deg is not None
         return (tracked.lat_deg - LAT_DEG) / METRE_DEG
 
 
-def warm(one: RouteFilter, place: int = 60, direction: Any = "forward", frames: int = 30) -> Drive:
-    drive = Drive(one, place, direction)
+def warm(
+    one: RouteFilter, place: int = 60, direction: Any = "forward", frames: int = 30, undated_m: float = 0.0
+) -> Drive:
+    drive = Drive(one, place, direction, undated_m)
     drive.go(LENGTH, lambda _: None)
     drive.go(frames)
     return drive

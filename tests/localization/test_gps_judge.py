@@ -169,6 +169,19 @@ def test_gps_that_was_called_wrong_stays_wrong_where_nothing_is_recognized(map_s
     assert set(after) == {"wrong"}
 
 
+@pytest.mark.parametrize(("undated_m", "state"), [(0.0, "wrong"), (15.0, "agrees")])
+def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(
+    map_set: MapSet, undated_m: float, state: str
+) -> None:
+    """Pictures that are 3 s late put a vehicle at 10 m/s 30 m behind where GPS has it."""
+    judge = GpsJudge(settings(RigConfig(sigma_along_m=3.0)))
+    judge.use_route(Route(map_set))
+    for place in range(20, 140):
+        ahead_m = 0.0 if place < 80 else 30.0
+        judge.update(seen(place), gps_at(place * SPACING_M + ahead_m), None, Report(0), None, 0, undated_m)
+    assert judge.verdict.state == state
+
+
 def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_followed_it() -> None:
     def report(east_m: float, north_m: float, gps_sigma_m: float | None = 3.0) -> Report:
         at = moved(LAT_DEG, 153.0, east_m, north_m)

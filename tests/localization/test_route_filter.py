@@ -67,6 +67,20 @@ def test_it_is_moved_on_by_the_velocity_also_backwards_and_to_the_side(
     assert ahead.sigma_m > before.sigma_m
 
 
+def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_road(
+    open_filter: Callable[..., RouteFilter],
+) -> None:
+    (dated, known), (undated, unknown) = (
+        (drive, drive.filter.at_exposure()) for drive in (warm(open_filter()), warm(open_filter(), undated_m=4.0))
+    )
+    assert known is not None and unknown is not None
+    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02)
+    assert unknown.sigma_across_m == known.sigma_across_m
+    later = undated.filter.at(undated.stamp_ns + S, undated.displacement(8.0))
+    assert later is not None and later.sigma_along_m >= unknown.sigma_along_m
+    assert dated.north_m(known) == undated.north_m(unknown)
+
+
 def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_filter: Callable[..., RouteFilter]) -> None:
     drive = warm(open_filter(RigConfig(ahead_forward_swapped_m=26.0, left_forward_m=3.5)))
     fix = drive.filter.at_exposure()

@@ -90,10 +90,10 @@ def _clock(draft: CourseDraft) -> None:
     draft.clock_off_s = 3.0
 
 
-@course("E", "pictures-3")
-def _pictures(draft: CourseDraft) -> None:
-    """Pictures are 3 s older than they say, as behind the buffer of a network stream."""
-    draft.late_s = 3.0
+@course("E", "pictures-{}", 0.5, 1, 1.5, 3)
+def _pictures(draft: CourseDraft, value: float) -> None:
+    """Pictures are so many seconds older than they say, as behind the buffer of a network stream."""
+    draft.late_s = value
 
 
 @course("E", "pictures-3-stop")
