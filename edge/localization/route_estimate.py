@@ -26,8 +26,11 @@ from edge.localization.region_lines import SIDES, Passed, RegionLine, RegionLine
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
-HEADING_M, SCALE_M, DRIVE_M = 3000.0, 10_000.0, 3000.0
-"""Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive."""
+HEADING_M, SCALE_M, DRIVE_M = 3000.0, 700.0, 3000.0
+"""Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive.
+Wheels slip on another surface: where they measured 12 % less or 10 % more from the middle of a drive on, 4 of 8 drives
+on four roads had positions beyond four standard deviations (6.0) with 10 km for the scale, and none with 700 m (3.4);
+drives home were alike."""
 DOUBTFUL = -0.5, 0.5
 """Mean and standard deviation of that share, since the doubtful meters are all true or none is."""
 STAYS = 0.25

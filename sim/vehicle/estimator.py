@@ -42,14 +42,16 @@ class OdometryErrors:
 
     scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
     autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
-    spins: times by which the wheels turn too fast besides for SPIN_S of every SPIN_EVERY_S. acceleration_mps2: the
-    forward bias of an accelerometer that no velocity aids; wander_mps: by how much that changes the velocity besides
-    within a second, each way, from `seed`.
+    spins: times by which the wheels turn too fast besides for SPIN_S of every SPIN_EVERY_S. slips: the same from
+    `slips_from_m` driven on, as on another surface. acceleration_mps2: the forward bias of an accelerometer that no
+    velocity aids; wander_mps: by how much that changes the velocity besides within a second, each way, from `seed`.
     """
 
     source: VelocitySource = "wheels"
     scale: float = 1.0
     spins: float = 1.0
+    slips: float = 1.0
+    slips_from_m: float = math.inf
     heading_deg: float = 0.0
     reported_deg: float = 0.0
     settled_deg: float = 0.0
@@ -153,8 +155,9 @@ class Estimator:
 
     @property
     def _scale(self) -> float:
-        spins = self._time_s % SPIN_EVERY_S < SPIN_S
-        return self._errors.scale * (self._errors.spins if spins else 1.0)
+        errors = self._errors
+        slips = errors.slips if self._pose.distance_m >= errors.slips_from_m else 1.0
+        return errors.scale * slips * (errors.spins if self._time_s % SPIN_EVERY_S < SPIN_S else 1.0)
 
     def boot(self) -> None:
         """Begin anew: how far it is from its origin is not known, and what it drove before counts no more."""

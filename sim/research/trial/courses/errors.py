@@ -18,6 +18,12 @@ def _odometer(draft: CourseDraft, value: int) -> None:
     draft.errors = replace(draft.errors, scale=1.0 + value / 100.0)
 
 
+@course("F", "wheels-slip{:+d}", -12, 10)
+def _wheels_slip(draft: CourseDraft, value: int) -> None:
+    """The wheels measure so many percent more from the middle of the way on, as on another surface."""
+    draft.errors = replace(draft.errors, slips=1.0 + value / 100.0, slips_from_m=draft.share(0.45))
+
+
 @course("F", "wheels-spin")
 def _wheels_spin(draft: CourseDraft) -> None:
     """The wheels turn 1.5 times too fast for 3 s of every 20 s."""
