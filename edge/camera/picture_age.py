@@ -39,7 +39,8 @@ stretches, and never one of a second or more; with a factor of 1.5 and 15 s it w
 AGAIN = 4
 """Steps until turns that do not show it are asked again."""
 TURNS_SIGMA_NS, MOVES_SIGMA_NS = 150_000_000, 500_000_000
-"""One standard deviation of an age by turns, and by a start or a stop."""
+"""One standard deviation of an age by turns, and by a start or a stop. On drives of the trial with pictures 0 and 1 s
+late, turns were off by 0.10 s (rms; 0.28 at most, n = 25), by starts by 0.2 (n = 50), by stops by 0.6 at most."""
 AGREE_SIGMAS = 3.0
 """Standard deviations that two ages may be apart and still agree, as everywhere."""
 BLOCK_PX = 8
