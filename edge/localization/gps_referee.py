@@ -45,8 +45,9 @@ DOUBTFUL = 3.0
 NEWEST = 3
 """Of so many comparisons in a row the one counts that says least."""
 SAME_M, SAME_SIGMAS, FASTEST, LONGEST_GAP_M = 20.0, 4.0, 1.6, 240.0
-"""A track goes on if its place moved by at most SAME_M, or SAME_SIGMAS of the matches, and FASTEST times the spacing of
-the frames since; up to LONGEST_GAP_M without a place."""
+"""A track goes on if its place moved as the vehicle did by its own velocity, within SAME_M or SAME_SIGMAS of a match;
+where that is not known, by at most as much and FASTEST times the spacing of the frames since. Up to LONGEST_GAP_M
+without a place. Without the velocity, a false place 100 m after the last one had an honest GPS called wrong."""
 SAME_GROUND_M = 500.0
 """From an agreeing place of a recording, up to which its other places are as right: as for positions (`claims`)."""
 SHIFT_SIGHTINGS, SHIFT_CHI2 = 4, 2.0
@@ -141,9 +142,13 @@ class _Track:
 
     def goes_on_at(self, comparison: Comparison) -> bool:
         """Whether a vehicle on this track may be there now."""
-        before = self.newest
-        moved_m = math.hypot(*_between(before, comparison))
-        return moved_m <= max(SAME_M, SAME_SIGMAS * comparison.match_sigma_m) + FASTEST * self.gap_m
+        before, moved_m = self.newest, _between(self.newest, comparison)
+        most_m = max(SAME_M, SAME_SIGMAS * comparison.match_sigma_m)
+        now, then = comparison.displacement, before.displacement
+        if now is None or then is None:
+            return float(np.hypot(*moved_m)) <= most_m + FASTEST * self.gap_m
+        driven_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
+        return float(np.hypot(*(moved_m - driven_m))) <= most_m + now.unknown_since(then)
 
     @property
     def independent(self) -> list[Comparison]:

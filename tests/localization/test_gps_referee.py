@@ -256,6 +256,23 @@ def test_another_place_is_no_evidence_against_gps() -> None:
     assert "wrong" not in states
 
 
+@pytest.mark.parametrize(("knows_motion", "last"), [(True, "doubtful"), (False, "wrong")])
+def test_a_false_place_where_the_vehicle_did_not_drive_is_no_evidence_against_gps(
+    knows_motion: bool, last: str
+) -> None:
+    """100 m after the last place, 130 m beside the vehicle, for 40 m."""
+    referee, verdict = GpsReferee(1e-3, 0.01), GpsVerdict()
+    for row, error in enumerate(honest(5, 270)):
+        at_m = row * SPACING_M
+        one = comparison(at_m, tuple(error), recording="out", moved_m=at_m if knows_motion else None)
+        if at_m >= 500.0:
+            assert one.off_left_m is not None
+            lat_deg, lon_deg = moved(one.lat_deg, one.lon_deg, 130.0, 0.0)
+            one = replace(one, lat_deg=lat_deg, lon_deg=lon_deg, off_left_m=one.off_left_m + 130.0)
+        verdict = referee.update(None if 400.0 <= at_m < 500.0 else one)
+    assert verdict.state == last
+
+
 def test_without_places_nothing_is_said() -> None:
     referee = GpsReferee(1e-3, 0.01)
     assert referee.verdict == GpsVerdict()
