@@ -40,7 +40,7 @@ AGAIN = 4
 """Steps until turns that do not show it are asked again."""
 TURNS_SIGMA_NS, MOVES_SIGMA_NS = 150_000_000, 500_000_000
 """One standard deviation of an age by turns, and by a start or a stop. On drives of the trial with pictures 0 and 1 s
-late, turns were off by 0.10 s (rms; 0.28 at most, n = 25), by starts by 0.2 (n = 50), by stops by 0.6 at most."""
+late, ages by turns were off by 0.10 s (rms; 0.28 at most, n = 25), by starts by 0.2 (n = 50), by stops by up to 0.6."""
 AGREE_SIGMAS = 3.0
 """Standard deviations that two ages may be apart and still agree, as everywhere."""
 BLOCK_PX = 8
@@ -52,7 +52,7 @@ LASTS_NS = 1_000_000_000
 """A start or stop that lasts less is none: by its speed, a vehicle that creeps starts and stops."""
 HOLE_NS = 1_000_000_000
 """A longer hole in the pictures hides when they, or the vehicle, started or stopped: those of a stream, 3 s old, seemed
-1.3 to 1.8 s old, which counts as in time, and positions 12 to 22 m off were sent."""
+1.3 to 1.8 s old, and positions 12 to 22 m off were sent."""
 CONTRAST = 3.0
 """Times by which pictures must change more while the vehicle moves than while it stands."""
 OLD_NS = 2_000_000_000

@@ -100,6 +100,8 @@ class PictureCheck:
         self._device, self._may_be_old, self._min_speed_mps = device, kind == "stream", min_speed_mps
         self._detector = FrozenPictureDetector()
         self._age, self._opened = PictureAge(may_be_old=self._may_be_old), 0
+        self.age_ns = 0
+        """By how much the pictures are older than they say, as it was certain last."""
         self.fault: PictureFault | None = None
         """Of the newest frame."""
 
@@ -114,11 +116,6 @@ class PictureCheck:
         return "" if self._age.is_known else UNDATED
 
     @property
-    def age_ns(self) -> int:
-        """By how much the pictures are older than they say, where that is certain."""
-        return self._age.age.age_ns if self._age.age.is_certain else 0
-
-    @property
     def stamp_sigma_s(self) -> float:
         """One standard deviation of a frame's stamp, once that is known."""
         return self._age.age.sigma_ns / 1e9
@@ -130,11 +127,12 @@ class PictureCheck:
         """
         opened = 0 if self._device is None else self._device.health.reopened
         if opened != self._opened:  # what lies between is another buffer
-            self._age, self._opened = PictureAge(may_be_old=self._may_be_old), opened
+            self._age, self._opened, self.age_ns = PictureAge(may_be_old=self._may_be_old), opened, 0
         heading = None if own is None or own.heading_deg is None else (own.stamp_ns, own.heading_deg)
-        before_ns = self.age_ns
         self._age.add(frame.image, frame.stamp_ns, self._moves(speed_mps), heading)
-        if self.age_ns != before_ns:
+        age = self._age.age
+        if age.is_certain and age.age_ns != self.age_ns:
+            self.age_ns = age.age_ns
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", self.age_ns / 1e9)
         return replace(frame, stamp_ns=frame.stamp_ns - self.age_ns)
 

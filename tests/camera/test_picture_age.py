@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from itertools import groupby
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from edge.camera.newest import NewestFrame
 from edge.camera.picture_age import MOVES_SIGMA_NS, Age, PictureAge
 from edge.camera.picture_check import FROZEN, UNDATED, PictureCheck
 from edge.feed import Frame
+from edge.geodesy import VehiclePosition
 
 SECOND, FRAME_S = 1_000_000_000, 0.1
 NOISE = 5.0
@@ -164,6 +166,20 @@ def test_an_age_that_contradicts_those_before_must_be_seen_twice() -> None:
     assert known.is_certain and not found.age.is_certain
     turned(3.0, 72.0, 55.0, found=found)
     assert found.age.is_certain and found.age.age_ns / 1e9 == pytest.approx(3.0, abs=0.25)
+
+
+def test_stamps_stay_corrected_while_an_age_that_was_seen_once_contradicts_them() -> None:
+    check, corrected = PictureCheck(None, "stream", 0.3), []
+    for number, at_s in enumerate(np.arange(0.0, 72.0, FRAME_S).tolist()):
+        frame = Frame(ahead(at_s - (1.0 if at_s < 30.0 else 3.0), number), round(at_s * SECOND), number)
+        own = VehiclePosition(frame.stamp_ns, 0.0, 0.0, 0.0, heading_deg(at_s) % 360, 0.0, 0.0, 8.0)
+        corrected.append(round((frame.stamp_ns - check.dated(frame, 8.0, own).stamp_ns) / 1e9, 1))
+        check.is_usable(frame, 8.0)
+    assert [age_s for age_s, _ in groupby(corrected)] == [
+        0.0,
+        pytest.approx(1.0, abs=0.25),
+        pytest.approx(3.0, abs=0.25),
+    ]
 
 
 def test_where_the_road_is_straight_or_the_camera_turns_otherwise_nothing_is_known() -> None:
