@@ -254,8 +254,8 @@ class PictureAge:
         self.is_known = True
         self._seen.append(seen if self._may_be_old or seen.age_ns >= OLD_NS else BY_DRIVER)
         alike = list(takewhile(self._seen[-1].agrees, reversed(self._seen)))
-        weights = np.array([max(one.sigma_ns, 1.0) ** -2 for one in alike])
-        age_ns = float(weights @ [one.age_ns for one in alike] / weights.sum())
+        weights = [max(one.sigma_ns, 1.0) ** -2 for one in alike]
+        age_ns = float(np.average([one.age_ns for one in alike], weights=weights))
         sigma_ns = min(one.sigma_ns for one in alike)  # what delays the headings delays all of them
         is_certain = len(alike) >= min(2, len(self._seen))
         used_ns = self.age.age_ns if self.age.is_certain and is_certain else math.inf

@@ -63,7 +63,7 @@ class Anchor:
         """
         assert fix.lat_deg is not None and fix.lon_deg is not None
         east_m, north_m = east_north_of(self.lat_deg, self.lon_deg, (fix.lat_deg, fix.lon_deg))
-        moved_east_m, moved_north_m = now.east_m - self.displacement.east_m, now.north_m - self.displacement.north_m
+        moved_east_m, moved_north_m = now.since(self.displacement)
         if driven_m is None:
             driven_m = math.hypot(moved_east_m, moved_north_m)
         unknown_m = now.unknown_sigma_since(self.displacement)

@@ -139,7 +139,7 @@ class Claims:
 def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
     """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
     then = before.displacement
-    driven_m = math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
+    driven_m = math.hypot(*displacement.since(then))
     most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(then)
     return before.reckoned(fix, displacement, 0.0).distance_m <= most_m
 
@@ -157,5 +157,4 @@ def alike_m(driven_m: float, velocity_error: float) -> float:
 def _apart_m(observation: Observation, displacement: Displacement) -> float:
     """The least that it may be."""
     then = observation.displacement
-    apart_m = math.hypot(displacement.east_m - then.east_m, displacement.north_m - then.north_m)
-    return apart_m - abs(displacement.unknown_since(then))
+    return math.hypot(*displacement.since(then)) - abs(displacement.unknown_since(then))

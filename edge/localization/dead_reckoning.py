@@ -54,6 +54,10 @@ class Displacement:
     doubtful_east_m: float = 0.0
     doubtful_north_m: float = 0.0
 
+    def since(self, before: Displacement) -> tuple[float, float]:
+        """Meters east and north from another one to this."""
+        return self.east_m - before.east_m, self.north_m - before.north_m
+
     def unknown_since(self, before: Displacement) -> float:
         """The most by which the displacement from another one to this may be wrong, while its velocity was unknown."""
         return self.unknown_m - before.unknown_m
@@ -299,5 +303,5 @@ class TurnAround:
 
 def _course(first: Displacement, last: Displacement) -> float | None:
     """The direction of travel in radians, None where the vehicle hardly moved."""
-    east_m, north_m = last.east_m - first.east_m, last.north_m - first.north_m
+    east_m, north_m = last.since(first)
     return math.atan2(east_m, north_m) if math.hypot(east_m, north_m) > COURSE_M else None

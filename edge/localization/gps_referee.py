@@ -146,9 +146,8 @@ class _Track:
         most_m = max(SAME_M, SAME_SIGMAS * comparison.match_sigma_m)
         now, then = comparison.displacement, before.displacement
         if now is None or then is None:
-            return float(np.hypot(*moved_m)) <= most_m + FASTEST * self.gap_m
-        driven_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
-        return float(np.hypot(*(moved_m - driven_m))) <= most_m + now.unknown_since(then)
+            return math.hypot(*moved_m) <= most_m + FASTEST * self.gap_m
+        return math.dist(moved_m, now.since(then)) <= most_m + now.unknown_since(then)
 
     @property
     def independent(self) -> list[Comparison]:
@@ -248,7 +247,7 @@ class GpsReferee:
         now, then = comparison.displacement, None if before is None else before.displacement
         if before is None or now is None or then is None:
             return -math.inf
-        moved_m = np.array([now.east_m - then.east_m, now.north_m - then.north_m])
+        moved_m = np.array(now.since(then))
         places_off_m = _between(before, comparison) - moved_m
         gps_off_m = places_off_m + _offset(comparison) - _offset(before)
         drift_m = self._drift * float(np.hypot(*moved_m))

@@ -109,8 +109,7 @@ def check_right(results: list[Result]) -> None:
     assert len(sigmas) > 2 * len(results)
     assert sigmas.max() <= 4.0
     assert np.mean(sigmas > 3.0) <= 0.003
-    # Of two drives; of eight it is 0.72 to 0.76.
-    assert 0.35 <= np.sqrt(np.mean(sigmas**2)) <= 1.2
+    assert 0.45 <= np.sqrt(np.mean(sigmas**2)) <= 1.2
     for result in results:
         # The last position may be some meters wrong where the drive is over soon after.
         assert np.median(result.own_m) <= 1.05 * np.median(result.alone_m) + 5.0, "never worse than without fixes"
@@ -129,7 +128,8 @@ def check_false(results: list[Result]) -> None:
 
 @pytest.mark.parametrize("name", [name for name in RIGHT if name != "false stretch of 140 m"])
 def test_positions_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
-    check_right(drives(RIGHT[name], 2, tmp_path))
+    # Without GPS from boot there are few positions before places have confirmed each other.
+    check_right(drives(RIGHT[name], 4 if "no GPS from boot" in name else 2, tmp_path))
 
 
 @pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
