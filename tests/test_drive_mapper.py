@@ -9,6 +9,7 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -171,7 +172,8 @@ def drive(
     parts: ExitStack,
     mapping: MappingConfig,
     *,
-    rear: Camera | None = None,
+    camera: type[Camera] | None = None,
+    kind: Literal["sim", "stream"] = "sim",
     gps_out_only: bool = True,
     killed_at_m: float = math.inf,
     page: PageConfig = PageConfig(port=0),  # noqa: B008  # frozen
@@ -183,7 +185,7 @@ def drive(
     """
     link = parts.enter_context(closing(open_pty()))
     config = Config(
-        camera=CameraConfig(kind="sim", view="front"),
+        camera=CameraConfig(kind=kind, view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
@@ -198,9 +200,9 @@ def drive(
     )
     fails_s = world.now_ns / 1e9 + 3 + ROAD_M / SPEED_MPS if gps_out_only else float("inf")
     autopilot = SimulatedAutopilot(link, world.pose, world.clock_ns, gps_fails_s=fails_s)
-    if mapping.camera is not msgspec.UNSET:
-        rear = rear or Camera(world, ahead=False)
-    front = Camera(world, ahead=True)
+    camera = camera or Camera
+    rear = None if mapping.camera is msgspec.UNSET else camera(world, ahead=False)
+    front = camera(world, ahead=True)
     for until_m in sorted({killed_at_m, math.inf}):
         with ExitStack() as open_parts:
             daemon = opened(config, open_parts, world, front, rear)
@@ -244,22 +246,29 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
 
 
+@pytest.mark.parametrize("second_camera", [True, False])
 @pytest.mark.parametrize(("camera", "from_m"), [(StartShown, 100.0), (Camera, math.inf)])
 def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
-    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack, camera: type[Camera], from_m: float
+    placed_network: PlacedNetwork,
+    tmp_path: Path,
+    parts: ExitStack,
+    camera: type[Camera],
+    from_m: float,
+    second_camera: bool,
 ) -> None:
     """A start shows it ten seconds later; those of a camera that never shows one may be of another place."""
     world, maps = World(placed_network, home=False, stands_s=8.0), tmp_path / "maps"
-    mapping = mapping_to(maps, second_camera=True)
-    mapping = msgspec.structs.replace(mapping, camera=CameraConfig(kind="stream", view="rear"))
+    mapping = mapping_to(maps, second_camera=second_camera)
+    if second_camera:
+        mapping = msgspec.structs.replace(mapping, camera=CameraConfig(kind="stream", view="rear"))
     mapped_m: list[float] = []
 
     def watch(driven_m: float) -> None:
         if logs_in(maps):
             mapped_m.append(driven_m)
 
-    rear = camera(world, ahead=False)
-    drive(world, tmp_path, parts, mapping, rear=rear, gps_out_only=False, each_turn=watch)
+    kind: Literal["sim", "stream"] = "sim" if second_camera else "stream"
+    drive(world, tmp_path, parts, mapping, camera=camera, kind=kind, gps_out_only=False, each_turn=watch)
     assert min(mapped_m, default=math.inf) == pytest.approx(from_m, abs=10)
 
 
