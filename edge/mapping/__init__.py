@@ -3,6 +3,7 @@
 `place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole;
              that of an earlier drive becomes an ordinary map
 `live_map`   which frames become places; the file and the map in memory together
+`outage`     places that were passed while GPS was lost: where they are, once it is back
 `status`     what people are shown of all this, and what to expect if GPS were lost now
 """
 

@@ -17,6 +17,7 @@ from edge.errors import MapError
 from edge.files import named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.layers import delete_oldest, source_of
+from edge.mapping.outage import Outage, why_no_truth
 from edge.mapping.place_log import OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace, missed_places
 from edge.mapping.status import MappingStatus, MappingView, SelfComparison
@@ -34,7 +35,6 @@ SLOWEST_S = 0.01
 """For a place of an earlier drive, on a small computer with a slow card; it took 0.0003 s on a desk's."""
 SLOW_DISK = "the disk is too slow"
 GPS_MOVES = "GPS moves otherwise than the vehicle"
-BY_GPS = ("gps", "dgps", "rtk_float", "rtk_fixed", "ppp", "estimate", "survey")
 log = logging.getLogger(__name__)
 
 
@@ -64,6 +64,7 @@ class LiveMap:
         self._last: MappedPlace | None = None  # the place before, of the same drive
         self._is_continuous = False  # whether all that was driven since the last place is known
         self._motion = GpsMotion()
+        self._outage = Outage(config.max_sigma_m)
         self._origin: Origin | None = None  # of its meters
         self._comparison = SelfComparison()
         self.searchable = 0
@@ -103,26 +104,40 @@ class LiveMap:
         fault: why it is not mapped, such as GPS that is wrong by the places; "" where it is. missed: places that were
         passed without a frame since the last one that was handed over.
         """
-        if distance_m is not None:
-            heading_deg = position.heading_deg if position is not None else None
+        if distance_m is not None and position is not None:
+            heading_deg = position.heading_deg
             self._motion.move(self._route_m(distance_m), np.nan if heading_deg is None else heading_deg)
         self._why = fault or self._why_not(position, distance_m)
         if not self._why and position is not None and self._is_elsewhere(position):
             self._why = GPS_MOVES
-        if self._why or position is None or distance_m is None or self.status.state == "stopped":
-            self._last = None
-            return
-        route_m = self._route_m(distance_m)
+        may_wait = position is None or position.source != "place_fixes"
+        if distance_m is None or fault or not may_wait or self._growing.is_full or self.status.state == "stopped":
+            self._break_off()
+        elif position is None:
+            self._outage.miss(1 + missed)
+        elif self._why:
+            self._outage.wait(raw, self._place(position, self._route_m(distance_m), image), self._motion.moved, missed)
+        else:
+            self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
+
+    def _add_at(self, raw: NDArray[np.float32], place: Place, missed: int) -> None:
+        """A place with a position that is good, and before it those that waited for one."""
+        new_places = self._outage.end(MappedPlace(raw, place), missed, self._motion)
         try:
-            if not self._begin_if_new(route_m):
-                self._why = SLOW_DISK
-                return
-            now = MappedPlace(raw, self._place(position, route_m, thumbnail(image)))
-            for passed in missed_places(self._last, now, missed) if self._last else ():
-                self._add(passed)
-            self._add(now)
+            for new, passed in new_places:
+                if not self._begin_if_new(new.place.route_m):
+                    self._why = SLOW_DISK
+                    return
+                for between in missed_places(self._last, new, passed) if self._last else ():
+                    self._add(between)
+                self._add(new)
         except OSError as error:
             self._stop(f"{self._path}: {error.strerror}")
+
+    def _break_off(self) -> None:
+        """The next place begins a new drive."""
+        self._last = None
+        self._outage.reset()
 
     def newly_searchable(self, distance_m: float | None) -> MapSoFar | None:
         """The map with further places that now lie far enough behind the vehicle; None while there are too few."""
@@ -132,7 +147,7 @@ class LiveMap:
         limit_m = self._route_m(distance_m) - self._config.behind_m
         while ready < len(places) and places["route_m"][ready] <= limit_m:
             ready += 1
-        if ready < self.searchable + STEP_PLACES and not (self._last is None and ready > self.searchable):
+        if ready < self.searchable + STEP_PLACES and not (self._why and ready > self.searchable):
             return None
         self.searchable = ready
         so_far = self.so_far()
@@ -160,6 +175,7 @@ class LiveMap:
     def interrupt(self) -> None:
         """The odometer was silent: nobody knows how far the vehicle has driven meanwhile."""
         self._is_continuous, self._motion = False, GpsMotion()
+        self._break_off()
 
     def driven_m(self, distance_m: float | None) -> float | None:
         """Where the vehicle is, in meters along all drives of the map; None without a place, or after a restart."""
@@ -178,7 +194,7 @@ class LiveMap:
             return "the autopilot has no position"
         if distance_m is None:
             return "the distance driven is not known"
-        return "the map is full" if self._growing.is_full else _why_no_truth(position, self._config)
+        return "the map is full" if self._growing.is_full else why_no_truth(position, self._config)
 
     def _is_elsewhere(self, position: VehiclePosition) -> bool:
         """Whether a position disagrees with the odometer and the heading."""
@@ -190,7 +206,7 @@ class LiveMap:
         """Meters along all drives of the map, which go on over a restart of the odometer."""
         if distance_m < self._driven_m - RESTARTED_M:
             self._base_m += self._driven_m - distance_m
-            self._driven_m, self._last = distance_m, None
+            self._driven_m = distance_m
             self.interrupt()
         self._driven_m = max(self._driven_m, distance_m)
         return self._base_m + distance_m
@@ -223,7 +239,7 @@ class LiveMap:
         self._last, self._is_continuous = new, True
         self._growing.add(new.raw, place)
 
-    def _place(self, position: VehiclePosition, route_m: float, picture: bytes) -> Place:
+    def _place(self, position: VehiclePosition, route_m: float, image: NDArray[np.uint8]) -> Place:
         return Place(
             row=self._growing.count,
             lat_deg=position.lat_deg,
@@ -231,7 +247,7 @@ class LiveMap:
             alt_m=position.alt_m,
             heading_deg=float("nan") if position.heading_deg is None else position.heading_deg,
             route_m=route_m,
-            thumbnail=picture,
+            thumbnail=thumbnail(image),
             position_sigma_m=float("nan") if position.sigma_m is None else position.sigma_m,
             position_source=position.source,
         )
@@ -295,15 +311,3 @@ class LiveMap:
     def _stop(self, why: str) -> None:
         self._stopped = why
         log.warning("mapping stopped: %s", why)
-
-
-def _why_no_truth(position: VehiclePosition, config: MappingConfig) -> str:
-    """Why a position may not enter a map, "" if it may."""
-    if position.source == "place_fixes":
-        return "the position rests on recognized places"
-    if position.source == "dead_reckoning" and config.without_gps == "continue":
-        return "" if position.sigma_m is not None else "the accuracy of the position is not known"
-    if position.source not in BY_GPS:
-        return "no GPS"
-    is_good = position.sigma_m is not None and position.sigma_m <= config.max_sigma_m
-    return "" if is_good else f"the position is not known to {config.max_sigma_m:g} m"

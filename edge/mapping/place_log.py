@@ -44,7 +44,7 @@ from edge.mapping.place_log_records import (
 )
 from edge.reference_map import MapBuilder, Place
 
-QUEUE_PLACES = 32
+QUEUE_PLACES = 256
 RECENT = 2 * QUEUE_PLACES
 """Raw descriptors that are kept in memory: more than can be waiting to be written."""
 FLUSHED_EACH_S = 1.0

@@ -13,7 +13,7 @@
 
 from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
-from edge.reference_map.gps_motion import GpsMotion
+from edge.reference_map.gps_motion import GpsMotion, Moved
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
@@ -40,6 +40,7 @@ __all__ = [
     "MapSet",
     "MapSoFar",
     "ModelKey",
+    "Moved",
     "Newer",
     "Place",
     "Position",

@@ -12,6 +12,7 @@ import math
 from array import array
 from bisect import bisect_right, insort
 from dataclasses import dataclass
+from typing import NamedTuple
 
 WINDOWS_M = (0.0, 20.0, 50.0, 100.0, 200.0)
 """How far back the compared position is by the odometer; the first is the last position, from which GPS may jump."""
@@ -43,15 +44,25 @@ class Disagreement:
         return words if self.moved_m > self.driven_m + self.off_m / 2 else f"{words}, {self.off_m:.0f} m beside it"
 
 
+class Moved(NamedTuple):
+    """How a vehicle has moved by odometer and heading: meters, east + north i, and those of the way.
+
+    unknown: steps of unknown length, and of unknown direction, up to here.
+    """
+
+    meters: complex
+    way_m: float
+    unknown: tuple[int, int]
+
+
 @dataclass(frozen=True)
 class _Agreed:
-    """A position that agreed. Complex numbers are meters, east + north i."""
+    """A position that agreed: meters, east + north i."""
 
     number: int
     point: complex
-    moved: complex
     sigma_m: float
-    unknown: tuple[int, int]  # steps of unknown length, and of unknown direction, up to here
+    at: Moved
 
 
 class GpsMotion:
@@ -81,10 +92,19 @@ class GpsMotion:
         else:
             self._moved += cmath.rect(step_m, math.radians(90.0 - middle_deg))
 
+    @property
+    def moved(self) -> Moved:
+        """How the vehicle has moved up to now."""
+        return Moved(self._moved, self._way_m, self._unknown)
+
+    def truly(self, then: Moved, now: Moved) -> complex:
+        """Meters moved meanwhile, less what odometer and heading were wrong by so far."""
+        return self._bias() * (now.meters - then.meters)
+
     def disagreement(self, point_m: tuple[float, float], sigma_m: float) -> Disagreement | None:
         """Compare a position, east and north, with those before; None where it agrees, and is compared with later."""
         self._number += 1
-        now = _Agreed(self._number, complex(*point_m), self._moved, sigma_m, self._unknown)
+        now = _Agreed(self._number, complex(*point_m), sigma_m, self.moved)
         bias = self._bias()
         for window_m in WINDOWS_M:
             row = self._row_before(window_m)
@@ -105,11 +125,12 @@ class GpsMotion:
 
     def _compared(self, row: int, now: _Agreed, bias: complex) -> Disagreement | None:
         then, way_m = self._agreed[row], self._way_m - self._ways_m[row]
-        if then.unknown[0] != now.unknown[0]:
+        (lengths, directions), unknown = then.at.unknown, now.at.unknown
+        if lengths != unknown[0]:
             return None
         moved = now.point - then.point
-        off_m = abs(moved - bias * (now.moved - then.moved))
-        if then.unknown[1] != now.unknown[1]:
+        off_m = abs(moved - bias * (now.at.meters - then.at.meters))
+        if directions != unknown[1]:
             off_m = abs(moved) - abs(bias) * way_m
         if off_m <= max(OFF_M, OFF_SIGMAS * max(then.sigma_m, now.sigma_m)) + OFF_SHARE * way_m:
             return None
@@ -118,9 +139,12 @@ class GpsMotion:
     def _learn(self, now: _Agreed) -> None:
         row = self._row_before(LEARNED_M)
         row = max(row, 0) if self._row_before(LEARNED_FROM_M) >= 0 else row
-        if row < 0 or self._agreed[row].unknown != now.unknown or self._agreed[row].moved == now.moved:
+        if row < 0:
             return
-        ratio = (now.point - self._agreed[row].point) / (now.moved - self._agreed[row].moved)
+        then = self._agreed[row]
+        if then.at.unknown != now.at.unknown or then.at.meters == now.at.meters:
+            return
+        ratio = (now.point - then.point) / (now.at.meters - then.at.meters)
         insort(self._ratios[0], ratio.real)
         insort(self._ratios[1], ratio.imag)
 

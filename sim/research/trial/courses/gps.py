@@ -132,16 +132,16 @@ def _gps_turned_twice(draft: CourseDraft) -> None:
 @course("D", "gps-{}", "multipath", "rtk-2-cm")
 def _gps_honest(draft: CourseDraft, value: str) -> None:
     """An honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
-    _follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
-    draft.rules = (never_called,)
+    follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
+    draft.steers, draft.rules = False, (never_called,)
 
 
 @course("D", "gps-spoofed-{}", *SPOOFS)
 def _gps_spoofed(draft: CourseDraft, value: str) -> None:
     """GPS is spoofed while a person drives; the places contradict it, and positions are used in its place."""
     start_s = draft.share(0.55) / 8.0
-    _follow_history(draft, SPOOFS[value](start_s))
-    draft.doubted_gps = "send" if value in BY_SCRIPT else "switch"
+    follow_history(draft, SPOOFS[value](start_s))
+    draft.steers, draft.doubted_gps = False, "send" if value in BY_SCRIPT else "switch"
     draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
 
 
@@ -158,8 +158,8 @@ def _gps_steered_aside(draft: CourseDraft) -> None:
     draft.rules = (never_sent, warned_before_50_m)
 
 
-def _follow_history(draft: CourseDraft, history: gps_histories.History) -> None:
-    """GPS as a history says, for a vehicle at 8 m/s; a person drives."""
+def follow_history(draft: CourseDraft, history: gps_histories.History) -> None:
+    """GPS as a history says, for a vehicle at 8 m/s."""
     time_s = np.arange(0.0, draft.way.length_m / 4.0, 0.1)
     true_m = np.array([draft.way.at(min(8.0 * t, draft.way.length_m - 1.0))[:2] for t in time_s])
     offsets_m = history(time_s, true_m, draft.rng)
@@ -168,7 +168,7 @@ def _follow_history(draft: CourseDraft, history: gps_histories.History) -> None:
         east_m, north_m = offsets_m[int(min(max(at_s / 0.1, 0.0), len(offsets_m) - 1))]
         return NO_FIX if np.isnan(east_m) else GpsReport(east_off_m=float(east_m), north_off_m=float(north_m))
 
-    draft.gps_at, draft.steers = report, False
+    draft.gps_at = report
 
 
 def _requests_gps(message: Message) -> bool:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from sim.research.trial import gps_histories
 from sim.research.trial.course import CourseDraft, Stretch
 from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
+from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
 from sim.trial.take_me_home import SET_OFF_M, out_and_home
-from sim.vehicle.gps import GpsReport
+from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
+OUTAGES_S, OUTAGE_FROM_S = (5, 12), 30.0
 
 
 @course("G", "home")
@@ -31,6 +34,21 @@ def _home_in(draft: CourseDraft, value: str) -> None:
     draft.map = [Stretch(SET_OFF_M, draft.length_m)]
     draft.gps_at = lambda time_s: GpsReport()
     draft.rules = (*USUAL, arrives, on_its_lane, resumes)
+
+
+@course("G", "take-me-home-outage-{}", *OUTAGES_S)
+def _home_after_outage(draft: CourseDraft, value: float) -> None:
+    """The same at night, where GPS was lost for so many seconds on the way out, as below a bridge."""
+    _home_in(draft, "night")
+    draft.gps_at = lambda time_s: NO_FIX if OUTAGE_FROM_S <= time_s < OUTAGE_FROM_S + value else GpsReport()
+
+
+@course("G", "take-me-home-multipath")
+def _home_after_multipath(draft: CourseDraft) -> None:
+    """The same at night, where GPS was 10 m off or gone for seconds now and then on the way out, as in a town."""
+    _home_in(draft, "night")
+    follow_history(draft, gps_histories.multipath)
+    draft.rules = (*USUAL, resumes)
 
 
 @course("G", "person")

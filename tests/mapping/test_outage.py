@@ -1,0 +1,123 @@
+"""An outage of GPS on a drive that is mapped: where its places are put once GPS is back, and what is never bridged."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from edge.geodesy import POSITION_SOURCES, VehiclePosition, east_north_of, moved
+from edge.mapping import LiveMap
+from tests.mapping.test_live_map import GPS, IMAGE, live, raw_of
+from tests.reference_map.test_gps_motion import FROM, SIGMA_M, Drive
+from tests.reference_map.test_gps_motion import drive as gps_drive
+
+ORIGIN = GPS.lat_deg, GPS.lon_deg
+
+
+def at(points: Drive, row: int) -> VehiclePosition:
+    lat_deg, lon_deg = moved(*ORIGIN, *points[0][row].tolist())
+    return replace(GPS, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=float(points[2][row]) % 360, sigma_m=SIGMA_M)
+
+
+def add(mapped: LiveMap, points: Drive, rows: range, fault: str = "", **changes: Any) -> None:
+    """Map these rows of a drive; changes: of the autopilot's position, None without one."""
+    for row in rows:
+        position = None if changes.get("source") == "none" else replace(at(points, row), **changes)
+        mapped.add(raw_of(row), IMAGE, position, float(points[1][row]), fault)
+        while mapped.waiting > 8:
+            os.sched_yield()
+
+
+def segments(mapped: LiveMap) -> list[tuple[int, int]]:
+    return [(one.start, one.end) for one in mapped.whole().header.segments]
+
+
+@pytest.mark.parametrize("places", [10, 50, 150])
+def test_places_of_an_outage_are_where_they_were_within_what_they_say(tmp_path: Path, places: int) -> None:
+    """Wheels and compass are wrong by 3 % and 3 degrees, and the road winds; GPS would have been wrong as well.
+
+    Of the autopilot's own position meanwhile, which is on the equator here, nothing is used.
+    """
+    in_sigmas = []
+    for seed in range(12):
+        points, mapped = gps_drive(seed, bend=seed % 3), live(tmp_path / str(seed))
+        add(mapped, points, range(FROM))
+        adrift: dict[str, Any] = {
+            "source": "dead_reckoning",
+            "sigma_m": None,
+            "lat_deg": 0.0,
+        }  # nothing is used of that position
+        add(mapped, points, range(FROM, FROM + places), **adrift)
+        assert (mapped.status.state, mapped.status.why, mapped.status.places) == ("waiting", "no GPS", FROM)
+        add(mapped, points, range(FROM + places, FROM + places + 20))
+        assert segments(mapped) == [(0, FROM + places + 20)]
+        found = mapped.whole().places[FROM : FROM + places]
+        off_m = [
+            np.hypot(*(np.array(east_north_of(lat, lon, ORIGIN)) - point))
+            for lat, lon, point in zip(found["lat_deg"], found["lon_deg"], points[0][FROM:], strict=False)
+        ]
+        assert found["position_sigma_m"].max() <= 5.0
+        in_sigmas.extend(off_m / np.hypot(found["position_sigma_m"], SIGMA_M))
+        mapped.close()
+    assert np.sqrt(np.mean(np.square(in_sigmas))) < 1.0
+    assert max(in_sigmas) < 3.0
+
+
+def test_gps_that_moves_otherwise_for_a_while_is_bridged(tmp_path: Path) -> None:
+    """As between high buildings: those positions enter no map, and the drive goes on."""
+    points, mapped = gps_drive(3), live(tmp_path)
+    add(mapped, points, range(FROM))
+    east_m, north_m = points[0][FROM : FROM + 20].T
+    burst = points[0].copy()
+    burst[FROM : FROM + 20] = np.column_stack([east_m + 15.0, north_m])
+    add(mapped, (burst, *points[1:]), range(FROM, FROM + 40))
+    assert segments(mapped) == [(0, FROM + 40)]
+    found = mapped.whole().places[FROM : FROM + 20]
+    off_m = [east_north_of(lat, lon, ORIGIN)[0] for lat, lon in zip(found["lat_deg"], found["lon_deg"], strict=True)]
+    assert np.abs(off_m - east_m).max() < 5.0
+    assert {POSITION_SOURCES[number] for number in found["position_source"]} == {"dead_reckoning"}
+    mapped.close()
+
+
+def test_frames_without_any_position_count_as_places_without_a_frame(tmp_path: Path) -> None:
+    points, mapped = gps_drive(3), live(tmp_path)
+    add(mapped, points, range(FROM))
+    add(mapped, points, range(FROM, FROM + 3), source="none")
+    add(mapped, points, range(FROM + 3, FROM + 20))
+    assert segments(mapped) == [(0, FROM + 20)]
+    assert np.diff(mapped.whole().places["route_m"]).max() < 1.1 * points[1][1]
+    mapped.close()
+
+
+@pytest.mark.parametrize(
+    ("places", "changes", "fault"),
+    [
+        (250, {"source": "dead_reckoning"}, ""),
+        (30, {"source": "dead_reckoning", "heading_deg": None}, ""),
+        (30, {"source": "place_fixes"}, ""),
+        (30, {}, "GPS is wrong by the places"),
+    ],
+    ids=["too long", "no heading", "by places", "GPS called wrong"],
+)
+def test_what_is_not_bridged(tmp_path: Path, places: int, changes: dict[str, Any], fault: str) -> None:
+    points, mapped = gps_drive(3), live(tmp_path)
+    add(mapped, points, range(FROM))
+    add(mapped, points, range(FROM, FROM + places), fault, **{"sigma_m": None, **changes})
+    add(mapped, points, range(FROM + places, FROM + places + 20))
+    assert segments(mapped) == [(0, FROM), (FROM, FROM + 20)]
+    mapped.close()
+
+
+def test_an_odometer_that_was_silent_ends_an_outage(tmp_path: Path) -> None:
+    points, mapped = gps_drive(3), live(tmp_path)
+    add(mapped, points, range(FROM))
+    add(mapped, points, range(FROM, FROM + 10), source="dead_reckoning", sigma_m=None)
+    mapped.interrupt()
+    add(mapped, points, range(FROM + 10, FROM + 30))
+    assert segments(mapped) == [(0, FROM), (FROM, FROM + 20)]
+    mapped.close()
