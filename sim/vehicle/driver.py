@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sim import Pose
 
-ACCELERATION_MPS2 = 1.5
+ACCELERATION_MPS2, BRAKES_MPS2 = 1.5, 3.0
 CARRIED_MPS = 8.0
 SWAY_M = 0.25
 AHEAD_S, AHEAD_M = 0.8, 5.0
@@ -85,18 +85,20 @@ class Speed:
         sign = 1.0 if leg.speed_mps > 0 else -1.0
         left_m = sign * (leg.to_m - along_m)
         if left_m <= LAST_M:
-            self.speed_mps, self._waited_s = 0.0, self._waited_s + step_s
-            if self._waited_s >= leg.then_wait_s:
-                self._legs.pop(0)
-                self._waited_s = 0.0
-            return 0.0
+            self.speed_mps = math.copysign(max(0.0, abs(self.speed_mps) - BRAKES_MPS2 * step_s), self.speed_mps)
+            if self.speed_mps == 0.0:
+                self._waited_s += step_s
+                if self._waited_s >= leg.then_wait_s:
+                    self._legs.pop(0)
+                    self._waited_s = 0.0
+            return self.speed_mps
         self._change_s -= step_s
         if self._change_s < 0:
             self._factor, self._change_s = self._rng.uniform(0.6, 1.3), self._rng.uniform(4.0, 10.0)
         wanted = min(abs(leg.speed_mps) * self._factor, math.sqrt(2 * ACCELERATION_MPS2 * left_m))
         speed = abs(self.speed_mps)
-        change = ACCELERATION_MPS2 * step_s
-        self.speed_mps = sign * max(0.2, min(speed + change, max(wanted, speed - 2 * change)))
+        slower, faster = speed - BRAKES_MPS2 * step_s, speed + ACCELERATION_MPS2 * step_s
+        self.speed_mps = sign * max(0.2, min(faster, max(wanted, slower)))
         return self.speed_mps
 
 
