@@ -155,7 +155,10 @@ class DriveMapper:
 
     def add_placed(self) -> None:
         """Add the frames to the map whose position is known by now, since it is interpolated."""
-        self._autopilot.history.release()
+        history = self._autopilot.history
+        if history.newest is not None:
+            self.live.go_on(history.newest, self._autopilot.vehicle.motion.distance_m(history.newest.stamp_ns))
+        history.release()
         self._publish_change()
 
     def _await_position(self, frame: Frame, raw: NDArray[np.float32], distance_m: float | None, missed: int) -> None:

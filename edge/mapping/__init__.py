@@ -4,6 +4,7 @@
              that of an earlier drive becomes an ordinary map
 `live_map`   which frames become places; the file and the map in memory together
 `outage`     places that were passed while GPS was lost: where they are, once it is back
+`missed_places`  places that were passed without a frame
 `status`     what people are shown of all this, and what to expect if GPS were lost now
 """
 

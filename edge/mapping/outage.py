@@ -66,24 +66,24 @@ class Outage:
         """Places of whose frames not even the heading is known; they are interpolated as if they had none."""
         self._missed += places
 
-    def end(self, new: MappedPlace, missed: int, motion: GpsMotion) -> list[tuple[MappedPlace, int]]:
+    def end(self, new: MappedPlace, missed: int, motion: GpsMotion) -> list[tuple[MappedPlace, int]] | None:
         """A place with a good position, and before it those that waited; how many were missed before each.
 
-        None that waited where its position or the motion since the last good one is not known well enough.
+        None where nothing leads there from the last good one: the motion is not known, or they are too far apart.
         """
         begin, waiting, missed = self._begin, self._waiting, missed + self._missed
         self.reset()
         self._begin = new.place, motion.moved
-        placed = self._placed(*begin, waiting, new.place, motion) if begin is not None and waiting else []
-        return [*placed, (new, missed)]
+        placed = None if begin is None else self._placed(*begin, waiting, new.place, motion)
+        return None if placed is None else [*placed, (new, missed)]
 
     def _placed(
         self, begin: Place, then: Moved, waiting: list[Waiting], end: Place, motion: GpsMotion
-    ) -> list[tuple[MappedPlace, int]]:
+    ) -> list[tuple[MappedPlace, int]] | None:
         now = motion.moved
         way_m = now.way_m - then.way_m
-        if then.unknown != now.unknown or way_m <= 0:
-            return []
+        if waiting and (then.unknown != now.unknown or way_m <= 0):
+            return None
         origin = begin.lat_deg, begin.lon_deg
         off_m = complex(*east_north_of(end.lat_deg, end.lon_deg, origin)) - motion.truly(then, now)
         placed = []
@@ -93,7 +93,7 @@ class Outage:
             ends_m = (1 - share) * begin.position_sigma_m + share * end.position_sigma_m
             sigma_m = math.hypot(ends_m, DRIFT * way_m * share * (1 - share))
             if sigma_m > self._most_sigma_m:
-                return []
+                return None
             lat_deg, lon_deg = moved(*origin, point_m.real, point_m.imag)
             alt_m = begin.alt_m + share * (end.alt_m - begin.alt_m)
             place = replace(one.place, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)

@@ -1,4 +1,4 @@
-"""The records of the file of a map that is being made, and the places that were passed without a frame.
+"""The records of the file of a map that is being made.
 
 A record is 4 bytes of mark, the length and CRC-32 of what follows, and that: a tagged union in MessagePack. The first
 is the header. Where one is damaged, the next is found by its mark.
@@ -10,7 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
@@ -118,25 +118,3 @@ class MappedPlace:
 
     raw: NDArray[np.float32]
     place: Place
-
-
-def missed_places(before: MappedPlace, after: MappedPlace, missed: int) -> Iterator[MappedPlace]:
-    """The `missed` places between two that have a frame, evenly apart, with the less accurate position of both.
-
-    They were passed without one, since the camera or the computer was late, and each gets the nearest. Lines are
-    searched by places: one over a gap would be bent there, and could not be found.
-    """
-    first, last = before.place, after.place
-    east_deg = (last.lon_deg - first.lon_deg + 180.0) % 360.0 - 180.0
-    for number in range(1, missed + 1):
-        share = number / (missed + 1)
-        nearest = before if share <= 0.5 else after
-        place = replace(
-            nearest.place,
-            lat_deg=first.lat_deg + share * (last.lat_deg - first.lat_deg),
-            lon_deg=(first.lon_deg + share * east_deg + 180.0) % 360.0 - 180.0,
-            alt_m=first.alt_m + share * (last.alt_m - first.alt_m),
-            route_m=first.route_m + share * (last.route_m - first.route_m),
-            position_sigma_m=float(np.maximum(first.position_sigma_m, last.position_sigma_m)),
-        )
-        yield replace(nearest, place=place)

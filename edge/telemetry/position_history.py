@@ -40,6 +40,11 @@ class PositionHistory:
         if not self._positions or position.stamp_ns > self._positions[-1].stamp_ns:
             self._positions.append(position)
 
+    @property
+    def newest(self) -> VehiclePosition | None:
+        """None before the first."""
+        return self._positions[-1] if self._positions else None
+
     def clear(self) -> None:
         """The positions before cannot be compared with what follows: the autopilot has rebooted, or is another one."""
         self._positions.clear()

@@ -94,6 +94,30 @@ def test_frames_without_any_position_count_as_places_without_a_frame(tmp_path: P
     mapped.close()
 
 
+def test_places_without_a_frame_are_where_the_vehicle_went(tmp_path: Path) -> None:
+    """A camera is silent for 60 m in a bend, whose chord is over 5 m away."""
+    bend = np.radians(np.arange(180.0))
+    points = 2.0 / np.radians(1.0) * 0.4 * np.column_stack([1 - np.cos(bend), np.sin(bend)])
+    driven_m = np.arange(180.0) * 0.8
+    mapped, gap = live(tmp_path), range(60, 135)
+    for row in range(180):
+        lat_deg, lon_deg = moved(*ORIGIN, *points[row].tolist())
+        position = replace(GPS, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=float(row))
+        mapped.go_on(position, float(driven_m[row]))
+        if row not in gap:
+            missed = len(gap) if row == gap.stop else 0
+            mapped.add(raw_of(row), IMAGE, position, float(driven_m[row]), missed=missed)
+    assert segments(mapped) == [(0, 180)]
+    found = mapped.whole().places
+    found_m = np.array(
+        [east_north_of(lat, lon, ORIGIN) for lat, lon in zip(found["lat_deg"], found["lon_deg"], strict=True)]
+    )
+    assert np.hypot(*(found_m - points).T).max() < 0.5
+    middle_m = (points[gap.start - 1] + points[gap.stop]) / 2
+    assert np.hypot(*(points - middle_m).T).min() > 5.0
+    mapped.close()
+
+
 @pytest.mark.parametrize(
     ("places", "changes", "fault"),
     [

@@ -57,7 +57,7 @@ class CourseDraft(Draft):
     killed_s: when the daemon dies at once, to be back after down_s. restarted_s: when the autopilot does. loses:
     whether the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to when
     the autopilot sends nothing but heartbeats. maps_live: the map is made while driving, with a second camera, instead
-    of before. doubted_gps: of [gates]; with "send" the autopilot runs our script. steers: whether the autopilot drives,
+    of before. unseen_s: from when to when that one gives no frame. doubted_gps: of [gates]; with "send" the autopilot runs our script. steers: whether the autopilot drives,
     or a person. unsent: parts of the way on which no position may be expected. origin_off_m: east and north of the
     start, where the daemon's configuration has an origin; by default ORIGIN_OFF_M without GPS. seen_m: the arc length
     that a road looks like at another, for roads that repeat. frozen_s: from when to when the picture stands still.
@@ -77,6 +77,7 @@ class CourseDraft(Draft):
     gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX
     has_gps: bool = True
     maps_live: bool = False
+    unseen_s: tuple[float, float] = (math.inf, math.inf)
     loses: Callable[[float, Message, bool], bool] = lambda time_s, message, outgoing: False
     silence_s: tuple[float, float] | None = None
     killed_s: float | None = None

@@ -112,7 +112,8 @@ class CourseSimulation(Simulation):
         frozen_s = self._draft.frozen_s
         view = view._replace(route_m=self._draft.seen_m(view.route_m))
         self._front.expose(view, frozen=frozen_s[0] <= self.time_s() < frozen_s[1])
-        if self._draft.maps_live:
+        unseen_s = self._draft.unseen_s
+        if self._draft.maps_live and not unseen_s[0] <= self.time_s() < unseen_s[1]:
             self.rear.expose(view.of_rear())
 
     def gps(self, time_s: float) -> GpsReport:

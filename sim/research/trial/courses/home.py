@@ -43,6 +43,13 @@ def _home_after_outage(draft: CourseDraft, value: float) -> None:
     draft.gps_at = lambda time_s: NO_FIX if OUTAGE_FROM_S <= time_s < OUTAGE_FROM_S + value else GpsReport()
 
 
+@course("G", "take-me-home-unseen-8")
+def _home_after_unseen(draft: CourseDraft) -> None:
+    """The same at night, where the camera that maps gave no frame for 8 s, as while it is opened again."""
+    _home_in(draft, "night")
+    draft.unseen_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 8.0
+
+
 @course("G", "take-me-home-multipath")
 def _home_after_multipath(draft: CourseDraft) -> None:
     """The same at night, where GPS was 10 m off or gone for seconds now and then on the way out, as in a town."""
