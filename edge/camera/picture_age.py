@@ -55,6 +55,10 @@ HOLE_NS = 1_000_000_000
 1.3 to 1.8 s old, and positions 12 to 22 m off were sent."""
 CONTRAST = 3.0
 """Times by which pictures must change more while the vehicle moves than while it stands."""
+MIXED = 0.2
+"""Share of the pictures up to a start or stop that may change as they do after it. A vehicle that crept while it waited
+showed half of them so, and pictures that were 3 s old seemed to be in time.
+"""
 OLD_NS = 2_000_000_000
 """Of a camera whose driver stamps its pictures, only an older one is noticed: its clock is better than what is seen."""
 KEPT = 6
@@ -151,6 +155,8 @@ class Starts:
         if (later - earlier if moves else earlier - later) < math.log(CONTRAST):
             return None
         is_as_later = np.abs(changes - later) < np.abs(changes - earlier)
+        if is_as_later[is_before].mean() > MIXED:
+            return None
         # The moment after which most of the pictures change as they do later, and before which they do not.
         wrong = np.cumsum(is_as_later) + np.cumsum(~is_as_later[::-1])[::-1] - ~is_as_later
         last = int(wrong.argmin())

@@ -46,9 +46,9 @@ ROAD = np.random.default_rng(1).integers(0, 255, (48, 1000 * PX_PER_M)).astype(n
 PLACES_M = np.cumsum([speed_mps(at_s) * FRAME_S for at_s in np.arange(0.0, 130.0, FRAME_S)])
 
 
-def picture(at_s: float, seed: int) -> NDArray[np.uint8]:
+def picture(at_s: float, seed: int, crept_m: float = 0.0) -> NDArray[np.uint8]:
     """A strip of the road, with the noise of a sensor."""
-    place_m = PLACES_M[min(max(0, round(at_s / FRAME_S)), len(PLACES_M) - 1)]
+    place_m = crept_m + PLACES_M[min(max(0, round(at_s / FRAME_S)), len(PLACES_M) - 1)]
     at_px = round(PX_PER_M * place_m)
     strip = (ROAD[:, at_px : at_px + 96] + noise(seed, 48, 96)).clip(0, 255)
     return np.asarray(strip[..., np.newaxis].repeat(3, axis=2), np.uint8)
@@ -239,3 +239,15 @@ def test_a_start_that_a_hole_in_the_pictures_hides_shows_nothing(hole_s: tuple[f
             found.add(picture(float(at_s) - 3.0, number), round(at_s * SECOND), speed_mps(float(at_s)) >= 0.3)
     assert not found.is_known
     assert watched(3.0, 24.0, may_be_old=True).is_known
+
+
+def test_a_start_after_creeping_shows_nothing() -> None:
+    """A vehicle that steers itself creeps to where it is to wait, more slowly than what counts as moving."""
+    for age_s in (0.0, 1.5, 3.0):
+        found = PictureAge(may_be_old=True)
+        for number, at_s in enumerate(np.arange(26.0, 51.0, FRAME_S)):
+            seen_s = float(at_s) - age_s
+            crept_m = 0.2 * (min(seen_s, 40.0) // 0.2)  # in every other picture
+            found.add(picture(seen_s, number, crept_m), round(at_s * SECOND), speed_mps(float(at_s)) >= 0.3)
+        assert not found.is_known
+    assert watched(3.0, 51.0, 26.0, may_be_old=True).is_known
