@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import MappingConfig
-from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.geodesy import WORST_FIRST, VehiclePosition, east_north_of, moved
 from edge.mapping.place_log_records import MappedPlace
 from edge.reference_map import GpsMotion, Moved, Place
 
-BY_GPS = ("gps", "dgps", "rtk_float", "rtk_fixed", "ppp", "estimate", "survey")
 DRIFT = 0.05
 """Of the way, by which it may be reckoned wrong: what `GpsMotion` lets two positions differ by."""
 MOST_PLACES = 200
@@ -52,10 +51,14 @@ class Outage:
         """Nothing can be bridged before the next good position."""
         self._begin, self._waiting, self._missed = None, [], 0
 
+    @property
+    def is_bridgeable(self) -> bool:
+        """Whether a place that waits may be placed later: there was a good position before, and not too far back."""
+        return self._begin is not None
+
     def wait(self, raw: NDArray[np.float32], place: Place, at: Moved, missed: int) -> None:
         """A place without a good position; missed: places that were passed before it without a frame."""
-        if self._begin is None:
-            return
+        assert self._begin is not None
         self._waiting.append(Waiting(raw, place, at, missed + self._missed))
         self._missed = 0
         way_m = at.way_m - self._begin[1].way_m
@@ -96,8 +99,14 @@ class Outage:
                 return None
             lat_deg, lon_deg = moved(*origin, point_m.real, point_m.imag)
             alt_m = begin.alt_m + share * (end.alt_m - begin.alt_m)
-            place = replace(one.place, lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m)
-            place = replace(place, position_sigma_m=sigma_m, position_source="dead_reckoning")
+            place = replace(
+                one.place,
+                lat_deg=lat_deg,
+                lon_deg=lon_deg,
+                alt_m=alt_m,
+                position_sigma_m=sigma_m,
+                position_source="dead_reckoning",
+            )
             placed.append((MappedPlace(one.raw, place), one.missed))
         return placed
 
@@ -108,7 +117,7 @@ def why_no_truth(position: VehiclePosition, config: MappingConfig) -> str:
         return "the position rests on recognized places"
     if position.source == "dead_reckoning" and config.without_gps == "continue":
         return "" if position.sigma_m is not None else "the accuracy of the position is not known"
-    if position.source not in BY_GPS:
+    if position.source in WORST_FIRST:
         return "no GPS"
     is_good = position.sigma_m is not None and position.sigma_m <= config.max_sigma_m
     return "" if is_good else f"the position is not known to {config.max_sigma_m:g} m"

@@ -45,7 +45,8 @@ from edge.mapping.place_log_records import (
 from edge.reference_map import MapBuilder, Place
 
 QUEUE_PLACES = 256
-RECENT = 2 * QUEUE_PLACES
+"""That may wait to be written: those of an outage of GPS (`outage.MOST_PLACES`) are handed over at once."""
+RECENT = QUEUE_PLACES + 32
 """Raw descriptors that are kept in memory: more than can be waiting to be written."""
 FLUSHED_EACH_S = 1.0
 FLOATS = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float32)
