@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from edge.localization import DeadReckoning
@@ -129,18 +130,26 @@ def test_a_vehicle_goes_on_while_its_autopilot_reboots() -> None:
 
 
 def test_going_back_is_no_distance() -> None:
-    """Places are not sampled again on the way back and forth, but for more than 30 m nobody remembers them."""
-    motion = DeadReckoning()
+    """Places are not sampled again on the way back and forth, but after more than 100 m nobody waits for them.
+
+    Whoever asks for a later moment meanwhile, as a map that grows and a second camera do.
+    """
+    motion, apart_ns = DeadReckoning(), 100_000_000
     at_m = []
-    for second, speed_mps in enumerate([10.0] * 5 + [-2.0] * 5 + [10.0] * 5 + [-10.0] * 20 + [10.0] * 6):
-        motion.add_speed(second * 1_000_000_000, speed_mps, source=0)
-        distance_m = motion.distance_m(second * 1_000_000_000)
-        assert distance_m is not None
-        at_m.append(distance_m)
-    assert at_m[4:10] == [at_m[4], *[pytest.approx(44.0)] * 5]
-    assert at_m[14] == pytest.approx(44.0 - 8.0 - 4.0 + 4.0 + 40.0, abs=5.0)
-    assert at_m[-1] - at_m[14] == pytest.approx(20.0, abs=10.0)
-    assert motion.total_m == pytest.approx(40 + 10 + 50 + 200 + 60, abs=30.0)
+    speeds_mps = [[10.0] * 5, [-2.0] * 5, [10.0] * 5, [-10.0] * 20, [10.0] * 12]
+    for report, speed_mps in enumerate(np.repeat(np.concatenate(speeds_mps), 10).tolist()):
+        motion.add_speed(report * apart_ns, speed_mps, source=0)
+        now_m, before_m = (motion.distance_m(at_ns) for at_ns in (report * apart_ns, (2 * report - 1) * apart_ns // 2))
+        assert now_m is not None
+        assert before_m is None or before_m <= now_m + 0.01
+        assert before_m is None or before_m >= max(at_m, default=0.0) - 0.01
+        at_m.append(now_m)
+    assert at_m[50:110] == pytest.approx(np.full(60, 50.0), abs=1.0), "10 m back, and forward again"
+    assert at_m[150:350] == pytest.approx(np.full(200, at_m[150]), abs=1.0)
+    assert at_m[149] == pytest.approx(90.0, abs=1.0)
+    assert motion.gaps == 1, "the places of the 200 m are not those of the way before"
+    assert at_m[-1] == pytest.approx(90.0 + 120.0 - 100.0, abs=1.0), "200 m back, and forward again"
+    assert motion.total_m == pytest.approx(50 + 10 + 50 + 200 + 120, abs=2.0)
 
 
 @pytest.mark.parametrize(("turn_deg", "around"), [(0, 0), (90, 0), (180, 1), (-180, 1)])

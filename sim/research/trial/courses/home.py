@@ -8,10 +8,13 @@ from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, 
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
 from sim.trial.take_me_home import SET_OFF_M, out_and_home
+from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
 OUTAGES_S, OUTAGE_FROM_S = (5, 12), 30.0
+BACKED_M, BACKED_AT = (20, 60), (1 / 3, 2 / 3)
+"""By how much, and after which shares of the way out."""
 
 
 @course("G", "home")
@@ -48,6 +51,15 @@ def _home_after_unseen(draft: CourseDraft) -> None:
     """The same at night, where the camera that maps gave no frame for 8 s, as while it is opened again."""
     _home_in(draft, "night")
     draft.unseen_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 8.0
+
+
+@course("G", "take-me-home-backed-{}", *BACKED_M)
+def _home_after_backing(draft: CourseDraft, value: float) -> None:
+    """The same at night, where the vehicle backed twice by so many meters on the way out."""
+    _home_in(draft, "night")
+    out_m = draft.legs[0].to_m
+    backed = ((Leg(share * out_m), Leg(share * out_m - value, -2.0)) for share in BACKED_AT)
+    draft.legs = [*(leg for two in backed for leg in two), *draft.legs]
 
 
 @course("G", "take-me-home-multipath")
