@@ -12,16 +12,16 @@ the vehicle then is:
     odds of confidence = RIGHT_AT_HALF * odds of agreement
 
 Two votes agree if they lie in one drive, run in one direction, and their offsets differ by at most the slack and the
-drift of the odometer between them; votes in two drives, if they put the vehicle on one spot of the ground. Overrun is
-how far the place lies beyond its drive's end; where the drive is closed, it goes on at its beginning. Pace is the share
-of the odometer's motion that the agreeing votes went along with: the variance of driven less that of offset, over the
-variance of driven plus (slack / 4)^2; 0 of a match that stays where it is, and little of a few meters; without an
-odometer also 0 of places that advance slower or faster than the lines that are searched. Support is the share of the
-newest frames (half a sequence) that are like the place of their match, and whose match is where the others are: a
-vehicle that turned off the mapped road must not be believed on it for as long as the old votes count. Of two cameras,
-the frames of the first one count here, by whose lines the vehicle is followed, and its own votes must weigh a tenth of
-the prior: what only the second one recognizes is not believed. The weight of a second camera's vote is multiplied by
-the square of the share of its recent votes that agree with it.
+drift of the odometer between them; votes in two drives, or on two passes of one, if they put the vehicle on one spot of
+the ground. Overrun is how far the place lies beyond its drive's end; where the drive is closed, it goes on at its
+beginning. Pace is the share of the odometer's motion that the agreeing votes went along with: the variance of driven
+less that of offset, over the variance of driven plus (slack / 4)^2; 0 of a match that stays where it is, and little of
+a few meters; without an odometer also 0 of places that advance slower or faster than the lines that are searched.
+Support is the share of the newest frames (half a sequence) that are like the place of their match, and whose match is
+where the others are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes
+count. Of two cameras, the frames of the first one count here, by whose lines the vehicle is followed, and its own votes
+must weigh a tenth of the prior: what only the second one recognizes is not believed. The weight of a second camera's
+vote is multiplied by the square of the share of its recent votes that agree with it.
 Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
@@ -232,10 +232,7 @@ class PlaceConsensus:
         lengths_m = at_m, self._uncertain_m, vote.along_m - sign * at_m, vote.start_m, vote.end_m, vote.lap_m
         votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.camera, vote.row_share, False)
         votes["weight"][slot] = self._weight(vote)
-        allowed_m = self.settings.slack_m + self._uncertain_m - votes["uncertain_m"]
-        agree = (votes["drive"] == vote.drive) & (votes["sign"] == sign)
-        agree &= np.abs(_within_lap(votes["offset_m"] - votes["offset_m"][slot], vote.lap_m)) <= allowed_m
-        self._agree[slot] = self._agree[:, slot] = agree | self._on_one_spot(slot, allowed_m)
+        self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
         if vote.camera:
             votes["weight"][slot] *= self._coherence(slot) ** 2
 
@@ -247,16 +244,32 @@ class PlaceConsensus:
         own = self._within(self.settings.recent_lines) & (self._votes["camera"] == self._votes["camera"][slot])
         return float(self._agree[slot, own].sum()) / max(FEWEST_OF_CAMERA, int(own.sum()))
 
-    def _on_one_spot(self, slot: int, allowed_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which votes in other drives put the vehicle within `allowed_m` of where the newest one does."""
-        drives = self._votes["drive"]
-        near = np.zeros(len(drives), dtype=bool)
-        others = (drives != drives[slot]) & self._within(self.settings.reach_lines)
-        if self._positions_of is not None and others.any():
-            now_m = self._now_m()
+    def _apart_m(self, slot: int) -> Floats:
+        """By how much each vote may differ from one."""
+        uncertain_m = self._votes["uncertain_m"]
+        return np.asarray(self.settings.slack_m + np.abs(uncertain_m[slot] - uncertain_m))
+
+    def _on_one_pass(self, slot: int) -> NDArray[np.bool_]:
+        """Which votes say the same of one drive as one does: not that it comes by the same spot twice."""
+        votes, own = self._votes, self._votes[slot]
+        along = (votes["drive"] == own["drive"]) & (votes["sign"] == own["sign"])
+        apart_m = np.abs(_within_lap(votes["offset_m"] - own["offset_m"], own["lap_m"]))
+        return np.asarray(along & (apart_m <= self._apart_m(slot)))
+
+    def _on_one_spot(self, slot: int) -> NDArray[np.bool_]:
+        """Which votes put the vehicle where the newest one does: by another drive, or by another pass of the same."""
+        near = np.zeros(len(self._votes), dtype=bool)
+        if self._positions_of is None:
+            return near
+        own, now_m = self._votes[slot], self._now_m()
+        apart_m = np.abs(_within_lap(now_m - now_m[slot], own["lap_m"]))
+        # Nearer ones are of one pass: a bend leads them together.
+        others = (self._votes["drive"] != own["drive"]) | (apart_m > 2 * self._apart_m(slot))
+        others &= self._within(self.settings.reach_lines)
+        if others.any():
             at = np.append(np.flatnonzero(others & (self._overrun_m(now_m) == 0)), slot)
-            spots_m = self._positions_of(drives[at], now_m[at])
-            near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= allowed_m[at[:-1]]
+            spots_m = self._positions_of(self._votes["drive"][at], now_m[at])
+            near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= self._apart_m(slot)[at[:-1]]
         return near
 
     def _now_m(self) -> Floats:
@@ -292,7 +305,7 @@ class PlaceConsensus:
         heaviest = np.bincount(ways, weights * self._agree[leader] * (live > 0)).argmax()
         leader = int(np.where(ways == heaviest, live * self._agree[leader], -1.0).argmax())
         group, own = in_reach & (self._agree[leader] > 0), votes[leader]
-        same = group & (ways == heaviest)
+        same = group & self._on_one_pass(leader)
         ahead_m = _within_lap(now_m[same] - now_m[leader], own["lap_m"])
         middle_m = (own["start_m"] + own["end_m"]) / 2
         along_m = now_m[leader] + weights[same] @ ahead_m / weights[same].sum()
@@ -322,7 +335,7 @@ class PlaceConsensus:
         in_drive = votes["drive"] == own["drive"]
         is_near = np.abs(_within_lap(now_m[slots] - along_m, own["lap_m"])) <= self.settings.slack_m
         there = in_drive & (votes["sign"] == own["sign"]) & is_near
-        there |= (self._agree[leader, slots] > 0) & ~in_drive
+        there |= (self._agree[leader, slots] > 0) & ~self._on_one_pass(leader)[slots]
         return float((there & (votes["row_share"] < STILL_LIKE)).mean()) if slots.size else 0.0
 
     def _pace(self, slots: NDArray[np.int64]) -> float:

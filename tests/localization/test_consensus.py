@@ -82,6 +82,25 @@ def test_a_drive_that_was_matched_first_does_not_hold_back_the_one_that_agrees_w
     assert both.confidence == pytest.approx(alone.confidence, abs=0.002)
 
 
+def test_a_drive_that_came_by_twice_is_believed_where_its_passes_take_turns() -> None:
+    """Out for 300 m, 200 m back, and out again, all in one drive: 200 m of the way home are there twice."""
+
+    def north_m(along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.interp(along_m, [0.0, 300.0, 500.0, 1000.0], [0.0, 300.0, 100.0, 600.0])
+
+    def on_ground(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.column_stack([np.zeros(len(drives)), north_m(along_m)])
+
+    home = replace(STRONG, direction="reverse")
+    at_m = np.arange(400.0, 0.0, -2.0)
+    passes = [y if y < 100 or (y < 300 and y % 16 < 8) else y + 400.0 for y in at_m]
+    beliefs = _drive(PlaceConsensus(SETTINGS, on_ground), [replace(home, along_m=along_m) for along_m in passes])
+    assert all(belief and belief.is_believed for belief in beliefs[40:])
+    twice = [(belief.along_m, y) for belief, y in zip(beliefs, at_m, strict=True) if belief and 100 < y < 300]
+    believed_m, true_m = np.array(twice).T
+    assert north_m(believed_m) == pytest.approx(true_m, abs=1.0), "not between the passes"
+
+
 def test_a_place_of_half_the_evidence_is_as_probable_as_is_believed_by_default() -> None:
     assert probability(0.5) == AcceptanceConfig().confidence_from
     assert (probability(0.0), probability(1.0)) == (0.0, 1.0)

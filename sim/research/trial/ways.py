@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.trial.way import Way
+from sim.research.trial.course import CourseDraft
+from sim.trial.way import Way, along
+from sim.vehicle.driver import Leg
 
 
 def placed(way: Way, east_m: float, north_m: float, heading_rad: float) -> Way:
@@ -77,3 +79,14 @@ def beside(way: Way, left_m: Callable[[float], float]) -> Way:
     }
     rows = np.searchsorted(along_m, meters).clip(0, len(along_m) - 1)
     return Way(roads=way.roads, road=way.road[rows], carried=way.carried[rows], **between)
+
+
+def turned_twice(draft: CourseDraft, start_m: float) -> tuple[Way, list[Leg]]:
+    """Out by day from a meter of the road to its middle, 200 m back, and out again to its end."""
+    middle_m, lane_m = draft.share(0.5), draft.home.lane_m
+    day, back = (draft.road(light="day", direction=way, drive_seed=1) for way in ("forward", "reverse"))
+    first = along(day, start_m, middle_m).turned(180.0, radius_m=lane_m)
+    second = first.then(along(back, middle_m, middle_m - 200.0)).turned(180.0, radius_m=lane_m)
+    way = second.then(along(day, middle_m - 200.0, draft.length_m))
+    turns = [(Leg(end.length_m - 6), Leg(end.length_m + 5, 2.0)) for end in (first, second)]
+    return way, [*turns[0], *turns[1]]

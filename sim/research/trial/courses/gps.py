@@ -25,7 +25,7 @@ from sim.research.trial.course_rules import (
     warned_before_50_m,
 )
 from sim.research.trial.courses.registry import course
-from sim.trial.way import along
+from sim.research.trial.ways import turned_twice
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
@@ -115,14 +115,8 @@ def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
 @course("D", "gps-turned-twice")
 def _gps_turned_twice(draft: CourseDraft) -> None:
     """Half of the way out by day, 200 m back, and out again, mapped on the way; an honest GPS must not be called."""
-    middle_m, lane_m = draft.share(0.5), draft.home.lane_m
-    day = draft.road(light="day", direction="forward", drive_seed=1)
-    first = along(day, 0.0, middle_m).turned(180.0, radius_m=lane_m)
-    back = draft.road(light="day", drive_seed=1)
-    second = first.then(along(back, middle_m, middle_m - 200.0)).turned(180.0, radius_m=lane_m)
-    way = second.then(along(day, middle_m - 200.0, draft.length_m))
-    turns = [(Leg(end.length_m - 6), Leg(end.length_m + 5, 2.0)) for end in (first, second)]
-    draft.drive(way, *turns[0], *turns[1], Leg(way.length_m - 2))
+    way, turns = turned_twice(draft, 0.0)
+    draft.drive(way, *turns, Leg(way.length_m - 2))
     draft.maps_live, draft.steers = True, False
     draft.map = []
     draft.gps_at = lambda time_s: GpsReport()

@@ -7,7 +7,8 @@ from sim.research.trial.course import CourseDraft, Stretch
 from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
-from sim.trial.take_me_home import SET_OFF_M, out_and_home
+from sim.research.trial.ways import turned_twice
+from sim.trial.take_me_home import SET_OFF_M, home_by, out_and_home
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
@@ -60,6 +61,14 @@ def _home_after_backing(draft: CourseDraft, value: float) -> None:
     out_m = draft.legs[0].to_m
     backed = ((Leg(share * out_m), Leg(share * out_m - value, -2.0)) for share in BACKED_AT)
     draft.legs = [*(leg for two in backed for leg in two), *draft.legs]
+
+
+@course("G", "take-me-home-turned-twice")
+def _home_after_turns(draft: CourseDraft) -> None:
+    """The same at night, where the way out led 200 m back in its middle, and out again: those are mapped twice."""
+    _home_in(draft, "night")
+    out, turns = turned_twice(draft, SET_OFF_M)
+    home_by(draft, out, turns)
 
 
 @course("G", "take-me-home-multipath")
