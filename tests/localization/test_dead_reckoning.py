@@ -135,7 +135,7 @@ def test_going_back_is_no_distance() -> None:
     Whoever asks for a later moment meanwhile, as a map that grows and a second camera do.
     """
     motion, apart_ns = DeadReckoning(), 100_000_000
-    at_m = []
+    at_m: list[float] = []
     speeds_mps = [[10.0] * 5, [-2.0] * 5, [10.0] * 5, [-10.0] * 20, [10.0] * 12]
     for report, speed_mps in enumerate(np.repeat(np.concatenate(speeds_mps), 10).tolist()):
         motion.add_speed(report * apart_ns, speed_mps, source=0)
