@@ -305,7 +305,8 @@ class PlaceConsensus:
         heaviest = np.bincount(ways, weights * self._agree[leader] * (live > 0)).argmax()
         leader = int(np.where(ways == heaviest, live * self._agree[leader], -1.0).argmax())
         group, own = in_reach & (self._agree[leader] > 0), votes[leader]
-        same = group & self._on_one_pass(leader)
+        one_pass = self._on_one_pass(leader)
+        same = group & one_pass
         ahead_m = _within_lap(now_m[same] - now_m[leader], own["lap_m"])
         middle_m = (own["start_m"] + own["end_m"]) / 2
         along_m = now_m[leader] + weights[same] @ ahead_m / weights[same].sum()
@@ -321,21 +322,21 @@ class PlaceConsensus:
         if self._cameras > 1:
             first = float(weights[group & (votes["camera"] == 0)].sum())
             agreement *= min(1.0, first / (LEAST_OWN * prior))
-        agreement *= min(1.0, self._support(leader, along_m, now_m) / FULL_SUPPORT)
+        agreement *= min(1.0, self._support(leader, one_pass, along_m, now_m) / FULL_SUPPORT)
         confidence = probability(agreement)
         is_believed = confidence >= settings.confidence_from
         votes["was_believed"] |= group & is_believed
         direction: Direction = "forward" if own["sign"] > 0 else "reverse"
         return PlaceBelief(int(own["drive"]), along_m, direction, confidence, is_believed)
 
-    def _support(self, leader: int, along_m: float, now_m: Floats) -> float:
+    def _support(self, leader: int, one_pass: NDArray[np.bool_], along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
         slots = np.array(self._newest[0], dtype=np.intp)
         votes, own = self._votes[slots], self._votes[leader]
         in_drive = votes["drive"] == own["drive"]
         is_near = np.abs(_within_lap(now_m[slots] - along_m, own["lap_m"])) <= self.settings.slack_m
         there = in_drive & (votes["sign"] == own["sign"]) & is_near
-        there |= (self._agree[leader, slots] > 0) & ~self._on_one_pass(leader)[slots]
+        there |= (self._agree[leader, slots] > 0) & ~one_pass[slots]
         return float((there & (votes["row_share"] < STILL_LIKE)).mean()) if slots.size else 0.0
 
     def _pace(self, slots: NDArray[np.int64]) -> float:
