@@ -250,7 +250,7 @@ class PlaceConsensus:
         return np.asarray(self.settings.slack_m + np.abs(uncertain_m[slot] - uncertain_m))
 
     def _on_one_pass(self, slot: int) -> NDArray[np.bool_]:
-        """Which votes say the same of one drive as one does: not that it comes by the same spot twice."""
+        """Which votes agree with one by the odometer alone: on its drive, in its direction, and at its offset."""
         votes, own = self._votes, self._votes[slot]
         along = (votes["drive"] == own["drive"]) & (votes["sign"] == own["sign"])
         apart_m = np.abs(_within_lap(votes["offset_m"] - own["offset_m"], own["lap_m"]))
@@ -261,15 +261,15 @@ class PlaceConsensus:
         near = np.zeros(len(self._votes), dtype=bool)
         if self._positions_of is None:
             return near
-        own, now_m = self._votes[slot], self._now_m()
+        own, now_m, most_m = self._votes[slot], self._now_m(), self._apart_m(slot)
         apart_m = np.abs(_within_lap(now_m - now_m[slot], own["lap_m"]))
-        # Nearer ones are of one pass: a bend leads them together.
-        others = (self._votes["drive"] != own["drive"]) | (apart_m > 2 * self._apart_m(slot))
+        # Twice, since a bend brings what disagrees on one pass together: it did on a recorded street.
+        others = (self._votes["drive"] != own["drive"]) | (apart_m > 2 * most_m)
         others &= self._within(self.settings.reach_lines)
         if others.any():
             at = np.append(np.flatnonzero(others & (self._overrun_m(now_m) == 0)), slot)
             spots_m = self._positions_of(self._votes["drive"][at], now_m[at])
-            near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= self._apart_m(slot)[at[:-1]]
+            near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= most_m[at[:-1]]
         return near
 
     def _now_m(self) -> Floats:

@@ -162,7 +162,8 @@ class DeadReckoning:
         self._unknown_m, self._is_leg_over = 0.0, True
         self._slip = _Slip()
         self.gaps = 0
-        """How often the distance does not go on: speeds came too late, or the vehicle backed by more than BACKED_M."""
+        """How often the distance does not lead on from the places before: speeds came too late, or the vehicle backed by
+        BACKED_M."""
         self._speed_mps = self._forward_mps = 0.0
         self._behind_m = 0.0
         """How far the vehicle is behind the furthest point that it has driven to, at most BACKED_M."""

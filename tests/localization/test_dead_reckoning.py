@@ -132,7 +132,7 @@ def test_a_vehicle_goes_on_while_its_autopilot_reboots() -> None:
 def test_going_back_is_no_distance() -> None:
     """Places are not sampled again on the way back and forth, but after more than 100 m nobody waits for them.
 
-    Whoever asks for a later moment meanwhile, as a map that grows and a second camera do.
+    The same where somebody asks for later moments in between, as a map that grows and a second camera do.
     """
     motion, apart_ns = DeadReckoning(), 100_000_000
     at_m: list[float] = []

@@ -84,7 +84,7 @@ def beside(way: Way, left_m: Callable[[float], float]) -> Way:
 def turned_twice(draft: CourseDraft, start_m: float) -> tuple[Way, list[Leg]]:
     """Out by day from a meter of the road to its middle, 200 m back, and out again to its end."""
     middle_m, lane_m = draft.share(0.5), draft.home.lane_m
-    day, back = (draft.road(light="day", direction=way, drive_seed=1) for way in ("forward", "reverse"))
+    day, back = (draft.road(light="day", direction=one, drive_seed=1) for one in ("forward", "reverse"))
     first = along(day, start_m, middle_m).turned(180.0, radius_m=lane_m)
     second = first.then(along(back, middle_m, middle_m - 200.0)).turned(180.0, radius_m=lane_m)
     way = second.then(along(day, middle_m - 200.0, draft.length_m))

@@ -59,13 +59,13 @@ def _home_after_backing(draft: CourseDraft, value: float) -> None:
     """The same at night, where the vehicle backed twice by so many meters on the way out."""
     _home_in(draft, "night")
     out_m = draft.legs[0].to_m
-    backed = ((Leg(share * out_m), Leg(share * out_m - value, -2.0)) for share in BACKED_AT)
-    draft.legs = [*(leg for two in backed for leg in two), *draft.legs]
+    for at_m in (share * out_m for share in reversed(BACKED_AT)):
+        draft.legs = [Leg(at_m), Leg(at_m - value, -2.0), *draft.legs]
 
 
 @course("G", "take-me-home-turned-twice")
 def _home_after_turns(draft: CourseDraft) -> None:
-    """The same at night, where the way out led 200 m back in its middle, and out again: those are mapped twice."""
+    """The same at night, where the way out led 200 m back in its middle, and out again: 200 m are mapped twice."""
     _home_in(draft, "night")
     out, turns = turned_twice(draft, SET_OFF_M)
     home_by(draft, out, turns)
