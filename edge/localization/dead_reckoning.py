@@ -37,7 +37,7 @@ TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 how far it must have turned."""
 BACKED_M = 100.0
 """The most that must be driven again before the distance grows: somewhat more than a line, which a jump in the distance
-breaks. With 30 m, five drives home that had backed twice by 60 m on the way out had 80 positions, with 100 m 288."""
+breaks. With 30 m, five drives home that had backed twice by 60 m on the way out had 80 positions, with 100 m 273."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,7 @@ class DeadReckoning:
         self._unknown_m, self._is_leg_over = 0.0, True
         self._slip = _Slip()
         self.gaps = 0
-        """How often the distance does not lead on from the places before: speeds came too late, or the vehicle backed by
-        BACKED_M."""
+        """How often the distance does not lead on from what was before: a speed came too late, or BACKED_M were backed."""
         self._speed_mps = self._forward_mps = 0.0
         self._behind_m = 0.0
         """How far the vehicle is behind the furthest point that it has driven to, at most BACKED_M."""
