@@ -162,7 +162,7 @@ class DeadReckoning:
         self._unknown_m, self._is_leg_over = 0.0, True
         self._slip = _Slip()
         self.gaps = 0
-        """How often the distance does not lead on from what was before: a speed came too late, or BACKED_M were backed."""
+        """How often the distance leads on from nothing before: a speed came too late, or BACKED_M were backed."""
         self._speed_mps = self._forward_mps = 0.0
         self._behind_m = 0.0
         """How far the vehicle is behind the furthest point that it has driven to, at most BACKED_M."""
