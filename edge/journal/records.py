@@ -163,6 +163,9 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
     recording: Annotated[str, unit("", "name of the recording that the map has that drive from")] = ""
+    checked_m: Annotated[
+        float | UnsetType, unit("m", "how far apart its positions are, if all moved as its odometer and heading said")
+    ] = UNSET
     confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1")] = 0.0
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False

@@ -2,7 +2,8 @@
 
 Fixes that moved as the vehicle did are one claim. Those of it that may be wrong together are one stretch: the errors of
 matches are alike over CORRELATION_M, what a road looks like over SAME_ROAD, and the positions of one recording over
-SAME_RECORDING, however many segments it has. All count by displacement, so that laps add nothing.
+SAME_RECORDING, however many segments it has; but those of a drive that is as long, and was found to move as its vehicle
+did, are wrong all or none. All count by displacement, so that laps add nothing.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ class Observation(Anchor):
     """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
     before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
+    checked_m: how far apart the positions of its drive of the map are, if all moved as that vehicle did; else 0.
     """
 
     recording: str
+    checked_m: float
     before: Reckoned | None
 
 
@@ -97,7 +100,8 @@ class Claims:
         assert fix.lat_deg is not None and fix.lon_deg is not None
         drift = max(self._gates.drift_percent / 100, fix.velocity_error)
         before = None if older is None else older.reckoned(fix, displacement, drift)
-        return Observation(fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement, fix.recording, before)
+        where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
+        return Observation(*where, fix.recording, fix.checked_m or 0.0, before)
 
     def wrong(self, claim: Claim) -> float:
         """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.
@@ -130,10 +134,12 @@ class Claims:
 
     def _independent(self, one: Observation, other: Observation) -> bool:
         """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
-        times = SAME_RECORDING if one.recording == other.recording else SAME_ROAD
         # By a velocity that may be too large, so that a whole stretch that is wrong is not two.
-        further = 1 + self._gates.drift_percent / 100
-        return _apart_m(one, other.displacement) >= times * further * self._gates.confirm_m
+        unit_m = (1 + self._gates.drift_percent / 100) * self._gates.confirm_m
+        # A drive of the map that moved as its vehicle did may be wrong as a whole only, and then has two stretches.
+        is_whole = min(one.checked_m, other.checked_m) >= SAME_RECORDING * unit_m
+        times = SAME_RECORDING if one.recording == other.recording and not is_whole else SAME_ROAD
+        return _apart_m(one, other.displacement) >= times * unit_m
 
 
 def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:

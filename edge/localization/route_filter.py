@@ -239,6 +239,7 @@ class RouteFilter:
             matches=track.matches,
             segment=newest.segment,
             recording=newest.recording,
+            checked_m=newest.checked_m or UNSET,
             confidence=round(match.confidence, 3),
             velocity_error=round(estimate.velocity_error, 4),
             disputed=self._is_disputed,

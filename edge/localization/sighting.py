@@ -61,16 +61,17 @@ class OnDrive(NamedTuple):
 class Sighting:
     """A match in local meters.
 
-    passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along the drive.
-    shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the vehicle may be
-    off its lane. regions: the lines of its two regions; None where the match has none. faint: times by which it may be
-    wrong by more than a match whose line is sharp. undated_m: one standard deviation along the road by that of the time
-    of exposure.
+    checked_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along
+    the drive. shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the
+    vehicle may be off its lane. regions: the lines of its two regions; None where the match has none. faint: times by
+    which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation along the road by
+    that of the time of exposure.
     """
 
     match: PlaceMatch
     segment: int
     recording: str
+    checked_m: float
     passed: Passed
     along_m: float
     sigma_m: float
@@ -135,6 +136,7 @@ class Sightings:
             match=match,
             segment=line.segment,
             recording=line.recording,
+            checked_m=self._route.drive(match.place_index).checked_m,
             passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,

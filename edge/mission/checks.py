@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import HomeConfig
 from edge.mission.drive_line import DriveLine
-from edge.reference_map import GpsMotion
+from edge.reference_map import disagreements
 
 MEETS_M = 8.0
 """A way that comes so near to itself meets itself: about the width of a road."""
@@ -69,10 +69,9 @@ def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Findin
 
 def motion_check(line: DriveLine, rows: int, length_m: float) -> Iterator[Finding]:
     """Where positions of the first rows of a drive do not move as the vehicle did. length_m: of the way home."""
-    motion, was_off = GpsMotion(), False
-    for row in range(rows):
-        motion.move(float(line.driven_m[row]), float(line.heading_deg[row]))
-        found = motion.disagreement(tuple(line.points_m[row]), float(line.sigma_m[row]))
+    was_off = False
+    columns = line.points_m[:rows], line.sigma_m[:rows], line.driven_m[:rows], line.heading_deg[:rows]
+    for row, found in enumerate(disagreements(*columns)):
         if found is not None and not was_off:
             first_m, last_m = length_m - line.along_m[[row, row - found.since]]
             yield Finding(True, f"{_stretch(first_m, last_m)}: {found}")

@@ -13,12 +13,13 @@
 
 from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
-from edge.reference_map.gps_motion import GpsMotion, Moved
+from edge.reference_map.gps_motion import GpsMotion, Moved, disagreements
 from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
-from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route, sigmas_m
+from edge.reference_map.place_records import sigmas_m
+from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
@@ -49,6 +50,7 @@ __all__ = [
     "RegionsKey",
     "Rival",
     "Route",
+    "disagreements",
     "is_signed",
     "maps_in",
     "open_map",

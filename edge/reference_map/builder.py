@@ -98,9 +98,9 @@ class MapBuilder:
         self._raw = (self._folder / store.RAW).open("wb")
         self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
 
-    def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
-        """Start a further drive; sequences are never searched across its beginning."""
-        self._header = self._header.with_segment(source, view)
+    def begin_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> None:
+        """Start a further drive, see `MapHeader.with_segment`."""
+        self._header = self._header.with_segment(source, view, has_odometer=has_odometer)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.
@@ -129,7 +129,8 @@ class MapBuilder:
         places = np.array(self._records, dtype=PLACE)
         places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(mean, deviation))
         places.tofile(self._folder / store.PLACES)
-        header = msgspec.structs.replace(self._header.first(len(places)), bounds=bounds_of(places), files=self._files())
+        header = self._header.first(len(places)).checked(places)
+        header = msgspec.structs.replace(header, bounds=bounds_of(places), files=self._files())
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
         self._new.put_in_place()
         return header

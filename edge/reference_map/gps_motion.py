@@ -11,8 +11,15 @@ import cmath
 import math
 from array import array
 from bisect import bisect_right, insort
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.geodesy import east_north
+from edge.reference_map.place_records import sigmas_m
 
 WINDOWS_M = (0.0, 20.0, 50.0, 100.0, 200.0)
 """How far back the compared position is by the odometer; the first is the last position, from which GPS may jump."""
@@ -161,3 +168,29 @@ class GpsMotion:
             return 1.0
         off = complex(real[len(real) // 2] - 1.0, imaginary[len(imaginary) // 2])
         return 1.0 + off * min(1.0, MOST_BIAS / max(abs(off), 1e-9))
+
+
+def disagreements(
+    points_m: NDArray[np.float64],
+    sigma_m: NDArray[np.float64],
+    driven_m: NDArray[np.float64],
+    heading_deg: NDArray[np.float64],
+) -> Iterator[Disagreement | None]:
+    """Of each position of a drive in turn: points_m (N, 2) east and north, all others (N,)."""
+    motion = GpsMotion()
+    for point_m, *values in zip(points_m, sigma_m, driven_m, heading_deg, strict=True):
+        position_sigma_m, meters, degrees = map(float, values)
+        motion.move(meters, degrees)
+        yield motion.disagreement((float(point_m[0]), float(point_m[1])), position_sigma_m)
+
+
+def moved_as_driven(places: NDArray[np.void]) -> bool:
+    """Whether all positions of a drive's places, records of PLACE (N,), moved as its route_m and headings say."""
+    known = ("lat_deg", "lon_deg", "heading_deg", "route_m")
+    if not all(np.isfinite(places[name]).all() for name in known):
+        return False
+    if np.abs(np.diff(places["route_m"])).max(initial=0.0) > STRAIGHT_M:
+        return False
+    points_m = east_north(places["lat_deg"], places["lon_deg"])
+    found = disagreements(points_m, sigmas_m(places), places["route_m"], places["heading_deg"])
+    return all(one is None for one in found)

@@ -100,9 +100,9 @@ class GrowingMap:
         """Records of PLACE of all places (N,)."""
         return self._places[: self.count]
 
-    def begin_segment(self, source: str, view: Literal["front", "rear"]) -> None:
-        """Start a further drive; sequences are never searched across its beginning."""
-        self._header = self._header.with_segment(source, view)
+    def begin_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> None:
+        """Start a further drive, see `MapHeader.with_segment`."""
+        self._header = self._header.with_segment(source, view, has_odometer=has_odometer)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment, and renew some of the others."""
@@ -122,7 +122,8 @@ class GrowingMap:
         self._encode(range(first, self.count), raw)
 
     def renew(self) -> None:
-        """Normalize all places again with the statistics of all."""
+        """Normalize all places again with the statistics of all, and check what their drives claim."""
+        self._header = self._header.checked(self.places)
         for first in range(0, self.count, RENEWED):
             rows = range(first, min(first + RENEWED, self.count))
             self._encode(rows, self._raw_rows(rows))

@@ -144,7 +144,8 @@ def with_positions(one: ReferenceMap, rows: NDArray[np.float64]) -> ReferenceMap
     records = one.places.copy()
     for name, values in zip(FIELDS, rows, strict=True):
         records[name] = values
-    return replace(one, header=msgspec.structs.replace(one.header, bounds=bounds_of(records)), places=records)
+    header = msgspec.structs.replace(one.header, bounds=bounds_of(records))
+    return replace(one, header=header.checked(records), places=records)
 
 
 def checksum(rows: NDArray[np.float64]) -> str:

@@ -29,13 +29,14 @@ class PlaceIndex:
         """Places [start, end) of each map."""
         follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
         self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
-        begins, self._views, self._sources = [], [], []
+        begins, self._views, self._sources, self._moved = [], [], [], []
         for header, start, is_next in zip(headers, self.starts, follows, strict=False):
             for number, segment in enumerate(header.segments):
                 if number or not (is_next and header.tile and header.tile.continues):
                     begins.append(start + segment.start)
                     self._views.append(segment.view)
                     self._sources.append(segment.source)
+                    self._moved.append(segment.moved_as_driven)
         self._segments = [*begins, self.places]
 
     def map_of(self, place: int) -> int:
@@ -62,6 +63,10 @@ class PlaceIndex:
     def recording(self, segment: int) -> str:
         """The name of the recording that a segment comes from; it may have several, in several maps."""
         return self._sources[segment]
+
+    def moved_as_driven(self, segment: int) -> bool:
+        """Whether its positions are known to have moved as its vehicle did, see `Segment`."""
+        return self._moved[segment]
 
     def by_map(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
         """The ranges in pieces that lie in one map each: its number, and rows [start, end) of it."""

@@ -48,6 +48,12 @@ def read_places(file: Path, stored: np.dtype[np.void]) -> NDArray[np.void]:
     return records
 
 
+def sigmas_m(places: NDArray[np.void]) -> NDArray[np.float64]:
+    """One standard deviation (N,) of the positions of places, ASSUMED_SIGMA_M where a map does not say."""
+    sigma_m: NDArray[np.float64] = np.nan_to_num(places["position_sigma_m"].astype(np.float64), nan=ASSUMED_SIGMA_M)
+    return sigma_m
+
+
 def spell_accuracy(places: NDArray[np.void]) -> str:
     """For people: how accurate the known positions are, what measured them, and what is assumed."""
     known = places[~np.isnan(places["lat_deg"])]

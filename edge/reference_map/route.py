@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known, unwrapped, wrapped
 from edge.reference_map.map_set import MapSet
-from edge.reference_map.place_records import ASSUMED_SIGMA_M
+from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
 
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
@@ -37,13 +37,15 @@ class Position:
 class Drive:
     """What is known of a segment around a place: how far it goes along its route_m, and how far places are apart.
 
-    NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. Arrays: of
-    the places with a position, in their order; lon_deg has no jump at 180 degrees, and heading_deg is the course where
-    the map has none.
+    NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. checked_m:
+    how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. Arrays: of the places
+    with a position, in their order; lon_deg has no jump at 180 degrees, and heading_deg is the course where the map has
+    none.
     """
 
     segment: int
     recording: str
+    checked_m: float
     places: int
     from_m: float
     to_m: float
@@ -88,7 +90,7 @@ class Route:
         record = self._places[place_index]
         if math.isnan(record["lat_deg"]):
             return None
-        sigma_m = float(sigmas_m(self._places[place_index : place_index + 1])[0])
+        sigma_m = float(np.nan_to_num(record["position_sigma_m"], nan=ASSUMED_SIGMA_M))
         knows_heading, knows_route = not math.isnan(record["heading_deg"]), not math.isnan(record["route_m"])
         if knows_heading and (offset_m == 0 or not knows_route):
             return Position(float(record["lat_deg"]), float(record["lon_deg"]), float(record["heading_deg"]), sigma_m)
@@ -129,7 +131,11 @@ class Route:
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
         lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigmas_m(known)
-        return Drive(segment, self._index.recording(segment), len(records), *extent_m, spacing_m, *lines)
+        checked_m = 0.0
+        if self._index.moved_as_driven(segment):
+            checked_m = float(np.hypot(*east_north(lat_deg, lon_deg).T).max(initial=0.0))
+        recording = self._index.recording(segment)
+        return Drive(segment, recording, checked_m, len(records), *extent_m, spacing_m, *lines)
 
 
 def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:
@@ -143,12 +149,6 @@ def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:
         return sigma_m
     nearest_m = float(np.abs(around_m - target_m).min())
     return math.hypot(sigma_m, max(0.0, nearest_m - drive.spacing_m))
-
-
-def sigmas_m(places: NDArray[np.void]) -> NDArray[np.float64]:
-    """One standard deviation (N,) of the positions of places, ASSUMED_SIGMA_M where a map does not say."""
-    known = places["position_sigma_m"].astype(np.float64)
-    return np.where(np.isnan(known), ASSUMED_SIGMA_M, known)
 
 
 class Drives:

@@ -33,6 +33,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import FileKey, check_files
+from edge.reference_map.gps_motion import moved_as_driven
 from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
 
@@ -91,13 +92,17 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return 2 if self.kind == "left-right" else 1
 
 
-class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Places [start, end) of one drive, and where its camera looked; no trajectory crosses into the next segment."""
+class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Places [start, end) of one drive, and where its camera looked; no trajectory crosses into the next segment.
+
+    moved_as_driven: whether all its positions moved as an odometer and the heading said (`gps_motion`).
+    """
 
     start: int
     end: int
     view: Literal["front", "rear"]
     source: str
+    moved_as_driven: bool = False
 
 
 class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -139,15 +144,24 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         version = FORMAT, VERSION, edge.__version__
         return cls(*version, model, regions, model.dimensions, sampling, places=0, segments=(), bounds=None, files={})
 
-    def with_segment(self, source: str, view: Literal["front", "rear"]) -> MapHeader:
-        """With a further drive, to which the next places belong; sequences are never searched across its beginning."""
-        begun = Segment(self.places, self.places, view, source)
+    def with_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> MapHeader:
+        """With a further drive, to which the next places belong; sequences are never searched across its beginning.
+
+        has_odometer: whether its route_m was measured, and not computed from its positions; see `checked`.
+        """
+        begun = Segment(self.places, self.places, view, source, has_odometer)
         return replace(self, segments=(*self.first(self.places).segments, begun))
 
     def with_places(self, places: int) -> MapHeader:
         """With so many places, the new ones in the last segment."""
         *before, last = self.segments
         return replace(self, places=places, segments=(*before, replace(last, end=places)))
+
+    def checked(self, places: NDArray[np.void]) -> MapHeader:
+        """With those drives alone as moved as driven whose places (N,) of PLACE did."""
+        moved = (one.moved_as_driven and moved_as_driven(places[one.start : one.end]) for one in self.segments)
+        alike = zip(self.segments, moved, strict=True)
+        return replace(self, segments=tuple(replace(one, moved_as_driven=has) for one, has in alike))
 
     def first(self, places: int) -> MapHeader:
         """Of the first places alone, with the segments that have any."""

@@ -158,7 +158,7 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
     """Add all places of a map of the same model and regions, with segments and raw descriptors, as if driven again."""
     raw, records = other.raw(), other.places
     for segment in other.header.segments:
-        builder.begin_segment(segment.source, segment.view)
+        builder.begin_segment(segment.source, segment.view, has_odometer=segment.moved_as_driven)
         for index in range(segment.start, segment.end):
             known = {name: records[name][index].item() for name in KEPT}
             source = POSITION_SOURCES[records["position_source"][index]]

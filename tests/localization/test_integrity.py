@@ -152,6 +152,14 @@ def test_two_segments_of_one_recording_do_not_confirm_each_other(gap_m: int) -> 
     assert drive(one, range(480, 560), off_m=150.0, recording="another", uncertainty_m=None)[-1] is None
 
 
+@pytest.mark.parametrize(("checked_m", "confirmed_m"), [(0.0, 540), (500.0, 540), (530.0, 180)])
+def test_a_drive_that_moved_as_its_vehicle_is_wrong_as_a_whole_or_not(checked_m: float, confirmed_m: int) -> None:
+    """A part of it that is too short to confirm itself cannot be wrong alone; a short drive may be wrong as a whole."""
+    fix = msgspec.structs.replace(FIX, checked_m=checked_m)
+    published = decisions(Integrity(GatesConfig()), range(0, 600), fix=fix, uncertainty_m=None)
+    assert 10 * [one.refusal for one in published].index(None) == confirmed_m, "the observations are 60 m apart"
+
+
 def test_two_recordings_of_one_road_share_what_it_looks_like() -> None:
     """Another road resembles it for 128 m (measured), and both recordings know it."""
     one = Integrity(GatesConfig())

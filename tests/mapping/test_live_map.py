@@ -236,6 +236,7 @@ def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
             )  # fmt: skip
         builder.finish()
     assert open_map(tmp_path / "built").header.files == made.header.files
+    assert made.header.segments[0].moved_as_driven
 
 
 def test_a_start_that_takes_long_says_so_before(tmp_path: Path) -> None:

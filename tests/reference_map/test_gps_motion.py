@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import gzip
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north
-from edge.reference_map import GpsMotion
+from edge.geodesy import east_north, moved
+from edge.reference_map import disagreements
+from edge.reference_map.gps_motion import moved_as_driven
+from edge.reference_map.place_records import PLACE
 from edge.telemetry.codec import MavlinkCodec
 
 STEP_M, PLACES, FROM = 2.0, 600, 150
@@ -51,12 +54,38 @@ def rejected(
     points_m: NDArray[np.float64], driven_m: NDArray[np.float64], heading_deg: NDArray[np.float64]
 ) -> list[int]:
     """The rows that disagree."""
-    motion, rows = GpsMotion(), []
-    for row, point_m in enumerate(points_m):
-        motion.move(float(driven_m[row]), float(heading_deg[row]))
-        if motion.disagreement(tuple(point_m), SIGMA_M) is not None:
-            rows.append(row)
-    return rows
+    found = disagreements(points_m, np.full(len(points_m), SIGMA_M), driven_m, heading_deg)
+    return [row for row, one in enumerate(found) if one is not None]
+
+
+def places(points_m: NDArray[np.float64], driven_m: NDArray[np.float64], heading_deg: NDArray[np.float64]) -> Any:
+    """The same as records of a map, near the equator."""
+    records = np.zeros(len(points_m), PLACE)
+    records["lat_deg"], records["lon_deg"] = np.transpose([moved(0.0, 10.0, *point_m) for point_m in points_m])
+    records["route_m"], records["heading_deg"], records["position_sigma_m"] = driven_m, heading_deg, SIGMA_M
+    return records
+
+
+def test_a_drive_moved_as_its_vehicle_if_all_of_it_did() -> None:
+    for seed in range(20):
+        assert moved_as_driven(places(*drive(seed, bend=seed % 3)))
+        for side in ("left", "right", "ahead"):
+            for drag_mps in (1.0, 5.0, 100.0):
+                assert not moved_as_driven(places(*drive(seed, drag_mps, side, bend=seed % 3)))
+
+
+@pytest.mark.parametrize("name", ["lat_deg", "lon_deg", "heading_deg", "route_m"])
+def test_where_something_is_not_known_a_drive_is_not_known_to_have_moved_as_its_vehicle(name: str) -> None:
+    records = places(*drive(1))
+    records[name][300] = np.nan
+    assert not moved_as_driven(records)
+
+
+def test_a_step_too_long_to_know_its_direction_leaves_a_drive_unchecked() -> None:
+    """Over 24 m without a place, all that follows may lie aside."""
+    records = places(*drive(1))
+    assert not moved_as_driven(np.delete(records, slice(300, 311)))
+    assert moved_as_driven(np.delete(records, slice(300, 308)))
 
 
 @pytest.mark.parametrize("speed_mps", [3.0, 5.0, 8.0])

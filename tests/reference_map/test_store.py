@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import resource
@@ -110,14 +111,29 @@ def place(row: int, **known: Any) -> Place:
     return Place(row, -27.0 + row * 2 / 110_800, 153.0, heading_deg=0.0, route_m=row * 2.0, **known)
 
 
-def build_of(path: Path, places: list[Place]) -> MapBuilder:
+def build_of(path: Path, places: list[Place], *, has_odometer: bool = False) -> MapBuilder:
     raw = raw_descriptors(len(places))
     with MapBuilder(path, MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
-        builder.begin_segment("drive", "rear")
+        builder.begin_segment("drive", "rear", has_odometer=has_odometer)
         for descriptor, one in zip(raw, places, strict=True):
             builder.add(descriptor, one)
         builder.finish()
     return builder
+
+
+def test_a_drive_is_known_to_have_moved_as_its_vehicle_only_if_an_odometer_says_so(tmp_path: Path) -> None:
+    """And if its positions agree: here the last ones are 50 m aside. Elsewhere the header is as in earlier versions."""
+    right = [place(row) for row in range(40)]
+    wrong = [*right[:30], *(dataclasses.replace(one, lon_deg=153.0005) for one in right[30:])]
+    for places, has_odometer, moved in ((right, True, True), (right, False, False), (wrong, True, False)):
+        build_of(tmp_path / "map", places, has_odometer=has_odometer)
+        again = MapBuilder(tmp_path / "again", MODEL, REGIONS, SamplingConfig(), replace=True)
+        with again as builder:
+            add_map(builder, open_map(tmp_path / "map"))
+            builder.finish()
+        for path in (tmp_path / "map", tmp_path / "again"):
+            assert [one.moved_as_driven for one in read_header(path).segments] == [moved]
+            assert ("moved_as_driven" in (path / "map.json").read_text()) == moved
 
 
 def test_the_accuracy_and_source_of_each_position_are_kept(tmp_path: Path) -> None:

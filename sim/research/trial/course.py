@@ -20,22 +20,26 @@ GPS_S = 9.0
 DOWN_S = (6.0, 10.0)
 """From the death of the daemon to its first message, as recorded on a vehicle's computer."""
 ORIGIN_OFF_M = (6.0, 0.0)
+CONFIRMED_M = 400.0
+"""Where nothing bounds the position, so far the map is driven before one is sent: a line of 80 m, two stretches of it
+that are 160 m apart by displacement, and a margin for bends and for frames that are not recognized."""
 
 
 @dataclass(frozen=True)
 class Stretch:
     """A part of the road that the map knows, by its arc lengths.
 
-    off_m: east and north, by how much its positions are wrong. left_m: beside the lane, as on another drive.
-    on_way: places lie on the drive's way instead of the road, where the way was bent. spacing_m: the least and the
-    greatest distance between places. headings: whether the places have one. recording: the drive that it was mapped
-    on, where several stretches are of one. looks: the seed of the road that it looks like, where that is another.
-    camera: view, light and seed of the drive.
+    off_m: east and north, by how much its positions are wrong, within the arc lengths `off_within_m`. left_m: beside
+    the lane, as on another drive. on_way: places lie on the drive's way instead of the road, where the way was bent.
+    spacing_m: the least and the greatest distance between places. headings: whether the places have one. recording: the
+    drive that it was mapped on, where several stretches are of one. looks: the seed of the road that it looks like,
+    where that is another. camera: view, light and seed of the drive.
     """
 
     start_m: float
     end_m: float
     off_m: tuple[float, float] = (0.0, 0.0)
+    off_within_m: tuple[float, float] = (-math.inf, math.inf)
     left_m: float = 0.0
     on_way: bool = False
     spacing_m: tuple[float, float] = (2.0, 2.0)

@@ -58,10 +58,12 @@ def _drive_stretch(
     """rngs: of the places, and of GPS."""
     stretch = draft.map[number]
     out = map_scenario(draft.home, stretch.camera)
-    builder.begin_segment(stretch.recording or f"stretch {number}", out.view)
+    builder.begin_segment(stretch.recording or f"stretch {number}", out.view, has_odometer=True)
     seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
     places_m = _places_m(stretch, rngs[0])
-    off_m = _errors_m(places_m, rngs[1]) + np.array(stretch.off_m)
+    from_m, to_m = stretch.off_within_m
+    is_off = np.array([from_m <= route_m < to_m for route_m in places_m])
+    off_m = _errors_m(places_m, rngs[1]) + np.outer(is_off, stretch.off_m)
     for row, route_m in enumerate(places_m):
         raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
         builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sim.research.trial import gps_histories
-from sim.research.trial.course import CourseDraft, Stretch
+from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, Stretch
 from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
@@ -69,6 +71,20 @@ def _home_after_turns(draft: CourseDraft) -> None:
     _home_in(draft, "night")
     out, turns = turned_twice(draft, SET_OFF_M)
     home_by(draft, out, turns)
+
+
+@course("G", "take-me-home-switched-off", least_m=1200.0)
+def _home_after_switched_off(draft: CourseDraft) -> None:
+    """The same at night, where computer and autopilot were off at the turn and GPS is gone after; a person drives."""
+    _home_in(draft, "night")
+    out, *home = draft.legs
+    draft.legs = [replace(out, then_wait_s=30.0), *home]
+    off_s = out.to_m / 8.0 + 10.0
+    draft.killed_s, draft.down_s, draft.restarted_s = off_s, DOWN_S[1], off_s + DOWN_S[0]
+    draft.gps_at = lambda time_s: GpsReport() if time_s < off_s else NO_FIX
+    draft.origin_off_m, draft.steers = (0.0, 0.0), False
+    draft.unsent = [(0.0, out.to_m + CONFIRMED_M)]
+    draft.rules = (*USUAL, sends)
 
 
 @course("G", "take-me-home-multipath")

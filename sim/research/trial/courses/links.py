@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.research.trial.course import DOWN_S, GPS_S, CourseDraft, is_command
+from sim.research.trial.course import CONFIRMED_M, DOWN_S, GPS_S, CourseDraft, is_command
 from sim.research.trial.course_rules import (
     HONEST,
     USUAL,
@@ -15,10 +15,6 @@ from sim.research.trial.course_rules import (
 from sim.research.trial.courses.registry import course
 from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
-
-ALONE_M = 750.0
-"""Where nothing bounds the position, so far one recording is driven before it is sent: 525 m of places, a line of 80 m,
-and a margin."""
 
 
 @course("E", "lost-acknowledgements")
@@ -60,7 +56,7 @@ def _autopilot_restarted(draft: CourseDraft, value: float) -> None:
     """The autopilot restarts without GPS, so many meters from its origin: it believes to be there. A person drives."""
     draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
-    draft.unsent = [(value - 20.0, value + ALONE_M)]
+    draft.unsent = [(value - 20.0, value + CONFIRMED_M)]
     draft.rules = (*USUAL, sends)
 
 

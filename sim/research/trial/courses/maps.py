@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from edge.config import GatesConfig
-from edge.localization import CORRELATION_M
-from edge.localization.claims import SAME_RECORDING
-from sim.research.trial.course import Course, CourseDraft, Stretch
+from sim.research.trial.course import CONFIRMED_M, Course, CourseDraft, Stretch
 from sim.research.trial.course_rules import HONEST, USUAL, not_worse, resumes, sends, within_sigmas
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import bent
@@ -27,8 +24,6 @@ DRIVES: tuple[tuple[View, LightName, int], ...] = (
 )
 """Of a road with layers: view, light, and seed of the drive."""
 FALSE_BY_M = 300.0
-FIRST_LINE_M = 120.0
-"""A line of 80 m, and a few more frames: before that no place is believed, and its drive not confirmed."""
 
 
 @course("A", "one-stretch")
@@ -59,6 +54,14 @@ def _false_no_gps(draft: CourseDraft, value: float) -> None:
     draft.map = [Stretch(0.0, draft.share(0.15)), draft.map[1]]
     draft.has_gps = False
     draft.rules = USUAL
+
+
+@course("C", "false-within-400-no-gps", least_m=1200.0)
+def _false_within(draft: CourseDraft) -> None:
+    """400 m within one drive of the map are 300 m wrong, and met first; no GPS from boot, a person drives."""
+    off_m, off_within_m = draft.side(FALSE_BY_M), (draft.length_m - 420.0, draft.length_m - 20.0)
+    draft.map = [Stretch(0.0, draft.length_m, off_m=off_m, off_within_m=off_within_m)]
+    draft.has_gps = draft.steers = False
 
 
 @course("C", "false-recording-{}", 24, 60)
@@ -96,20 +99,8 @@ def _far_origin(draft: CourseDraft) -> None:
 def _no_gps(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
-    draft.unsent = [(0.0, _confirmed_after_m(draft))]
+    draft.unsent = [(0.0, CONFIRMED_M)]
     draft.rules = (*USUAL, sends)
-
-
-def _confirmed_after_m(draft: CourseDraft) -> float:
-    """Meters along the way until one recording has confirmed itself: as far apart by displacement, as `claims` asks.
-
-    The velocity may be too small by its scale, and observations are CORRELATION_M apart.
-    """
-    gates, way = GatesConfig(), draft.way
-    apart_m = SAME_RECORDING * gates.confirm_m * (1 + gates.drift_percent / 100) * (1 + abs(draft.errors.scale - 1))
-    first = way.at(FIRST_LINE_M)
-    off_m = (math.dist(way.at(at_m)[:2], first[:2]) for at_m in range(int(way.length_m)))
-    return next(at_m for at_m, off in enumerate(off_m) if at_m > FIRST_LINE_M and off >= apart_m + 2 * CORRELATION_M)
 
 
 @course("C", "shifted-40")
