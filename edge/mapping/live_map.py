@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -118,7 +119,10 @@ class LiveMap:
         elif position is None:
             self._outage.miss(1 + missed)
         elif not self._why:
-            self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
+            place = self._place(position, self._route_m(distance_m), image)
+            self._add_at(
+                raw, replace(place, position_sigma_m=math.hypot(place.position_sigma_m, self._motion.doubt_m)), missed
+            )
         elif self._outage.is_bridgeable:
             self._outage.wait(raw, self._place(position, self._route_m(distance_m), image), self._motion.moved, missed)
 
@@ -207,10 +211,12 @@ class LiveMap:
         return "the map is full" if self._growing.is_full else why_no_truth(position, self._config)
 
     def _is_elsewhere(self, position: VehiclePosition) -> bool:
-        """Whether a position disagrees with the odometer and the heading."""
+        """Whether a position disagrees with odometer and heading, or is too doubtful by them."""
         self._origin = self._origin or (position.lat_deg, position.lon_deg)
         point_m = east_north_of(position.lat_deg, position.lon_deg, self._origin)
-        return self._motion.disagreement(point_m, position.sigma_m or 0.0) is not None
+        stated_m = position.sigma_m or 0.0
+        found = self._motion.disagreement(point_m, stated_m)
+        return found is not None or stated_m <= self._config.max_sigma_m < math.hypot(stated_m, self._motion.doubt_m)
 
     def _route_m(self, distance_m: float) -> float:
         """Meters along all drives of the map, which go on over a restart of the odometer."""

@@ -3,6 +3,10 @@
 A position is compared with earlier ones, each with the motion since: steps as long as the odometer says, in the
 direction of the heading. Both may differ by one scale and rotation, the median of the drive so far: wheels and a
 compass are wrong alike for long. What disagrees is never compared with, so that a GPS that was dragged stays wrong.
+
+A burst of multipath agrees once the way is long enough, since either may be wrong by then. So what a position differs
+from the best known one before is in its standard deviation, and scale and rotation are learned between positions that
+are as doubtful.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import math
 from array import array
 from bisect import bisect_right, insort
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,12 +31,10 @@ OFF_M, OFF_SIGMAS, OFF_SHARE = 5.0, 4.3, 0.05
 """By how much both may differ: the greater of the first and so many standard deviations of a position (3 of a
 difference), and that share of the way. On recorded drives of rovers with GPS they differed by at most 1.4 m over 20 m,
 2.9 m over 50, 5.5 m over 100 and 7.3 m over 200; with GPS dragged by 1 m/s at 4 m/s by 16 to 43 m."""
+DRIFT = 0.02
+"""One standard deviation of the way by odometer and heading: a third of what both differed by at most, see above."""
 LEARNED_M, LEARNED_FROM_M, LEARNED_LEAST = 100.0, 20.0, 5
 """Scale and rotation are learned over windows of this length, at first shorter ones, and used from so many on."""
-SETTLED = 100
-"""How many before that alone counts; until then, none does as well. A burst of multipath while they were learned had
-GPS rejected for long: of 120 drives one in ten lost over 780 m, and so loses over 180 m.
-"""
 STRAIGHT_M = 20.0
 """A longer step may have a corner in it, so its direction is not known: only lengths are compared over it."""
 KEPT = 256
@@ -68,12 +70,13 @@ class Moved(NamedTuple):
 
 @dataclass(frozen=True)
 class _Agreed:
-    """A position that agreed: meters, east + north i."""
+    """A position that agreed: meters, east + north i. doubt_m: the part of sigma_m that it does not state itself."""
 
     number: int
     point: complex
     sigma_m: float
     at: Moved
+    doubt_m: float = 0.0
 
 
 class GpsMotion:
@@ -104,6 +107,11 @@ class GpsMotion:
             self._moved += cmath.rect(step_m, math.radians(90.0 - middle_deg))
 
     @property
+    def doubt_m(self) -> float:
+        """One standard deviation of the last position that agreed, besides what it states."""
+        return self._agreed[-1].doubt_m if self._agreed else 0.0
+
+    @property
     def moved(self) -> Moved:
         """How the vehicle has moved up to now."""
         return Moved(self._moved, self._way_m, self._unknown)
@@ -116,10 +124,13 @@ class GpsMotion:
         """Compare a position, east and north, with those before; None where it agrees, and is compared with later."""
         self._number += 1
         now = _Agreed(self._number, complex(*point_m), sigma_m, self.moved)
-        biases = (self._bias(),) if len(self._ratios[0]) >= SETTLED else (self._bias(), 1.0)
-        found = [self._first_disagreement(now, bias) for bias in biases]
-        if None not in found:
-            return found[0]
+        bias = self._bias()
+        rows = [row for row in map(self._row_before, WINDOWS_M) if row >= 0]
+        found = next(filter(None, (self._compared(row, now, bias) for row in rows)), None)
+        if found is not None:
+            return found
+        doubt_m = self._doubt_m(rows, now, bias)
+        now = replace(now, sigma_m=math.hypot(sigma_m, doubt_m), doubt_m=doubt_m)
         self._learn(now)
         self._agreed.append(now)
         self._ways_m.append(self._way_m)
@@ -128,33 +139,41 @@ class GpsMotion:
             del self._agreed[:first], self._ways_m[:first]
         return None
 
-    def _first_disagreement(self, now: _Agreed, bias: complex) -> Disagreement | None:
-        rows = (row for row in map(self._row_before, WINDOWS_M) if row >= 0)
-        return next(filter(None, (self._compared(row, now, bias) for row in rows)), None)
-
     def _row_before(self, window_m: float) -> int:
         """The last position that agreed and is at least so far back; -1 where there is none."""
         return bisect_right(self._ways_m, self._way_m - window_m) - 1
 
     def _compared(self, row: int, now: _Agreed, bias: complex) -> Disagreement | None:
-        then, way_m = self._agreed[row], self._way_m - self._ways_m[row]
-        (lengths, directions), unknown = then.at.unknown, now.at.unknown
-        if lengths != unknown[0]:
-            return None
-        moved = now.point - then.point
-        off_m = abs(moved - bias * (now.at.meters - then.at.meters))
-        if directions != unknown[1]:
-            off_m = abs(moved) - abs(bias) * way_m
+        then, way_m, off_m = self._agreed[row], self._way_m - self._ways_m[row], self._off_m(row, now, bias)
         if off_m <= max(OFF_M, OFF_SIGMAS * max(then.sigma_m, now.sigma_m)) + OFF_SHARE * way_m:
             return None
-        return Disagreement(now.number - then.number, off_m, abs(moved), way_m)
+        return Disagreement(now.number - then.number, off_m, abs(now.point - then.point), way_m)
+
+    def _off_m(self, row: int, now: _Agreed, bias: complex) -> float:
+        """By how much a position differs from where an earlier one and the motion since put it; 0 where not known."""
+        then = self._agreed[row]
+        (lengths, directions), unknown = then.at.unknown, now.at.unknown
+        if lengths != unknown[0]:
+            return 0.0
+        moved = now.point - then.point
+        if directions != unknown[1]:
+            return max(0.0, abs(moved) - abs(bias) * (self._way_m - self._ways_m[row]))
+        return abs(moved - bias * (now.at.meters - then.at.meters))
+
+    def _doubt_m(self, rows: list[int], now: _Agreed, bias: complex) -> float:
+        """One standard deviation by what a position differs from the best known one before: either may be right."""
+        known = [
+            (math.hypot(self._agreed[row].sigma_m, DRIFT * (self._way_m - self._ways_m[row])), row) for row in rows
+        ]
+        sigma_m, row = min(known, default=(math.inf, -1))
+        return math.sqrt(max(0.0, self._off_m(row, now, bias) ** 2 - sigma_m**2) / 2) if known else 0.0
 
     def _learn(self, now: _Agreed) -> None:
-        row = self._row_before(LEARNED_M)
-        row = max(row, 0) if self._row_before(LEARNED_FROM_M) >= 0 else row
-        if row < 0:
-            return
-        then = self._agreed[row]
+        """From a position that is as doubtful: if both are off, they are by as much."""
+        near = self._row_before(LEARNED_FROM_M)
+        rows = [row for row in (self._row_before(LEARNED_M), 0, near) if 0 <= row <= near]
+        alike = (self._agreed[row] for row in rows if abs(self._agreed[row].doubt_m - now.doubt_m) <= now.doubt_m / 2)
+        then = next(alike, now)
         if then.at.unknown != now.at.unknown or then.at.meters == now.at.meters:
             return
         ratio = (now.point - then.point) / (now.at.meters - then.at.meters)

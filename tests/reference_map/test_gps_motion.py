@@ -96,16 +96,15 @@ def test_honest_gps_agrees(speed_mps: float, scale: float) -> None:
         assert not rejected(*drive(seed, speed_mps=speed_mps, scale=scale, bend=seed % 3))
 
 
-def test_a_burst_of_multipath_at_the_beginning_seldom_rejects_what_follows_for_long() -> None:
-    """10 m in any direction, while scale and rotation are being learned: nine drives of ten lose less than 200 m."""
-    lost: list[int] = []
+def test_a_burst_of_multipath_at_the_beginning_rejects_little_of_what_follows() -> None:
+    """10 m in any direction, while scale and rotation are being learned."""
     for seed in range(80):
         points_m, driven_m, heading_deg = drive(seed, bend=seed % 3)
         rng = np.random.default_rng(seed)
         angle, first, places = rng.uniform(0.0, 2 * np.pi), rng.integers(5, 60), rng.integers(10, 45)
         points_m[first : first + places] += 10.0 * np.array([np.sin(angle), np.cos(angle)])
-        lost.append(len([row for row in rejected(points_m, driven_m, heading_deg) if row >= first + places]))
-    assert STEP_M * np.percentile(lost, 90) < 200.0
+        lost = [row for row in rejected(points_m, driven_m, heading_deg) if row >= first + places]
+        assert STEP_M * len(lost) < 60.0
 
 
 @pytest.mark.parametrize("side", ["left", "right", "ahead"])
