@@ -35,8 +35,9 @@ DRIFT = 0.02
 """One standard deviation of the way by odometer and heading: a third of what both differed by at most, see above."""
 LEARNED_M, LEARNED_FROM_M, LEARNED_LEAST = 100.0, 20.0, 5
 """Scale and rotation are learned over windows of this length, at first shorter ones, and used from so many on."""
-STRAIGHT_M = 20.0
-"""A longer step may have a corner in it, so its direction is not known: only lengths are compared over it."""
+STRAIGHT_M, GENTLE_M, GENTLE_DEG = 20.0, 40.0, 30.0
+"""A longer step may have a corner in it, so its direction is not known: only lengths are compared over it. But for one
+that turned by less than that: over 40 m of 40 simulated roads, its direction misplaced it by 2.9 m (95 %)."""
 KEPT = 256
 """Positions before the longest window that are kept at most: a drive of ten hours costs 16 bytes a place."""
 MOST_BIAS = 0.2
@@ -101,7 +102,8 @@ class GpsMotion:
             self._unknown = lengths + (not first), directions
             return
         self._way_m += abs(step_m)
-        if math.isnan(middle_deg) or abs(step_m) > STRAIGHT_M:
+        straight_m = GENTLE_M if abs(turned_deg) <= GENTLE_DEG else STRAIGHT_M
+        if math.isnan(middle_deg) or abs(step_m) > straight_m:
             self._unknown = lengths, directions + 1
         else:
             self._moved += cmath.rect(step_m, math.radians(90.0 - middle_deg))

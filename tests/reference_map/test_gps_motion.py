@@ -125,6 +125,18 @@ def test_without_a_heading_lengths_are_compared() -> None:
     assert not rejected(points_m * 3, np.full_like(driven_m, np.nan), unknown), "nothing is known of the motion"
 
 
+def test_a_jump_aside_in_a_gentle_gap_is_found() -> None:
+    """36 m without a place, as while the autopilot is silent for 4 s: where the road hardly turns, its way is known."""
+    kept = np.r_[0:200, 218:PLACES]
+    for seed in range(10):
+        points_m, driven_m, heading_deg = (values[kept] for values in drive(seed, bend=0.5))
+        heading_rad = np.radians(heading_deg[200])
+        aside_m = 20.0 * np.array([np.cos(heading_rad), -np.sin(heading_rad)])
+        jumped_m = points_m + np.where(np.arange(len(kept)) < 200, 0.0, 1.0)[:, None] * aside_m
+        assert not rejected(points_m, driven_m, heading_deg)
+        assert rejected(jumped_m, driven_m, heading_deg)[0] == 200
+
+
 def test_a_gap_in_the_places_is_no_jump() -> None:
     points_m, driven_m, heading_deg = drive(2, bend=3.0)
     kept = np.r_[0:200, 300:PLACES]

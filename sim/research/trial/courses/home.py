@@ -49,6 +49,13 @@ def _home_after_outage(draft: CourseDraft, value: float) -> None:
     draft.gps_at = lambda time_s: NO_FIX if OUTAGE_FROM_S <= time_s < OUTAGE_FROM_S + value else GpsReport()
 
 
+@course("G", "take-me-home-silence-4")
+def _home_after_silence(draft: CourseDraft) -> None:
+    """The same at night, where the autopilot sent nothing but heartbeats for 4 s on the way out."""
+    _home_in(draft, "night")
+    draft.silence_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 4.0
+
+
 @course("G", "take-me-home-unseen-8")
 def _home_after_unseen(draft: CourseDraft) -> None:
     """The same at night, where the camera that maps gave no frame for 8 s, as while it is opened again."""
