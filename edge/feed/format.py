@@ -24,6 +24,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     """`feed.toml`; keys that are not listed here are ignored.
 
     preprocessing: the flip, crop and mask that the images were recorded with; "" for images as the camera gave them.
+    odometer: whether distance_m and heading_deg were measured, and not computed from the positions.
     """
 
     name: str
@@ -34,6 +35,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     notes: str = ""
     video: str = ""
     preprocessing: str = ""
+    odometer: bool = False
 
 
 def read_header(file: Path) -> FeedHeader:

@@ -115,7 +115,7 @@ def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") 
     """A new feed whose first frame is this one: only now is the size known that the camera really gives."""
     height, width = frame.image.shape[:2]
     processed = camera.preprocessing
-    header = FeedHeader(path.name, camera.view, width, height, camera.source, notes, preprocessing=processed)
-    writer = FeedWriter(path, header)
+    about = path.name, camera.view, width, height, camera.source, notes
+    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, odometer=True))
     log.info("recording: %s", path)
     return writer

@@ -50,6 +50,7 @@ class Described:
 
     name: str
     view: Literal["front", "rear"]
+    has_odometer: bool
     raw: NDArray[np.float16]
     places: tuple[Place, ...]
     made_by: str
@@ -75,7 +76,7 @@ def add_feed(
     must_have_distance: bool = False,
 ) -> None:
     """Describe a recording here, and add it as a segment."""
-    builder.begin_segment(feed.header.name, feed.header.view)
+    builder.begin_segment(feed.header.name, feed.header.view, has_odometer=feed.header.odometer)
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for index, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
@@ -113,7 +114,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                         f"--cluster: a worker described the test picture of {drive.name} otherwise than this computer:"
                         f" {drive.made_by} there, {here} here; use workers of one version on one kind of processor"
                     )
-                builder.begin_segment(drive.name, drive.view)
+                builder.begin_segment(drive.name, drive.view, has_odometer=drive.has_odometer)
                 for raw, place in zip(drive.raw, drive.places, strict=True):
                     builder.add(raw.astype(np.float32), place)
                 progress.update()
@@ -126,7 +127,8 @@ def describe(path: Path, work: Work) -> Described:
     regions = RegionsKey.of(work.config.descriptor)
     found = list(_described(feed, network, regions, work.sampling, work.must_have_distance))
     raw = np.array([one for _, one, _ in found], dtype="<f2")
-    return Described(feed.header.name, feed.header.view, raw, tuple(place for *_, place in found), fingerprint(network))
+    made, places = feed.header, tuple(place for *_, place in found)
+    return Described(made.name, made.view, made.odometer, raw, places, fingerprint(network))
 
 
 def fingerprint(network: Network) -> str:

@@ -53,6 +53,7 @@ def record_drive(
         height=scenario.height,
         source=f"simulated, seed {scenario.seed}, {scenario.light}, {scenario.direction}, drive {scenario.drive_seed}",
         notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
+        odometer=True,
     )
     # The feed first: a folder that cannot be written to is known before the world is built.
     stamps_ns = [(scenario.epoch_ns or 0) + round(time_s * 1e9) for time_s in times_s]

@@ -17,7 +17,7 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import FeedOptions
 from edge.recognizer import model_key
-from edge.reference_map import MapBuilder, RegionsKey
+from edge.reference_map import MapBuilder, RegionsKey, read_header
 from sim.maps.describing import Work, add_by_cluster
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -31,6 +31,7 @@ def feeds(make_street: Callable[..., Path], tmp_path_factory: pytest.TempPathFac
     found = [Path(shutil.copytree(feed, folder / f"{number}")) for number in range(3)]
     for number, one in enumerate(found):
         text = (one / "feed.toml").read_text()
+        text = text.replace("odometer = false", f"odometer = {'false' if number else 'true'}")
         (one / "feed.toml").write_text(text.replace('name = "', f'name = "{number} '))
     return found
 
@@ -49,6 +50,8 @@ def test_a_cluster_makes_the_map_that_one_computer_makes(
     assert main([*command, str(tmp_path / "alone")]) == 0
     assert main([*command, str(tmp_path / "together"), "--cluster", address]) == 0
     assert "dashboard: " in capsys.readouterr().out
+    moved = [segment.moved_as_driven for segment in read_header(tmp_path / "alone").segments]
+    assert moved == [True, False, False], "only the first has an odometer to check its positions by"
     files = sorted(file.name for file in (tmp_path / "alone").iterdir())
     assert {name: (tmp_path / "together" / name).read_bytes() for name in files} == {
         name: (tmp_path / "alone" / name).read_bytes() for name in files
