@@ -66,6 +66,11 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
                 yield TraverseFrame(Frame(image, row.stamp_ns, index), row, distance_m, sampler.missed)
 
 
+def has_odometer(feed: Feed) -> bool:
+    """Whether `driven_m` was measured: where a row lacks its distance, it is summed up between positions."""
+    return feed.header.odometer and all(row.distance_m is not None for row in feed.rows)
+
+
 def driven_m(feed: Feed) -> list[float] | None:
     """Meters driven at each row: as recorded, else summed up between positions, else None."""
     recorded = [row.distance_m for row in feed.rows if row.distance_m is not None]

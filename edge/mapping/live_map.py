@@ -119,10 +119,7 @@ class LiveMap:
         elif position is None:
             self._outage.miss(1 + missed)
         elif not self._why:
-            place = self._place(position, self._route_m(distance_m), image)
-            self._add_at(
-                raw, replace(place, position_sigma_m=math.hypot(place.position_sigma_m, self._motion.doubt_m)), missed
-            )
+            self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
         elif self._outage.is_bridgeable:
             self._outage.wait(raw, self._place(position, self._route_m(distance_m), image), self._motion.moved, missed)
 
@@ -256,6 +253,7 @@ class LiveMap:
         self._growing.add(new.raw, place)
 
     def _place(self, position: VehiclePosition, route_m: float, image: NDArray[np.uint8]) -> Place:
+        stated_m = math.nan if position.sigma_m is None else position.sigma_m
         return Place(
             row=self._growing.count,
             lat_deg=position.lat_deg,
@@ -264,7 +262,7 @@ class LiveMap:
             heading_deg=float("nan") if position.heading_deg is None else position.heading_deg,
             route_m=route_m,
             thumbnail=thumbnail(image),
-            position_sigma_m=float("nan") if position.sigma_m is None else position.sigma_m,
+            position_sigma_m=math.hypot(stated_m, self._motion.doubt_m),
             position_source=position.source,
         )
 

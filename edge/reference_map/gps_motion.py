@@ -164,11 +164,13 @@ class GpsMotion:
 
     def _doubt_m(self, rows: list[int], now: _Agreed, bias: complex) -> float:
         """One standard deviation by what a position differs from the best known one before: either may be right."""
-        known = [
-            (math.hypot(self._agreed[row].sigma_m, DRIFT * (self._way_m - self._ways_m[row])), row) for row in rows
-        ]
-        sigma_m, row = min(known, default=(math.inf, -1))
-        return math.sqrt(max(0.0, self._off_m(row, now, bias) ** 2 - sigma_m**2) / 2) if known else 0.0
+        if not rows:
+            return 0.0
+        ways_m = (self._way_m - self._ways_m[row] for row in rows)
+        sigma_m, row = min(
+            (math.hypot(self._agreed[row].sigma_m, DRIFT * way_m), row) for row, way_m in zip(rows, ways_m, strict=True)
+        )
+        return math.sqrt(max(0.0, self._off_m(row, now, bias) ** 2 - sigma_m**2) / 2)
 
     def _learn(self, now: _Agreed) -> None:
         """From a position that is as doubtful: if both are off, they are by as much."""

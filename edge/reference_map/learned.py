@@ -85,6 +85,7 @@ class LearnedFolder:
             return replace(one, stale=stale) if stale else one
         one = with_positions(replace(one, stale=stale), rows)
         check_places(self._positions / newer.sha256, one.places)
+        one = replace(one, header=one.header.checked(one.places))
         if not newer.recording:
             return one
         # What it says of a position is what that recording says: together they are one.
@@ -144,8 +145,7 @@ def with_positions(one: ReferenceMap, rows: NDArray[np.float64]) -> ReferenceMap
     records = one.places.copy()
     for name, values in zip(FIELDS, rows, strict=True):
         records[name] = values
-    header = msgspec.structs.replace(one.header, bounds=bounds_of(records))
-    return replace(one, header=header.checked(records), places=records)
+    return replace(one, header=msgspec.structs.replace(one.header, bounds=bounds_of(records)), places=records)
 
 
 def checksum(rows: NDArray[np.float64]) -> str:

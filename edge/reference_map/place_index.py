@@ -37,6 +37,8 @@ class PlaceIndex:
                     self._views.append(segment.view)
                     self._sources.append(segment.source)
                     self._moved.append(segment.moved_as_driven)
+                else:
+                    self._moved[-1] &= segment.moved_as_driven
         self._segments = [*begins, self.places]
 
     def map_of(self, place: int) -> int:

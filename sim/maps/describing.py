@@ -32,7 +32,7 @@ from edge.extras import import_extra
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
 from edge.reference_map.store import RegionsKey
-from sim.traverse import TraverseFrame, traverse
+from sim.traverse import TraverseFrame, has_odometer, traverse
 
 TEST_PICTURE = 240, 320, 3
 AHEAD = 2
@@ -76,7 +76,7 @@ def add_feed(
     must_have_distance: bool = False,
 ) -> None:
     """Describe a recording here, and add it as a segment."""
-    builder.begin_segment(feed.header.name, feed.header.view, has_odometer=feed.header.odometer)
+    builder.begin_segment(feed.header.name, feed.header.view, has_odometer=has_odometer(feed))
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for index, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
@@ -128,7 +128,7 @@ def describe(path: Path, work: Work) -> Described:
     found = list(_described(feed, network, regions, work.sampling, work.must_have_distance))
     raw = np.array([one for _, one, _ in found], dtype="<f2")
     made, places = feed.header, tuple(place for *_, place in found)
-    return Described(made.name, made.view, made.odometer, raw, places, fingerprint(network))
+    return Described(made.name, made.view, has_odometer(feed), raw, places, fingerprint(network))
 
 
 def fingerprint(network: Network) -> str:

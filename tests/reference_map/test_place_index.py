@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from edge.config import SamplingConfig
 from edge.reference_map.place_index import PlaceIndex
@@ -82,3 +83,12 @@ def test_tiles_that_follow_each_other_are_as_whole_as_their_map(of_drives: list[
         gap = PlaceIndex([tiles[0], *tiles[2:]])
         assert gap.whole(0) == (0, borders[1])
         assert gap.segment_of(borders[1]) > gap.segment_of(borders[1] - 1)
+
+
+def test_a_drive_over_several_tiles_moved_as_its_vehicle_only_if_it_did_in_each() -> None:
+    for each in ((True, True), (True, False), (False, True)):
+        tiles = [header([10], TileOf("0" * 64, 10 * number, bool(number), None)) for number in range(2)]
+        segments = [replace(tile.segments[0], moved_as_driven=moved) for tile, moved in zip(tiles, each, strict=True)]
+        index = PlaceIndex([replace(tile, segments=(one,)) for tile, one in zip(tiles, segments, strict=True)])
+        assert index.segments == [(0, 20)]
+        assert index.moved_as_driven(0) == all(each)

@@ -31,8 +31,12 @@ def feeds(make_street: Callable[..., Path], tmp_path_factory: pytest.TempPathFac
     found = [Path(shutil.copytree(feed, folder / f"{number}")) for number in range(3)]
     for number, one in enumerate(found):
         text = (one / "feed.toml").read_text()
-        text = text.replace("odometer = false", f"odometer = {'false' if number else 'true'}")
+        text = text.replace("odometer = false", f"odometer = {'false' if number == 1 else 'true'}")
         (one / "feed.toml").write_text(text.replace('name = "', f'name = "{number} '))
+    rows = (found[2] / "frames.csv").read_text().splitlines()
+    at = rows[0].split(",").index("distance_m")
+    last = rows[-1].split(",")
+    (found[2] / "frames.csv").write_text("\n".join([*rows[:-1], ",".join([*last[:at], "", *last[at + 1 :]])]) + "\n")
     return found
 
 
@@ -51,7 +55,7 @@ def test_a_cluster_makes_the_map_that_one_computer_makes(
     assert main([*command, str(tmp_path / "together"), "--cluster", address]) == 0
     assert "dashboard: " in capsys.readouterr().out
     moved = [segment.moved_as_driven for segment in read_header(tmp_path / "alone").segments]
-    assert moved == [True, False, False], "only the first has an odometer to check its positions by"
+    assert moved == [True, False, False], "the last lacks a distance, so its meters are of its positions"
     files = sorted(file.name for file in (tmp_path / "alone").iterdir())
     assert {name: (tmp_path / "together" / name).read_bytes() for name in files} == {
         name: (tmp_path / "alone" / name).read_bytes() for name in files
