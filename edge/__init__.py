@@ -22,7 +22,7 @@ A frame goes through these stages in this order, and none calls back; each passe
 The files beside them:
 
     recognizer        one frame in, one match out: the file to read first
-    sequence_matcher  descriptors in, matches out; two cameras vote together
+    sequence_matcher  descriptors in, matches out
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
     drive_mapper      which frames of which camera become places of this drive's map

@@ -44,6 +44,7 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("gates", "far_sigmas", None): None,
     ("gates", "near_matches", None): None,
     ("gates", "near_sigmas", None): None,
+    ("mapping", "recognize", None): None,
     ("telemetry", "sigma_m", None): None,
     ("tracking", "drift_percent", None): "scale_error_percent",
     ("tracking", "matches", None): None,
@@ -267,8 +268,7 @@ class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[mapping]: the drive becomes a map while it is driven.
 
-    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none. recognize: its frames are
-    matched as well.
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
     """
 
     folder: FilePath = ""
@@ -279,7 +279,6 @@ class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     layers: Annotated[int, Meta(ge=0, le=100)] = 4
     quota_mb: Positive = 20_000.0
     min_free_mb: NotNegative = 500.0
-    recognize: bool = False
     camera: CameraConfig | UnsetType = UNSET
 
 
@@ -330,10 +329,6 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError('[mapping] folder: mapping needs [sampling] by = "distance"')
         if self.mapping.camera is not UNSET and not self.mapping.folder:
             raise ValueError("[mapping] folder: is empty; name the folder of maps, or remove [mapping.camera]")
-        if self.mapping.recognize and self.mapping.camera is UNSET:
-            raise ValueError("[mapping] recognize: needs a second camera; add [mapping.camera], or set it to false")
-        if self.mapping.recognize and self.descriptor.regions != "left-right":
-            raise ValueError('[mapping] recognize: needs [descriptor] regions = "left-right"')
 
     @property
     def sequence_frames(self) -> int:

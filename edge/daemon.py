@@ -65,9 +65,9 @@ class Daemon:
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
             if parts.mapper is not None:
-                parts.mapper.map_next(waited_s, self._process_second)
+                parts.mapper.map_next(waited_s, self._describe_second)
             if not (is_usable or parts.verification.checksums.is_done):
-                self._check_maps(self._recognizer.matcher.first.search.folders_in_use)
+                self._check_maps(self._recognizer.matcher.search.folders_in_use)
         self._autopilot.history.release()
         if parts.learner is not None:
             now_ns = self._clock_ns()
@@ -255,12 +255,10 @@ class Daemon:
             self._show_maps()
         parts.times.lap("mapping")
 
-    def _process_second(self, frame: Frame, distance_m: float, missed: int) -> NDArray[np.float32]:
-        """Describe a frame of the second camera, which votes on the place if it may; timed as the others are."""
+    def _describe_second(self, frame: Frame) -> NDArray[np.float32]:
+        """Describe a frame of the camera that maps; timed as the others are."""
         self.parts.times.start()
-        raw = self._recognizer.describe(frame.image)
-        self._recognizer.observe_second(raw, self._travel(distance_m, missed))
-        return raw
+        return self._recognizer.describe(frame.image)
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:
         """To the live page, to the journal where it is to have every frame, and an event to people."""

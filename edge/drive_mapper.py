@@ -33,14 +33,14 @@ from edge.telemetry.vehicle import Vehicle
 START_S = 120.0  # of the service's unit, which the rest of the start may take
 MappedFrame = tuple[Frame, NDArray[np.float32], float | None, int]
 """A frame at a new place, its raw descriptor (R, D), meters driven, and places passed before it without a frame."""
-Process = Callable[[Frame, float, int], NDArray[np.float32]]
-"""A frame, meters driven, and places passed before it without a frame -> its raw descriptor (R, D)."""
+Describe = Callable[[Frame], NDArray[np.float32]]
+"""A frame -> its raw descriptor (R, D)."""
 LEAST_SHARE = 1 / 8
 """Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
 
 
 class OwnCamera:
-    """A camera that maps and is not recognized by: described only as often as the first one leaves time for it."""
+    """A camera that maps: described only as often as the first one leaves time for it."""
 
     def __init__(
         self, config: Config, frames: Frames, device: NewestFrame | None, vehicle: Vehicle, clock_ns: Callable[[], int]
@@ -54,7 +54,7 @@ class OwnCamera:
         self._spare_s = 0.0  # saved for its next one
         self._asked_ns = clock_ns()
 
-    def next_place(self, waited_s: float, process: Process) -> MappedFrame | None:
+    def next_place(self, waited_s: float, describe: Describe) -> MappedFrame | None:
         """Its newest frame if that shows a new place and there is time for it, see `DriveMapper.map_next`."""
         now_ns = self._clock_ns()
         busy_s, self._asked_ns = (now_ns - self._asked_ns) / 1e9 - waited_s, now_ns
@@ -69,11 +69,10 @@ class OwnCamera:
         distance_m = self._vehicle.motion.distance_m(frame.stamp_ns)
         if distance_m is None or not self._sampler.is_place(frame.stamp_ns, distance_m):
             return None
-        missed = self._sampler.missed
-        raw = process(frame, distance_m, missed)
+        raw = describe(frame)
         self._asked_ns = self._clock_ns()
         self._spare_s, self._takes_s = 0.0, (self._asked_ns - now_ns) / 1e9
-        return frame, raw, distance_m, missed
+        return frame, raw, distance_m, self._sampler.missed
 
 
 class DriveMapper:
@@ -143,12 +142,12 @@ class DriveMapper:
         self.add_placed()
         return self.live.newly_searchable(self._autopilot.vehicle.motion.distance_m(self._clock_ns()))
 
-    def map_next(self, waited_s: float, process: Process) -> None:
+    def map_next(self, waited_s: float, describe: Describe) -> None:
         """Map the newest frame of the second camera, if it shows a new place and the first camera left time for it.
 
         waited_s: for a frame of the first camera, in this turn.
         """
-        found = self._own.next_place(waited_s, process) if self._own is not None else None
+        found = self._own.next_place(waited_s, describe) if self._own is not None else None
         if found is not None:
             self._await_position(*found)
         self.add_placed()

@@ -138,21 +138,13 @@ class PlaceRecognizer:
         self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
         match = self.matcher.push(raw, travel)
         if match is None:
-            first = self.matcher.first
-            off_the_map = self.is_in_line and first.has_lines
-            self.state = "off the map" if off_the_map else "searching" if first.is_scanning else "warming up"
+            off_the_map = self.is_in_line and self.matcher.has_lines
+            self.state = "off the map" if off_the_map else "searching" if self.matcher.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
             return match
         return replace(match, event=True, category=self._head.categories(raw)[0] if self._head else "")
-
-    def observe_second(self, raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
-        """Let a frame of the second camera vote on the place, by its raw descriptor; see `SequenceMatcher.push_second`.
-
-        Not while the vehicle stands, since the lines of both cameras wait then, nor without [mapping] recognize.
-        """
-        return None if self.state == "standing" else self.matcher.push_second(raw, travel)
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
@@ -175,7 +167,7 @@ class PlaceRecognizer:
 
     def cost_view(self, match: PlaceMatch | None) -> CostView:
         """The costs that the newest match, if there is one, was found in; for people."""
-        return self.matcher.first.search.cost_view(match)
+        return self.matcher.search.cost_view(match)
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on, beginning a new sequence."""

@@ -150,7 +150,7 @@ class WarmStart:
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
         kept = self._file.read(Moment.now(), 60 * minutes)
         if kept is not None:
-            recognizer.matcher.first.begin_with(kept)
+            recognizer.matcher.begin_with(kept)
 
     def keep_if_due(self, now_ns: int) -> None:
         """Write the file, once a minute."""
@@ -167,5 +167,5 @@ class WarmStart:
             self._file.put(self._file.encoded(kept, Moment.now()))
 
     def _kept(self) -> RunningStatistics | None:
-        statistics = self._recognizer.matcher.first.statistics
+        statistics = self._recognizer.matcher.statistics
         return statistics if statistics is not None and statistics.count >= FEWEST else None

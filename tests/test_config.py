@@ -67,14 +67,6 @@ def test_the_config_to_start_from_has_few_keys_as_the_whole_one_explains_them() 
         ),
         ("[mapping.camera]\nview = 'rear'", "[mapping] folder: is empty; name the folder of maps"),
         ("[mapping]\nfolder = 'm'\n[mapping.camera]\nfps = 0", "[mapping] camera.fps: expected a number > 0"),
-        (
-            "[mapping]\nfolder = 'm'\nrecognize = true",
-            "[mapping] recognize: needs a second camera; add [mapping.camera]",
-        ),
-        (
-            "[descriptor]\nregions = 'whole'\n[mapping]\nfolder = 'm'\nrecognize = true\n[mapping.camera]\nfps = 9",
-            '[mapping] recognize: needs [descriptor] regions = "left-right"',
-        ),
         ("[camera]\nfps = 1\nfps = 2", "not TOML"),
     ],
 )
@@ -88,7 +80,7 @@ def test_every_mistake_is_one_line_with_file_and_key(text: str, told: str) -> No
 
 
 def test_each_mistake_has_its_line() -> None:
-    text = "[camera]\nfps = 'fast'\nwidth = 3\n[gates]\nmax_movem = 3\n[mapping]\nrecognize = true"
+    text = "[camera]\nfps = 'fast'\nwidth = 3\n[gates]\nmax_movem = 3\n[mapping.camera]\nfps = 9"
     with pytest.raises(ConfigError) as caught:
         parse_config(text, HERE)
     assert str(caught.value).splitlines() == [

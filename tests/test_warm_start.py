@@ -46,29 +46,22 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
         return recognizer, WarmStart(config(tmp_path), recognizer)
 
     first, memory = start()
-    assert first.matcher.first.statistics and first.matcher.first.statistics.count == MAP_COUNTS_AS
+    assert first.matcher.statistics and first.matcher.statistics.count == MAP_COUNTS_AS
     for row in range(40):
         first.observe(images.read(row), feed.rows[row].stamp_ns)
     memory.keep()
     second, _ = start()
-    assert first.matcher.first.statistics is not None
-    assert second.matcher.first.statistics is not None
-    assert (
-        second.matcher.first.statistics.count
-        == first.matcher.first.statistics.count
-        == 40 + MAP_COUNTS_AS
-        <= COUNTS_AS_MOST
-    )
-    np.testing.assert_array_equal(second.matcher.first.statistics.mean, first.matcher.first.statistics.mean)
+    assert first.matcher.statistics is not None
+    assert second.matcher.statistics is not None
+    assert second.matcher.statistics.count == first.matcher.statistics.count == 40 + MAP_COUNTS_AS <= COUNTS_AS_MOST
+    np.testing.assert_array_equal(second.matcher.statistics.mean, first.matcher.statistics.mean)
     for row in range(40, 60):
         stamp_ns = feed.rows[row].stamp_ns
         first.observe(images.read(row), stamp_ns)
         second.observe(images.read(row), stamp_ns)
+    np.testing.assert_allclose(second.matcher.statistics.mean, first.matcher.statistics.mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(
-        second.matcher.first.statistics.mean, first.matcher.first.statistics.mean, rtol=0, atol=1e-9
-    )
-    np.testing.assert_allclose(
-        second.matcher.first.statistics.deviation, first.matcher.first.statistics.deviation, rtol=0, atol=1e-9
+        second.matcher.statistics.deviation, first.matcher.statistics.deviation, rtol=0, atol=1e-9
     )
 
 

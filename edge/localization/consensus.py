@@ -19,9 +19,7 @@ less that of offset, over the variance of driven plus (slack / 4)^2; 0 of a matc
 a few meters; without an odometer also 0 of places that advance slower or faster than the lines that are searched.
 Support is the share of the newest frames (half a sequence) that are like the place of their match, and whose match is
 where the others are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes
-count. Of two cameras, the frames of the first one count here, by whose lines the vehicle is followed, and its own votes
-must weigh a tenth of the prior: what only the second one recognizes is not believed. The weight of a second camera's
-vote is multiplied by the square of the share of its recent votes that agree with it.
+count.
 Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
@@ -43,14 +41,9 @@ from edge.reference_map import NO_LAP_M, Drives
 from edge.sequence import Direction, PlaceMatch
 
 CAPACITY = 256
-"""Votes of one camera that are kept at most; 320 m at one place each 2 m are 160."""
+"""Votes that are kept at most; 320 m at one place each 2 m are 160."""
 FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
-LEAST_OWN = 0.1
-"""Evidence of the first camera's own matches, as a share of the prior, below which a belief is less certain: where it
-sees nothing of the road at all, its matches agree with the second camera's by chance with a share of 0.02 at most."""
-FEWEST_OF_CAMERA = 5
-"""Votes that a second camera counts as having had at least, when it is asked how many of them agree."""
 LIKE_NEWEST = 0.04
 """A place is among the most similar to the newest frame if at most this share of the places is more similar."""
 FEWER_LINES = 1.4
@@ -73,7 +66,7 @@ cautious one. docs/evaluation.md has how far it holds on two more roads and on r
 
 
 _LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m")
-_KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "camera": "i1", "row_share": "f8", "was_believed": "?"}
+_KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "row_share": "f8", "was_believed": "?"}
 _VOTE = np.dtype([*((name, "f8") for name in _LENGTHS), *_KINDS.items()], align=True)
 """A vote as it is kept. at_m, uncertain_m: driven, and how uncertain that was; offset_m, start_m, end_m, lap_m: along
 the drive; sign: 1 forward, -1 reverse."""
@@ -133,7 +126,7 @@ class PlaceVote:
     much of the drive it goes on at its start, NO_LAP_M where it does not. uniqueness: cost of the best line elsewhere
     over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
-    newest frame than the best within an eighth of a window of the place. camera: number of the one that votes.
+    newest frame than the best within an eighth of a window of the place.
     """
 
     drive: int
@@ -145,7 +138,6 @@ class PlaceVote:
     sharpness: float
     row_share: float
     lap_m: float = NO_LAP_M
-    camera: int = 0
 
     @classmethod
     def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
@@ -172,13 +164,10 @@ class PlaceBelief:
 class PlaceConsensus:
     """The votes of the recent matches, and the belief that they add up to."""
 
-    def __init__(
-        self, settings: ConsensusSettings, positions_of: PositionsOf | None = None, *, cameras: int = 1
-    ) -> None:
-        """positions_of: where the drives lie, without which votes in two drives never agree. cameras: how many vote."""
+    def __init__(self, settings: ConsensusSettings, positions_of: PositionsOf | None = None) -> None:
+        """positions_of: where the drives lie, without which votes in two drives never agree."""
         self.settings = settings
         self._positions_of = positions_of
-        self._cameras = cameras
         self.reset()
 
     def reset(self) -> None:
@@ -187,8 +176,8 @@ class PlaceConsensus:
         self._driven_m = self._uncertain_m = 0.0
         self._odometer_m: float | None = None
         half = max(1, self.settings.length // 2)
-        self._newest = [deque[int](maxlen=half) for _ in range(self._cameras)]  # slots of each camera's votes
-        self._votes = np.zeros(self._cameras * CAPACITY, dtype=_VOTE)
+        self._newest = deque[int](maxlen=half)  # slots
+        self._votes = np.zeros(CAPACITY, dtype=_VOTE)
         self._votes["at_m"] = -np.inf  # an empty slot is out of reach
         self._votes["lap_m"] = NO_LAP_M
         self._agree = np.zeros((len(self._votes), len(self._votes)), dtype=np.float32)
@@ -201,16 +190,8 @@ class PlaceConsensus:
         """
         self._move(odometer_m, places)
         if vote is not None:
-            self._add(vote, 0.0)
+            self._add(vote)
         return self._believe()
-
-    def add(self, vote: PlaceVote, odometer_m: float) -> None:
-        """A vote of another camera than the one whose frames `update` follows, exposed between two of those frames.
-
-        It counts from the next update on; not at all where the odometer was not known at the last one.
-        """
-        if self._odometer_m is not None and abs(odometer_m - self._odometer_m) <= self.settings.slack_m:
-            self._add(vote, odometer_m - self._odometer_m)
 
     def _move(self, odometer_m: float | None, places: float) -> None:
         """Distance since the last frame; by places where the odometer is not known, or was counted anew."""
@@ -222,27 +203,16 @@ class PlaceConsensus:
         self._driven_m += step_m
         self._uncertain_m += drift * step_m
 
-    def _add(self, vote: PlaceVote, ahead_m: float) -> None:
-        """ahead_m: driven from the newest update to the vote."""
+    def _add(self, vote: PlaceVote) -> None:
         votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
-        self._newest[vote.camera].append(slot)
-        at_m = self._driven_m + ahead_m
+        self._newest.append(slot)
+        at_m = self._driven_m
         sign = 1.0 if vote.direction == "forward" else -1.0
         lengths_m = at_m, self._uncertain_m, vote.along_m - sign * at_m, vote.start_m, vote.end_m, vote.lap_m
-        votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.camera, vote.row_share, False)
+        votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False)
         votes["weight"][slot] = self._weight(vote)
         self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
-        if vote.camera:
-            votes["weight"][slot] *= self._coherence(slot) ** 2
-
-    def _coherence(self, slot: int) -> float:
-        """Share of the recent votes of one camera that agree with the newest one.
-
-        Where a camera cannot recognize anything, its matches are scattered. The other one's are not to be outvoted.
-        """
-        own = self._within(self.settings.recent_lines) & (self._votes["camera"] == self._votes["camera"][slot])
-        return float(self._agree[slot, own].sum()) / max(FEWEST_OF_CAMERA, int(own.sum()))
 
     def _apart_m(self, slot: int) -> Floats:
         """By how much each vote may differ from one."""
@@ -284,7 +254,7 @@ class PlaceConsensus:
         return np.asarray(self._driven_m - self._votes["at_m"] <= lines * self.settings.line_m)
 
     def _weight(self, vote: PlaceVote) -> float:
-        shares = self._votes["row_share"][np.array(self._newest[vote.camera])]
+        shares = self._votes["row_share"][np.array(self._newest)]
         support = float((shares < LIKE_NEWEST).mean())
         uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
         return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
@@ -319,9 +289,6 @@ class PlaceConsensus:
         beyond_m = max(0.0, float(own["start_m"]) - along_m, along_m - float(own["end_m"]))
         agreement *= max(0.0, 1 - beyond_m / settings.slack_m)
         agreement *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
-        if self._cameras > 1:
-            first = float(weights[group & (votes["camera"] == 0)].sum())
-            agreement *= min(1.0, first / (LEAST_OWN * prior))
         agreement *= min(1.0, self._support(leader, one_pass, along_m, now_m) / FULL_SUPPORT)
         confidence = probability(agreement)
         is_believed = confidence >= settings.confidence_from
@@ -331,7 +298,7 @@ class PlaceConsensus:
 
     def _support(self, leader: int, one_pass: NDArray[np.bool_], along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
-        slots = np.array(self._newest[0], dtype=np.intp)
+        slots = np.array(self._newest, dtype=np.intp)
         votes, own = self._votes[slots], self._votes[leader]
         in_drive = votes["drive"] == own["drive"]
         is_near = np.abs(_within_lap(now_m[slots] - along_m, own["lap_m"])) <= self.settings.slack_m

@@ -56,7 +56,7 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     feed = preprocessed_feed(feed, config.camera)
     config = config_for_feed(config, feed)
     recognizer = open_recognizer(config, network=network, map_set=maps)
-    search, places = recognizer.matcher.first.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
+    search, places = recognizer.matcher.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
     used: list[FrameUsed] = []
     states: list[State] = []
     costs = []

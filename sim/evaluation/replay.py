@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[FrameUsed]:
     """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
     checksums = recognizer.map_set.checksum_schedule()
-    while _exclude_damaged(recognizer, checksums, recognizer.matcher.first.search.folders_in_use):
+    while _exclude_damaged(recognizer, checksums, recognizer.matcher.search.folders_in_use):
         pass
     route = Route(recognizer.map_set)
     for item in traverse(feed, sampling):

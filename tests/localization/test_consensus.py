@@ -316,64 +316,6 @@ def test_a_vehicle_that_turned_off_the_road_is_soon_not_believed_to_be_on_it() -
     assert len(believed) <= 20
 
 
-def _drive_two(
-    first: list[PlaceVote | None], second: list[PlaceVote | None], *, odometer: bool = True
-) -> list[PlaceBelief | None]:
-    """Beliefs where a second camera votes a meter after each frame of the first."""
-    consensus, beliefs = PlaceConsensus(SETTINGS, cameras=2), []
-    for frame, (vote, other) in enumerate(zip(first, second, strict=True), start=1):
-        beliefs.append(consensus.update(vote, 2.0 * frame if odometer else None))
-        if other is not None:
-            sign = 1 if other.direction == "forward" else -1
-            consensus.add(replace(other, along_m=other.along_m + sign, camera=1), 2.0 * frame + 1.0)
-    return beliefs
-
-
-def _believed(beliefs: list[PlaceBelief | None]) -> list[int]:
-    return [frame for frame, belief in enumerate(beliefs) if belief is not None and belief.is_believed]
-
-
-WEAK = replace(STRONG, uniqueness=1.02, sharpness=0.05)
-
-
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
-def test_a_second_camera_that_recognizes_the_road_brings_the_belief(direction: Direction) -> None:
-    """The first one recognizes it as well, but would not be believed alone."""
-    weak = _right(500.0, 60, replace(WEAK, direction=direction))
-    strong = _right(500.0, 60, replace(STRONG, direction=direction))
-    alone = _believed(_drive(PlaceConsensus(SETTINGS), weak))
-    both = _drive_two(weak, strong)
-    assert not alone
-    assert _believed(both)[0] < 30
-    assert _last(both).along_m == pytest.approx(620.0 if direction == "forward" else 380.0, abs=0.5)
-
-
-def test_what_only_the_second_camera_recognizes_is_not_believed() -> None:
-    """The vehicle is followed by the lines of the first one."""
-    assert not _believed(_drive_two(_scattered(150), _right(500.0, 150)))
-    assert not _believed(_drive_two([None] * 150, _right(500.0, 150)))
-
-
-def test_two_cameras_that_recognize_two_places_are_not_believed() -> None:
-    far = _right(200.0, 60)
-    assert _believed(_drive(PlaceConsensus(SETTINGS), far))
-    assert not _believed(_drive_two(far, _right(700.0, 60)))
-
-
-def test_scattered_matches_of_a_second_camera_outvote_nothing() -> None:
-    right = _right(300.0, 150, replace(STRONG, uniqueness=1.08))
-    scattered = [replace(vote, uniqueness=1.2, sharpness=0.1) for vote in _scattered(150, seed=3) if vote is not None]
-    alone = _believed(_drive(PlaceConsensus(SETTINGS), right))
-    both = _believed(_drive_two(right, list(scattered)))
-    assert both[0] <= alone[0] + 5
-    assert len(both) >= len(alone) - 5
-
-
-def test_a_second_camera_does_not_vote_without_an_odometer() -> None:
-    weak = _right(500.0, 60, WEAK)
-    assert not _believed(_drive_two(weak, _right(500.0, 60), odometer=False))
-
-
 def test_a_place_is_that_of_votes_with_weight() -> None:
     """A drive whose only votes say nothing agrees with what another drive's votes say there; it leads to no place."""
 

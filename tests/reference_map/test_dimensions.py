@@ -50,7 +50,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     assert len(found) == PLACES - LENGTH
     assert np.abs(np.array(found) - np.arange(LENGTH, PLACES)).max() <= 1
 
-    statistics = matcher.first.statistics
+    statistics = matcher.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
     file.put(file.encoded(statistics, Moment.now()))

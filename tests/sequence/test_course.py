@@ -78,7 +78,7 @@ def test_a_match_against_the_course_is_neither_the_best_nor_the_one_that_it_is_h
                 matcher.push(raw + rng.normal(scale=0.3, size=raw.shape), Travel(2.0 * frame, course_rad=course_rad))
                 for frame, raw in enumerate(homeward)
             ]
-            part, last = matcher.first.search.part, matches[-1]
+            part, last = matcher.search.part, matches[-1]
             assert part is not None
             assert part.excludes == (course_rad is not None)
             assert last is not None

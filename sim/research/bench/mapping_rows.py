@@ -37,8 +37,8 @@ cpu_ns: Callable[[], int] = time.process_time_ns
 class TwoCameras:
     """A recognizer on a growing map, and the map."""
 
-    def __init__(self, folder: Path, places: int, network: Network, *, recognize: bool) -> None:
-        """The map has so many places to begin with. recognize: with both cameras."""
+    def __init__(self, folder: Path, places: int, network: Network) -> None:
+        """The map has so many places to begin with."""
         regions = RegionsKey("left-right", 0.4, "set")
         header = LogHeader(model_key(network), regions, SamplingConfig())
         folder.mkdir()
@@ -46,7 +46,7 @@ class TwoCameras:
         began_s = time.monotonic()
         self.live = LiveMap(MappingConfig(folder=str(folder), min_free_mb=0.0), header, "rear")
         self.resumed_s = time.monotonic() - began_s
-        mapping = MappingConfig(folder=str(folder), recognize=recognize, camera=CameraConfig(view="rear"))
+        mapping = MappingConfig(folder=str(folder), camera=CameraConfig(view="rear"))
         config = Config(map=MapConfig(path=str(folder), places_per_frame=2 * places), mapping=mapping)
         self.recognizer = open_recognizer(config, network=network, newest=self.live.so_far())
         self._driven_m = 0.0
@@ -57,7 +57,6 @@ class TwoCameras:
         self._driven_m += SPACING_M
         self.recognizer.observe(ahead, frame * 200_000_000, Travel(self._driven_m))
         raw = self.recognizer.describe(back)
-        self.recognizer.observe_second(raw, Travel(self._driven_m))
         self.live.add(raw, back, _position(self.live.status.places), self._driven_m)
         newest = self.live.newly_searchable(self._driven_m)
         if newest is not None:
@@ -107,33 +106,22 @@ def measure(folder: Path, places: int, frames: int) -> Section:
     write_simulated_map(path, places, model_key(network))
     config = Config(map=MapConfig(places_per_frame=2 * places))
     alone: PlaceRecognizer = open_recognizer(config, network=network, map_set=open_map_set(path))
-    maps_only = TwoCameras(folder / "mapping", places, network, recognize=False)
-    both = TwoCameras(folder / "recognizing", places, network, recognize=True)
+    two = TwoCameras(folder / "mapping", places, network)
     rng = np.random.default_rng(1)
     pictures = [smooth_picture(rng, SIZE_PX) for _ in range(2 * (LENGTH + frames))]
 
     def one_camera(frame: int) -> None:
         alone.observe(pictures[2 * frame], frame * 200_000_000, Travel(frame * SPACING_M))
 
-    maps_name = "two cameras, one that recognizes and one that maps"
-    both_name = "two cameras that recognize, one of which maps"
-    times = _alternately(
-        {
-            "one camera that recognizes": one_camera,
-            maps_name: partial(maps_only.step_with, pictures),
-            both_name: partial(both.step_with, pictures),
-        },
-        frames,
-    )
-    single, *_ = times.values()
-    rows, targets = [Row("one camera that recognizes", single)], []
-    for what, cameras in ((maps_name, maps_only), (both_name, both)):
-        cameras.live.close()
-        ratio = _by_block(times[what]).ratio(_by_block(single))
-        slowest = statistics.quantiles(times[what].runs_ms, n=20)[-1]
-        note = f"all threads; 95 % of frames within {slowest:.1f} ms"
-        rows.append(Row(what, times[what], "one camera", ratio, note))
-        most = f"{MOST_TIMES:g}x one camera or less"
-        targets.append(Target(what, most, f"{ratio:.2f}x", ratio <= MOST_TIMES))
-    rows.append(Row("restart with the map of the drive", Times((maps_only.resumed_s * 1e3,)), note="once, wall-clock"))
-    return Section(f"Mapping while driving, {places:,} places", rows, targets)
+    alone_name, two_name = "one camera that recognizes", "two cameras, one that recognizes and one that maps"
+    times = _alternately({alone_name: one_camera, two_name: partial(two.step_with, pictures)}, frames)
+    two.live.close()
+    ratio = _by_block(times[two_name]).ratio(_by_block(times[alone_name]))
+    slowest = statistics.quantiles(times[two_name].runs_ms, n=20)[-1]
+    rows = [
+        Row(alone_name, times[alone_name]),
+        Row(two_name, times[two_name], "one camera", ratio, f"all threads; 95 % of frames within {slowest:.1f} ms"),
+        Row("restart with the map of the drive", Times((two.resumed_s * 1e3,)), note="once, wall-clock"),
+    ]
+    target = Target(two_name, f"{MOST_TIMES:g}x one camera or less", f"{ratio:.2f}x", ratio <= MOST_TIMES)
+    return Section(f"Mapping while driving, {places:,} places", rows, [target])

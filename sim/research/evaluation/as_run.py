@@ -73,8 +73,8 @@ def match_as_run(
 def _found(
     matcher: SequenceMatcher, match: PlaceMatch | None, answer: str
 ) -> tuple[int, float, bool, NDArray[np.float32]]:
-    newest = matcher.first.search.newest_costs.min(axis=0).astype(np.float32)
-    part = matcher.first.search.part
+    newest = matcher.search.newest_costs.min(axis=0).astype(np.float32)
+    part = matcher.search.part
     if match is None or part is None or part.lines is None:
         return -1, NAN, False, newest
     confidence = match.confidence if answer == "belief" else match.uniqueness

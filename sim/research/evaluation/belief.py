@@ -8,7 +8,6 @@ vehicle by the rig's offset, which is measured on another drive of the same dire
 is the parallax of the lane home.
 Believed frames of the other seeds' drives, whose road is on no map, are counted below the table.
 --page writes all of it between the marks of a page.
-With --both-cameras a rear camera sees each drive as well, and the two recognize together ([mapping] recognize).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, CameraConfig, Config, MappingConfig, RigConfig, SamplingConfig
+from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, cut_regions
 from edge.localization.region_lines import lag_places
 from edge.reference_map import ModelKey
@@ -108,20 +107,15 @@ def believe(
     cut: Cut,
     odometer_scale: float | None = 1.0,
     *,
-    rear: Described | None = None,
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
-    odometer_scale: what it reads for each meter, None without one. rear: the same drive as a rear camera saw it, which
-    recognizes as well.
+    odometer_scale: what it reads for each meter, None without one.
     """
-    mapping = MappingConfig()
-    if rear is not None:
-        mapping = MappingConfig(folder="maps", recognize=True, camera=CameraConfig(view="rear"))
     # Without a rig there is no lane, but any parallax, so that it is measured.
-    config = Config(rig=rig or RigConfig(parallax=1.0), mapping=mapping, sampling=sampling)
+    config = Config(rig=rig or RigConfig(parallax=1.0), sampling=sampling)
     rows = np.arange(len(road.raw))
     drives = [
         MappedDrive(
@@ -138,8 +132,6 @@ def believe(
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
             travel = Travel(None if odometer_scale is None else float(driven_m) * odometer_scale)
-            if rear is not None:
-                matcher.push_second(rear.raw[frame].astype(np.float32), travel)
             match = matcher.push(raw, travel)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
@@ -203,17 +195,7 @@ def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> 
     return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
 
 
-@dataclass(frozen=True)
-class Driven:
-    """A drive as the front camera saw it and, where both recognize, the rear camera."""
-
-    front: Described
-    rear: Described | None
-
-
-def worlds(
-    seeds: list[int], length_m: float, cache: Path, *, both: bool
-) -> Iterator[tuple[Described, dict[str, Driven]]]:
+def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, dict[str, Described]]]:
     """The road of each seed as the rear camera saw it, and the drives on it by "light direction"."""
     network = Network.load()
     for seed in seeds:
@@ -222,22 +204,21 @@ def worlds(
         drives = {}
         for drive_seed, (light, way) in enumerate(product(LIGHTS, DIRECTIONS), start=2):
             seen = partial(scene, light=light, direction=way, drive_seed=drive_seed)
-            rear = described(seen(view="rear"), network, cache) if both else None
-            drives[f"{light} {way}"] = Driven(described(seen(), network, cache), rear)
+            drives[f"{light} {way}"] = described(seen(), network, cache)
         yield road, drives
 
 
-def judge_world(road: Described, drives: dict[str, Driven], odometer: float) -> Iterator[tuple[Cut, Judged]]:
+def judge_world(road: Described, drives: dict[str, Described], odometer: float) -> Iterator[tuple[Cut, Judged]]:
     """Each drive over the road with each part of it mapped."""
-    alone = {name: believe(road, drive.front, "whole", odometer) for name, drive in drives.items()}
+    alone = {name: believe(road, drive, "whole", odometer) for name, drive in drives.items()}
     for cut, (name, drive) in product(CUTS, drives.items()):
         light, _, way = name.partition(" ")
         other = f"{'dusk' if light == 'day' else 'day'} {way}"
-        ahead_m = offset_m(drives[other].front, alone[other])
+        ahead_m = offset_m(drives[other], alone[other])
         rig = rig_of("forward" if way == "forward" else "reverse", ahead_m, alone[other])
-        beliefs = believe(road, drive.front, cut, odometer, rear=drive.rear, rig=rig)
+        beliefs = believe(road, drive, cut, odometer, rig=rig)
         mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
-        yield cut, judge(drive.front, mapped_m, beliefs, ahead_m)
+        yield cut, judge(drive, mapped_m, beliefs, ahead_m)
 
 
 def _row(cut: Cut, judged: list[Judged]) -> str:
@@ -260,18 +241,17 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
     parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
-    parser.add_argument("--both-cameras", action="store_true", help="a rear camera recognizes as well")
     parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
-    seen = list(worlds(args.seeds, args.length, args.cache, both=args.both_cameras))
+    seen = list(worlds(args.seeds, args.length, args.cache))
     rows = list(tables(seen, args.odometer))
     print("\n".join(rows))
     if args.page:
         put_between(("<!-- belief: begin -->", "<!-- belief: end -->"), args.page, "\n".join(rows))
 
 
-def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> Iterator[str]:
+def tables(seen: list[tuple[Described, dict[str, Described]]], odometer: float) -> Iterator[str]:
     """Each part of the roads mapped, and drives over roads that are on no map."""
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     for road, drives in seen:
@@ -281,7 +261,7 @@ def tables(seen: list[tuple[Described, dict[str, Driven]]], odometer: float) -> 
     yield "|---|---|---|---|---|"
     yield from (_row(cut, judged[cut]) for cut in CUTS)
     elsewhere = [
-        (drive.front, believe(road, drive.front, "whole").confidence)
+        (drive, believe(road, drive, "whole").confidence)
         for road, _ in seen
         for other, ds in seen
         if other is not road

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from edge.localization.consensus import RIGHT_AT_HALF
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.belief import Described, Driven, believe, judge_world, worlds
+from sim.research.evaluation.belief import Described, believe, judge_world, worlds
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, TraversePlan, load_plan
 from sim.research.evaluation.run import Folders, find_plan, open_runner
@@ -75,11 +75,11 @@ class Claims:
         return float(np.exp(found))
 
 
-def of_roads(seen: Sequence[tuple[Described, dict[str, Driven]]]) -> Claims:
+def of_roads(seen: Sequence[tuple[Described, dict[str, Described]]]) -> Claims:
     """Each drive over its own road with each part of it mapped, and over every other one's map."""
     mapped = [judged.belief for road, drives in seen for _, judged in judge_world(road, drives, 1.0)]
     foreign = [
-        believe(road, drive.front, "whole").confidence
+        believe(road, drive, "whole").confidence
         for (road, _), (_, others) in permutations(seen, 2)
         for drive in others.values()
     ]
@@ -146,7 +146,7 @@ def main() -> None:
     args = parser.parse_args()
     args.cache.mkdir(parents=True, exist_ok=True)
     claims = {
-        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache, both=False)))
+        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache)))
         for seeds in args.roads
     }
     if args.feeds:
