@@ -173,8 +173,6 @@ class PositionUse:
         self.command = Command()
         """That which carries one that is acknowledged."""
         self._followed: tuple[Sent, int] | None = None  # and when it was accepted; 0: not yet
-        self.is_ignored = False
-        """Whether the newest position that was accepted, and checked, has not moved the autopilot's own."""
         self._stream: Sent | None = None  # with which the positions of a stream are compared, until they are checked
         self._unused = ""  # why a stream is not used, as it was published
 
@@ -262,7 +260,7 @@ class PositionUse:
         moved = sent.moved(remaining_m)
         if not moved and now_ns - accepted_ns < MOVED_NS:
             return
-        self._followed, self.is_ignored = None, not moved
+        self._followed = None
         self._publish_check(sent.fix, remaining_m, "fix accepted", moved=moved)
         if moved:
             self.bind(max(sent.fix.sigma_m, remaining_m), now_ns)

@@ -16,9 +16,6 @@ from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 
 EXTERNAL_POSITION_ESTIMATE: int = mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE  # 43003
-FORCES_M = 0.99
-"""Accuracy below 1 m, with which PX4 always resets its position (`Ekf::resetGlobalPosToExternalObservation`). Others it
-weighs by its own, which does not grow as its error does: on five simulated roads 5 to 7 m (95 %), 2 to 4 m with it."""
 TEXT_BYTES = 50
 UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
 LEVEL_NAMES, UNBOUNDED_M = (b"pl_along", b"pl_across"), 1e6
@@ -30,8 +27,7 @@ class Sending:
     """What a position message carries besides the fix.
 
     boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix. down_m: height below
-    the filter's origin, by the autopilot's own estimate. reset_counter: changed at each deliberate jump. forces: a PX4
-    that has accepted positions, and kept its own, is to use this one.
+    the filter's origin, by the autopilot's own estimate. reset_counter: changed at each deliberate jump.
     """
 
     system_id: int
@@ -41,7 +37,6 @@ class Sending:
     origin: Origin | None = None
     down_m: float = 0.0
     reset_counter: int = 0
-    forces: bool = False
 
 
 def heartbeat(system_status: int) -> Message:
@@ -67,7 +62,7 @@ def external_position(fix: PlaceFix, sending: Sending) -> Message:
         autocontinue=0,
         param1=sending.boot_s,
         param2=sending.age_s,
-        param3=min(fix.sigma_m, FORCES_M) if sending.forces else fix.sigma_m,
+        param3=fix.sigma_m,
         param4=0.0,
         x=round(lat_deg * 1e7),
         y=round(lon_deg * 1e7),

@@ -170,7 +170,6 @@ class PositionSender:
         if not message.acknowledged:
             unused = unused_because(session.autopilot, session.parameters, message.name, sensor_id)
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
-        is_px4 = session.autopilot == mavlink.MAV_AUTOPILOT_PX4
         sending = Sending(
             vehicle.target_id,
             boot_s,
@@ -179,7 +178,6 @@ class PositionSender:
             origin=origin,
             down_m=origin.alt_m - own.alt_m if own and origin else 0.0,
             reset_counter=self.use.reset_counter,
-            forces=self.use.is_ignored and vehicle.velocity.is_aided and is_px4,
         )
         values: list[Message] = []
         if is_recorded:

@@ -77,11 +77,10 @@ def _rover_camera_sent(draft: CourseDraft, value: str) -> None:
         draft.shown_m = lambda route_m: route_m * (1.1 if route_m < slips_m else 1.0)
 
 
-@course("H", "px4-aided{}", "", "-43003")
+@course("H", "px4-aided{}", "", "-1.17")
 def _px4_aided(draft: CourseDraft, value: str) -> None:
-    """PX4 with a velocity sensor whose scale is 3 % wrong."""
-    draft.firmware = "px4"
-    draft.emit = "external_position" if value else "auto"
+    """PX4 with a velocity sensor whose scale is 3 % wrong; 1.17 is reset by each position."""
+    draft.firmware = f"px4{value}"
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
     draft.rules = (*USUAL, close, sends)
 
