@@ -18,7 +18,7 @@ from edge.errors import MapError
 from edge.files import named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.layers import delete_oldest, source_of
-from edge.mapping.missed_places import Trail
+from edge.mapping.missed_places import Trail, straight_m
 from edge.mapping.outage import Outage, why_no_truth
 from edge.mapping.place_log import OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace
@@ -108,14 +108,16 @@ class LiveMap:
         passed without a frame since the last one that was handed over.
         """
         if distance_m is not None and position is not None:
-            heading_deg = position.heading_deg
-            self._motion.move(self._route_m(distance_m), np.nan if heading_deg is None else heading_deg)
+            self._route_m(distance_m)  # which begins anew where the odometer did
+            self._motion.move(distance_m, np.nan if position.heading_deg is None else position.heading_deg)
         self._why = fault or self._why_not(position, distance_m)
         if not self._why and position is not None and self._is_elsewhere(position):
             self._why = GPS_MOVES
         may_wait = position is None or position.source != "place_fixes"
-        if distance_m is None or fault or not may_wait or self._growing.is_full or self.status.state == "stopped":
+        if fault or not may_wait or self._growing.is_full or self.status.state == "stopped":
             self._break_off()
+        elif distance_m is None:
+            self._outage.reset()
         elif position is None:
             self._outage.miss(1 + missed)
         elif not self._why:
@@ -132,18 +134,32 @@ class LiveMap:
         """A place with a position that is good, and before it those that waited for one."""
         now = MappedPlace(raw, place)
         found = self._outage.end(now, missed, self._motion)
-        if found is None:
-            self._last = None
+        is_measured = found is not None
         try:
-            for new, passed in found or [(now, 0)]:
+            for new, passed in found or [self._after_gap(now)]:
                 if not self._begin_if_new(new.place.route_m):
                     self._why = SLOW_DISK
                     return
-                for between in self._trail.missed(self._last, new, passed) if self._last else ():
+                before = self._last
+                for between in self._trail.missed(before, new, passed, is_measured=is_measured) if before else ():
                     self._add(between)
                 self._add(new)
+                if before and not is_measured:
+                    self._growing.check()
         except OSError as error:
             self._stop(f"{self._path}: {error.strerror}")
+
+    def _after_gap(self, now: MappedPlace) -> tuple[MappedPlace, int]:
+        """A place after a way that nobody measured, and how many were missed; the drive goes on if it was straight."""
+        length_m = None if self._last is None else straight_m(self._last.place, now.place)
+        if self._last is None or length_m is None:
+            self._last = None
+            return now, 0
+        off_m = self._last.place.route_m + length_m - now.place.route_m
+        self._base_m += off_m
+        self._trail = Trail()
+        missed = max(0, round(length_m / self._header.sampling.spacing_m) - 1)
+        return replace(now, place=replace(now.place, route_m=now.place.route_m + off_m)), missed
 
     def _break_off(self) -> None:
         """The next place begins a new drive."""
@@ -186,7 +202,7 @@ class LiveMap:
     def interrupt(self) -> None:
         """The odometer was silent: nobody knows how far the vehicle has driven meanwhile."""
         self._is_continuous, self._motion = False, GpsMotion()
-        self._break_off()
+        self._outage.reset()
 
     def driven_m(self, distance_m: float | None) -> float | None:
         """Where the vehicle is, in meters along all drives of the map; None without a place, or after a restart."""
@@ -318,6 +334,8 @@ class LiveMap:
                 self._growing.add_all(np.stack([found.raw_of(one) for one in records]), [one.place for one in records])
             self._mapped_m += float(np.ptp(self._growing.places["route_m"][first:end])) if first < end else 0.0
         self._growing.renew()
+        if drive.view == self._view:
+            self._last = MappedPlace(found.raw_of(records[-1]), records[-1].place)
         self._base_m = float(self._growing.places["route_m"][-1])
         self.searchable = self._growing.count
         log.info("%s: mapping goes on with %d places", self._path, self.searchable)

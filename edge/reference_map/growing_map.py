@@ -121,9 +121,13 @@ class GrowingMap:
         self._statistics.update_all(raw)
         self._encode(range(first, self.count), raw)
 
+    def check(self) -> None:
+        """Check again whether the drives moved as they claim."""
+        self._header = self._header.checked(self.places)
+
     def renew(self) -> None:
         """Normalize all places again with the statistics of all, and check what their drives claim."""
-        self._header = self._header.checked(self.places)
+        self.check()
         for first in range(0, self.count, RENEWED):
             rows = range(first, min(first + RENEWED, self.count))
             self._encode(rows, self._raw_rows(rows))

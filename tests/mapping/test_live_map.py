@@ -187,6 +187,32 @@ def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
+@pytest.mark.parametrize(
+    ("places", "turned_deg", "goes_on", "is_checked"),
+    [(0, 0.0, True, True), (20, 10.0, True, False), (39, 0.0, True, False), (45, 0.0, False, True),
+     (20, 40.0, False, True)],
+    ids=["it stood", "straight", "long", "too long", "turned"],
+)  # fmt: skip
+def test_a_drive_goes_on_after_a_restart_where_the_vehicle_went_straight(
+    tmp_path: Path, places: int, turned_deg: float, goes_on: bool, is_checked: bool
+) -> None:
+    """Nobody measured that way, so that the drive does not count as one that moved as its odometer said."""
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    again = live(tmp_path, START_S + 600)
+    there = GPS.lat_deg + (59 + places) * 2 / 110_800
+    drive(again, range(30), replace(GPS, lat_deg=there, heading_deg=turned_deg))
+    header, found = again.whole().header, again.whole().places
+    again.close()
+    assert [one.start for one in header.segments] == ([0] if goes_on else [0, 60])
+    assert header.segments[0].moved_as_driven == is_checked
+    if goes_on:
+        assert header.places == 60 + max(0, places - 1) + 30
+        moved_m = (found["lat_deg"] - GPS.lat_deg) * 110_800
+        np.testing.assert_allclose(found["route_m"], moved_m, atol=1.0)
+
+
 def test_how_far_the_vehicle_drove_is_known_from_a_place_on(tmp_path: Path) -> None:
     """Not after a restart of this computer or of the odometer, since nobody knows how far it drove meanwhile."""
     mapped = live(tmp_path)

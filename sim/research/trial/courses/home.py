@@ -56,6 +56,13 @@ def _home_after_silence(draft: CourseDraft) -> None:
     draft.silence_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 4.0
 
 
+@course("G", "take-me-home-killed")
+def _home_after_kill(draft: CourseDraft) -> None:
+    """The same at night, where the daemon died on the way out, and was back 6 to 10 s later."""
+    _home_in(draft, "night")
+    draft.killed_s, draft.down_s = OUTAGE_FROM_S, draft.rng.uniform(*DOWN_S)
+
+
 @course("G", "take-me-home-unseen-8")
 def _home_after_unseen(draft: CourseDraft) -> None:
     """The same at night, where the camera that maps gave no frame for 8 s, as while it is opened again."""
