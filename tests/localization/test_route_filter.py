@@ -244,7 +244,7 @@ def test_a_frame_that_no_line_leads_through_moves_none(open_filter: Callable[...
         one.place, one.frames = one.place + 7, one.frames + 7
         one.go(LENGTH // 2)
     at_m = expected.north_m(expected.filter.at_exposure())
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(at_m, abs=0.001)
+    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(at_m, abs=0.01)
 
 
 def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrated(
