@@ -207,9 +207,9 @@ class PlaceConsensus:
         votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
         self._newest.append(slot)
-        at_m = self._driven_m
         sign = 1.0 if vote.direction == "forward" else -1.0
-        lengths_m = at_m, self._uncertain_m, vote.along_m - sign * at_m, vote.start_m, vote.end_m, vote.lap_m
+        offset_m = vote.along_m - sign * self._driven_m
+        lengths_m = self._driven_m, self._uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m
         votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False)
         votes["weight"][slot] = self._weight(vote)
         self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)

@@ -151,11 +151,12 @@ class LiveMap:
 
     def _after_gap(self, now: MappedPlace) -> tuple[MappedPlace, int]:
         """A place after a way that nobody measured, and how many were missed; the drive goes on if it was straight."""
-        length_m = None if self._last is None else straight_m(self._last.place, now.place)
-        if self._last is None or length_m is None:
+        last = self._last
+        length_m = None if last is None else straight_m(last.place, now.place)
+        if last is None or length_m is None:
             self._last = None
             return now, 0
-        off_m = self._last.place.route_m + length_m - now.place.route_m
+        off_m = last.place.route_m + length_m - now.place.route_m
         self._base_m += off_m
         self._trail = Trail()
         missed = max(0, round(length_m / self._header.sampling.spacing_m) - 1)

@@ -166,10 +166,8 @@ class GpsMotion:
         """One standard deviation by what a position differs from the best known one before: either may be right."""
         if not rows:
             return 0.0
-        ways_m = (self._way_m - self._ways_m[row] for row in rows)
-        sigma_m, row = min(
-            (math.hypot(self._agreed[row].sigma_m, DRIFT * way_m), row) for row, way_m in zip(rows, ways_m, strict=True)
-        )
+        drift_m = {row: DRIFT * (self._way_m - self._ways_m[row]) for row in rows}
+        sigma_m, row = min((math.hypot(self._agreed[row].sigma_m, off_m), row) for row, off_m in drift_m.items())
         return math.sqrt(max(0.0, self._off_m(row, now, bias) ** 2 - sigma_m**2) / 2)
 
     def _learn(self, now: _Agreed) -> None:
