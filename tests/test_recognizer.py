@@ -27,6 +27,7 @@ from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence import PlaceMatch, Travel
+from edge.sequence_matcher import WAY_OUT_COUNTS_AS
 from sim.maps.command import build_map
 
 LENGTH = 8
@@ -204,20 +205,19 @@ def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
     assert recognizer.was_carried == is_carried
 
 
-def test_after_turning_around_nothing_of_the_way_out_counts(
+def test_after_turning_around_no_line_goes_on_and_the_way_out_s_statistics_do(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
-    recognizer, fresh = recognizer_of(network, street_map), recognizer_of(network, street_map)
-    drive(recognizer, frames[:30])
+    recognizer = recognizer_of(network, street_map)
+    drive(recognizer, frames[:60] * 2)
+    out = recognizer.matcher.statistics
+    assert out is not None and out.count > 120
     recognizer.begin_way_back()
-    back, expected = (drive(one, frames[45:15:-1], 31 * FRAME_NS) for one in (recognizer, fresh))
-    assert [match is None for match in back] == [match is None for match in expected]
-    apart = [
-        abs(found.place_index - match.place_index)
-        for found, match in zip(back, expected, strict=True)
-        if found and match
-    ]
-    assert len(apart) == 31 - LENGTH and max(apart) <= 1
+    after = recognizer.matcher.statistics
+    assert after is not None and after.count == WAY_OUT_COUNTS_AS
+    np.testing.assert_allclose((after.mean, after.deviation), (out.mean, out.deviation))
+    back = drive(recognizer, frames[58:38:-1], 121 * FRAME_NS)
+    assert [match is None for match in back] == [True] * (LENGTH - 1) + [False] * (20 - LENGTH + 1)
 
 
 def test_places_passed_unseen_leave_room_in_the_line(
