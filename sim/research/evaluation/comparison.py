@@ -1,4 +1,4 @@
-"""Every method on every pair: tables and curves of figs. 5 to 9."""
+"""Every method on every pair: tables and curves of figs. 5 to 9, and max-F1 over the length of a sequence (fig. 12)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots
 from sim.research.evaluation.bootstrap import interval
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
-from sim.research.evaluation.plan import Pair
+from sim.research.evaluation.plan import Pair, Plan
 from sim.research.evaluation.scores import at_threshold, max_f1_of_places, scores
 
 Results = dict[tuple[str, str], Outcome]
@@ -25,7 +25,8 @@ SCORE_NOTE = (
     " R@P100, R@P99: recall of places at 100 % and 99 % precision; within twice: the tolerance. Precision, recall: of"
     " what is accepted at the default threshold. Offset: how far ahead of the vehicle a match is"
     " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
-    " an offset it is limited to the tolerance. Published: the paper's max-F1; it does not say by which recall."
+    " an offset it is limited to the tolerance. Published: the paper's max-F1, of its own data sets: compare the order,"
+    " not the numbers; it does not say by which recall."
 )
 
 
@@ -87,6 +88,37 @@ def overview(runner: MethodRunner, results: Results) -> Section:
     return Section("Overview", _methods_text(runner), [table], [plot])
 
 
+def sweep_pairs(plan: Plan) -> list[Pair]:
+    """The pairs of the sweeps; pairs that differ in the length only count once."""
+    wanted = plan.experiments.sweep_pairs
+    chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
+    apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
+    return list(reversed(apart.values()))
+
+
+def sequence_lengths(runner: MethodRunner, step: Callable[[str], None]) -> Section:
+    """Max-F1 over the length of a sequence (fig. 12), judged on the same frames at every length."""
+    lengths = sorted(runner.plan.experiments.sequence_lengths)
+    rows: list[Sequence[Cell]] = []
+    drawn = []
+    for number, pair in enumerate(sweep_pairs(runner.plan)):
+        lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
+        for text in runner.plan.experiments.sweep_methods:
+            values = []
+            for length in lengths:
+                step(f"{pair.name}: {text}, length {length}")
+                values.append(_f1_from(runner.run(pair, text, length=length), lengths[-1]))
+            rows.append([pair.name, text, *values])
+            lines[text] = (lengths, values)
+        plot = plots.line_plot(lines, "frames in a sequence", "max-F1 (places)")
+        drawn.append(Figure(f"sequence_length_{number}", pair.name, plot))
+    columns = ("pair", "method", *(f"{length}" for length in lengths))
+    text = "Frames are judged from the first whole sequence of the greatest length on, so that all lengths share them."
+    return Section(
+        "Sequence length (fig. 12)", text, [Table("sequence_length", "Max-F1 (places)", columns, rows)], drawn
+    )
+
+
 def median_ahead(outcome: Outcome) -> float:
     """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
     ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
@@ -107,48 +139,29 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
 
 
 def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
-    rows: list[Sequence[Cell]] = []
-    for outcome in outcomes:
-        found = scores(outcome.answers)
-        sure = interval(max_f1_of_places, outcome.answers, runner.resampling(outcome.length))
-        published = pair.published.get(outcome.method.name)
-        rows.append(
-            [
-                outcome.method.name,
-                found.accuracy,
-                sure,
-                found.max_f1_of_correct,
-                found.average_precision,
-                found.recall_at_100,
-                recall_at_precision(precision_recall(outcome.within_twice()), 1.0),
-                found.recall_at_99,
-                *at_threshold(outcome.answers, outcome.threshold),
-                outcome.ahead,
-                median_ahead(outcome),
-                "" if published is None else published,
-            ]
-        )
-    data_set = pair.dataset or (
-        "the paper's are of its own data sets, not of this one: compare the order, not the numbers"
-        if pair.published
-        else ""
-    )
-    columns = (
-        "method",
-        "accuracy",
-        "max-F1 (places)",
-        "max-F1 (correct)",
-        "AP",
-        "R@P100",
-        "R@P100 within twice",
-        "R@P99",
-        "precision",
-        "recall",
-        "offset",
-        "median ahead",
-        "published max-F1",
-    )
-    return Table(f"{slug}_scores", "Scores", columns, rows, f"{SCORE_NOTE} {data_set}".strip())
+    rows = [_scores_of(runner, pair, outcome) for outcome in outcomes]
+    return Table(f"{slug}_scores", "Scores", tuple(rows[0]), [list(row.values()) for row in rows], SCORE_NOTE)
+
+
+def _scores_of(runner: MethodRunner, pair: Pair, outcome: Outcome) -> dict[str, Cell]:
+    """A row of the table by its columns."""
+    found = scores(outcome.answers)
+    precision, recall = at_threshold(outcome.answers, outcome.threshold)
+    return {
+        "method": outcome.method.name,
+        "accuracy": found.accuracy,
+        "max-F1 (places)": interval(max_f1_of_places, outcome.answers, runner.resampling(outcome.length)),
+        "max-F1 (correct)": found.max_f1_of_correct,
+        "AP": found.average_precision,
+        "R@P100": found.recall_at_100,
+        "R@P100 within twice": recall_at_precision(precision_recall(outcome.within_twice()), 1.0),
+        "R@P99": found.recall_at_99,
+        "precision": precision,
+        "recall": recall,
+        "offset": outcome.ahead,
+        "median ahead": median_ahead(outcome),
+        "published max-F1": pair.published.get(outcome.method.name, ""),
+    }
 
 
 def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
@@ -167,3 +180,8 @@ def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
 
 def _methods_text(runner: MethodRunner) -> str:
     return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)
+
+
+def _f1_from(outcome: Outcome, length: int) -> float:
+    """Max-F1 on the frames that a sequence of `length` can end at."""
+    return max_f1_of_places(outcome.answers.take(np.flatnonzero(outcome.judged >= length - 1)))

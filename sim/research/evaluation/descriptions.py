@@ -61,31 +61,3 @@ class Descriptions:
     def forget(self, name: str) -> None:
         """Release the descriptors of a network."""
         self._raw = {key: raw for key, raw in self._raw.items() if key[0] != name}
-
-    def external(self, traverse: Traverse, name: str) -> Raw:
-        """Descriptors (n, 1, D) that another program made of a whole feed; ConfigError names the file."""
-        where = f"traverses.{traverse.name}: external.{name}"
-        if name not in traverse.external:
-            raise ConfigError(f"{where}: not given, and a method asks for it")
-        path = traverse.external[name]
-        given = read_matrix(path)
-        if len(given) != len(traverse.feed.rows):
-            raise ConfigError(f"{where}: {path} has {len(given)} rows, its feed has {len(traverse.feed.rows)}")
-        return given[traverse.rows][:, np.newaxis].astype(np.float32)
-
-
-def read_matrix(path: Path, dimensions: int = 2) -> NDArray[np.float64]:
-    """A .npy of finite numbers; ConfigError names the file. Memory-mapped, so that a header cannot claim memory."""
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot read it: {error.strerror or error}") from None
-    except (ValueError, EOFError) as error:
-        raise ConfigError(f"{path}: not a whole .npy file of numbers: {error}") from None
-    if array.ndim != dimensions or array.dtype.kind not in "fiu" or not array.size:
-        shape = array.shape
-        raise ConfigError(f"{path}: holds {array.dtype} of shape {shape}; needs numbers in {dimensions} dimensions")
-    out = np.asarray(array, dtype=np.float64)
-    if not np.isfinite(out).all():
-        raise ConfigError(f"{path}: has values that are not finite")
-    return out

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, SamplingConfig, SequenceConfig
+from edge.config import AcceptanceConfig, SequenceConfig
 from edge.errors import ConfigError
 from edge.recognizer import model_key
 from sim.evaluation.metrics import Answers, answers_within
@@ -89,51 +90,30 @@ class Outcome:
 class MethodRunner:
     """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
 
-    def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[..., Traverse]) -> None:
-        """open_traverse(name, sampling) reads a traverse of the plan."""
+    def __init__(self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[[str], Traverse]) -> None:
+        """open_traverse reads a traverse of the plan by its name."""
         self.plan = plan
         self.descriptions = descriptions
-        self._open_traverse = open_traverse
-        self._traverses: dict[tuple[str, SamplingConfig], Traverse] = {}
+        self.traverse = cache(open_traverse)
         self._ahead: dict[tuple[str, str], float] = {}
-        self._external = sorted({name for traverse in plan.traverses.values() for name in traverse.external})
 
     def method(self, text: str) -> Method:
         """A row of the table; ConfigError if there is none of that name."""
-        return find_method(text, list(self.plan.networks), self._external)
+        return find_method(text, list(self.plan.networks))
 
-    def traverse(self, name: str, sampling: SamplingConfig | None = None) -> Traverse:
-        """A traverse of the plan, sampled as the plan says or otherwise."""
-        key = (name, sampling or self.plan.sampling)
-        if key not in self._traverses:
-            self._traverses[key] = self._open_traverse(*key)
-        return self._traverses[key]
-
-    def sequence_length(self, pair: Pair, sampling: SamplingConfig | None = None) -> int:
+    def sequence_length(self, pair: Pair) -> int:
         """Frames of a sequence of this pair."""
-        if pair.length is not None:
-            return pair.length
-        return max(1, round((pair.length_m or 0.0) / (sampling or self.plan.sampling).spacing_m))
+        return pair.length or max(1, round((pair.length_m or 0.0) / self.plan.sampling.spacing_m))
 
     def resampling(self, length: int) -> Resampling:
         """Blocks of two sequences: sequences that far apart share no frame."""
         return Resampling(block=2 * length, resamples=self.plan.resamples)
 
-    def run(
-        self,
-        pair: Pair,
-        text: str,
-        *,
-        length: int | None = None,
-        spacing_m: float | None = None,
-    ) -> Outcome:
-        """One method on one pair; the options change what the plan says."""
+    def run(self, pair: Pair, text: str, length: int | None = None) -> Outcome:
+        """One method on one pair; length: frames of a sequence, where they are others than the plan has."""
         method = self.method(text)
-        sampling = self.plan.sampling
-        if spacing_m is not None:
-            sampling = msgspec.structs.replace(sampling, by="distance", spacing_m=spacing_m)
-        reference, query = self.traverse(pair.reference, sampling), self.traverse(pair.query, sampling)
-        length = length or self.sequence_length(pair, sampling)
+        reference, query = self.traverse(pair.reference), self.traverse(pair.query)
+        length = length or self.sequence_length(pair)
         matches = self.match(pair, method, reference, query, length)
         ahead = self.offset(pair, text)
         errors = true_errors(reference, query, pair, ahead)
@@ -180,7 +160,5 @@ class MethodRunner:
         return match(query_rows(method, raw[1], length, starts), int8_matcher(described).costs, search, starts)
 
     def _raw(self, method: Method, traverse: Traverse) -> Raw:
-        if method.layer == "external":
-            return self.descriptions.external(traverse, method.external)
         assert method.layer != "pixels"
         return self.descriptions.raw(traverse, method.network, method.layer, method.regions)

@@ -26,9 +26,8 @@ Raw = NDArray[np.float32]
 class Method:
     """One row of the table.
 
-    layer: of the network; or "pixels" (SeqSLAM), or "external" (descriptors that another program made).
-    nsd: how descriptors are normalized: not at all; the map over its whole set (eq. 1) and the query online (section
-    III-B); or both over their whole sets ("batch").
+    layer: of the network; or "pixels" (SeqSLAM). nsd: whether descriptors are normalized: the map over its whole set
+    (eq. 1) and the query online (section III-B).
     recognizer: the row is what `lookback run` does, with its own matcher: the places that it believes with their
     confidence, or the best line of each frame with its uniqueness. Of all others, the region order of each frame is
     that of lower cost, as in the paper. description: the row in words.
@@ -36,58 +35,46 @@ class Method:
 
     name: str
     description: str
-    layer: Literal["conv3", "fc6", "external", "pixels"] = "fc6"
+    layer: Literal["conv3", "fc6", "pixels"] = "fc6"
     regions: Regions = "whole"
-    nsd: Literal["none", "online", "batch"] = "online"
+    nsd: bool = True
     recognizer: Literal["", "belief", "uniqueness"] = ""
     network: str = ""
-    external: str = ""
 
 
 def _rows() -> Iterator[Method]:
-    yield Method("Raw-conv3", "conv3 of the whole image, not normalized", "conv3", nsd="none")
+    yield Method("Raw-conv3", "conv3 of the whole image, not normalized", "conv3", nsd=False)
     yield Method("NSD-conv3", "conv3, normalized (reference over its set, query online)", "conv3")
-    yield Method("Raw-fc6", "fc6 of the whole image, not normalized", nsd="none")
+    yield Method("Raw-fc6", "fc6 of the whole image, not normalized", nsd=False)
     yield Method("NSD-fc6", "fc6, normalized (reference over its set, query online)")
-    yield Method("Raw-CR", "fc6 of left and right regions, not normalized", regions="left-right", nsd="none")
+    yield Method("Raw-CR", "fc6 of left and right regions, not normalized", regions="left-right", nsd=False)
     yield Method("NSD-CR", "fc6 of left and right regions, normalized: the paper's best", regions="left-right")
-    yield Method("NSD-conv3/batch", "NSD-conv3, query over its whole set too", "conv3", nsd="batch")
-    yield Method("NSD-fc6/batch", "NSD-fc6, query over its whole set too", nsd="batch")
-    yield Method("NSD-CR/batch", "NSD-CR, query over its whole set too", regions="left-right", nsd="batch")
     run = Method("Lookback", "as `lookback run`: the place belief", regions="left-right", recognizer="belief")
     yield run
     best_lines = "the best lines of the same run, by their uniqueness"
     yield replace(run, name="Lookback/uniqueness", description=best_lines, recognizer="uniqueness")
-    yield Method("SeqSLAM", "as published: centered, forward only, its own parameters", "pixels", nsd="none")
+    yield Method("SeqSLAM", "as published: centered, forward only, its own parameters", "pixels", nsd=False)
 
 
 METHODS: dict[str, Method] = {method.name: method for method in _rows()}
 
 
-def find_method(text: str, networks: Sequence[str], external: Sequence[str]) -> Method:
-    """The row of that name: NAME, NAME@NETWORK, or Raw-X and NSD-X[/batch] of external descriptors X.
-
-    ConfigError lists what there is.
-    """
+def find_method(text: str, networks: Sequence[str]) -> Method:
+    """The row of that name, NAME or NAME@NETWORK; ConfigError lists what there is."""
     name, _, network = text.partition("@")
     network = network or networks[0]
     if network not in networks:
         raise ConfigError(f"method {text!r}: no network {network!r}; there are {', '.join(networks)}")
-    if name in METHODS:
-        return replace(METHODS[name], name=text, network=network)
-    form, _, rest = name.partition("-")
-    source, _, batch = rest.partition("/")
-    if source in external and (form, batch) in (("Raw", ""), ("NSD", ""), ("NSD", "batch")):
-        pattern = METHODS[f"{form}-fc6{'/batch' if batch else ''}"]
-        return replace(pattern, name=text, description=f"{source} in place of fc6", layer="external", external=source)
-    raise ConfigError(f"method {text!r}: no such row; there are {', '.join(METHODS)}, and Raw-X, NSD-X of external X")
+    if name not in METHODS:
+        raise ConfigError(f"method {text!r}: no such row; there are {', '.join(METHODS)}")
+    return replace(METHODS[name], name=text, network=network)
 
 
 def reference_rows(method: Method, raw: Raw) -> Raw:
     """The reference's descriptors (N, R, D), normalized as the method has it."""
     # A map keeps raw descriptors in half precision and is normalized from those.
     raw = raw.astype(np.float16).astype(np.float32)
-    return raw if method.nsd == "none" else normalized_set(raw)
+    return normalized_set(raw) if method.nsd else raw
 
 
 def query_rows(method: Method, raw: Raw, length: int, starts: Collection[int] = ()) -> Iterator[NormalizedRows]:
@@ -95,9 +82,8 @@ def query_rows(method: Method, raw: Raw, length: int, starts: Collection[int] = 
 
     starts: frames that begin a new ring, as each drive does.
     """
-    if method.nsd != "online":
-        rows = raw if method.nsd == "none" else normalized_set(raw)
-        yield from (NormalizedRows(row[np.newaxis]) for row in rows)
+    if not method.nsd:
+        yield from (NormalizedRows(row[np.newaxis]) for row in raw)
         return
     normalizer = OnlineNormalizer(length, renormalize_ring=False)
     for frame, one in enumerate(raw):

@@ -1,4 +1,4 @@
-"""`lookback dev paper networks`: networks side by side on a user's own traverses, in one table and one picture.
+"""`lookback dev paper networks`: networks side by side on a user's own traverses, in one table.
 
 Accuracy and max-F1 are those of NSD-CR, the paper's method, R@P100 is that of the place belief of `lookback run`. Time
 and memory are measured on this computer, each network in a process of its own.
@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import resource
-import statistics
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from statistics import fmean, median
 
 import msgspec
 import numpy as np
@@ -23,12 +23,11 @@ from tqdm import tqdm
 from edge.descriptor.model_file import ModelInfo
 from edge.errors import ConfigError
 from edge.reference_map.place_records import PLACE
-from sim.evaluation.report import Cell, Figure, Section, Table, write_report
-from sim.research.evaluation import plots
+from sim.evaluation.report import Cell, Section, Table, write_report
 from sim.research.evaluation.networks import open_network
-from sim.research.evaluation.plan import NetworkPlan, Pair, Plan, load_plan
+from sim.research.evaluation.plan import NetworkPlan, Plan, load_plan
 from sim.research.evaluation.run import about, find_plan, folders_of, open_runner
-from sim.research.evaluation.scores import Scores, scores
+from sim.research.evaluation.scores import scores
 
 METHOD, BELIEF = "NSD-CR", "Lookback"
 REGIONS, ROUNDS = 2, 60
@@ -44,19 +43,15 @@ class Cost:
 
 @dataclass(frozen=True)
 class Compared:
-    """A network, its cost, and its scores on each pair: those of the method, and R@P100 of the belief."""
+    """A network, its cost, and its means over the pairs: of the method's scores, and of R@P100 of the belief."""
 
     name: str
     info: ModelInfo
     file_mb: float
     cost: Cost
-    found: Sequence[Scores]
-    recall_at_100: Sequence[float]
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over the pairs."""
-        return float(np.mean([one.accuracy for one in self.found]))
+    accuracy: float
+    max_f1: float
+    recall_at_100: float
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,24 +63,25 @@ def run(args: argparse.Namespace) -> int:
     opened = {name: open_network(name, one, folders.models, "fc6") for name, one in plan.networks.items()}
     compared = []
     for name in tqdm(opened, desc="networks", unit="network"):
-        outcomes = [runner.run(pair, f"{METHOD}@{name}") for pair in plan.pairs]
-        beliefs = [scores(runner.run(pair, f"{BELIEF}@{name}").answers).recall_at_100 for pair in plan.pairs]
-        cost = measured(name, plan.networks[name], folders.models)
-        file = opened[name].path
+        found, beliefs = (
+            [scores(runner.run(pair, f"{method}@{name}").answers) for pair in plan.pairs] for method in (METHOD, BELIEF)
+        )
         compared.append(
             Compared(
                 name,
                 opened[name].info,
-                file.stat().st_size / 1e6,
-                cost,
-                [scores(outcome.answers) for outcome in outcomes],
-                beliefs,
+                opened[name].path.stat().st_size / 1e6,
+                measured(name, plan.networks[name], folders.models),
+                accuracy=fmean(one.accuracy for one in found),
+                max_f1=fmean(one.max_f1_of_places for one in found),
+                recall_at_100=fmean(one.recall_at_100 for one in beliefs),
             )
         )
         runner.descriptions.forget(name)
-    section = compare(plan.pairs, compared)
+    table = compare(len(plan.pairs), compared)
+    section = Section("Networks", tables=[table])
     page = write_report(args.output, f"Networks: {plan.title}", about(path, plan, runner), [section])
-    print(as_markdown(section.tables[0]))
+    print(as_markdown(table))
     print(page)
     return 0
 
@@ -116,7 +112,7 @@ def _measure(name: str, plan: NetworkPlan, folder: Path) -> Cost:
         start_ns = time.thread_time_ns()
         network.describe(images)
         times_ms.append((time.thread_time_ns() - start_ns) / 1e6)
-    return Cost(statistics.median(times_ms), _resident_mb() - before_mb)
+    return Cost(median(times_ms), _resident_mb() - before_mb)
 
 
 def _resident_mb() -> float:
@@ -124,53 +120,28 @@ def _resident_mb() -> float:
     return pages * resource.getpagesize() / 1e6
 
 
-def compare(pairs: Sequence[Pair], compared: Sequence[Compared]) -> Section:
-    """The table of all pairs, one of each pair, and the picture."""
-    rows: list[Sequence[Cell]] = [
-        [
-            one.name,
-            one.accuracy,
-            float(np.mean([found.max_f1_of_places for found in one.found])),
-            float(np.mean(one.recall_at_100)),
-            f"{one.cost.time_ms:.2f}",
-            f"{one.cost.memory_mb:.0f}",
-            f"{one.file_mb:.1f}",
-            one.info.dimensions,
-            map_bytes(one.info),
-            one.info.license.partition(",")[0],
-        ]
+def compare(pairs: int, compared: Sequence[Compared]) -> Table:
+    """A row for each network; pairs: of how many the scores are means."""
+    rows: list[dict[str, Cell]] = [
+        {
+            "network": one.name,
+            "accuracy": one.accuracy,
+            "max-F1": one.max_f1,
+            "R@P100 of the belief": one.recall_at_100,
+            "time, ms": f"{one.cost.time_ms:.2f}",
+            "memory, MB": f"{one.cost.memory_mb:.0f}",
+            "file, MB": f"{one.file_mb:.1f}",
+            "dimensions": one.info.dimensions,
+            "map, bytes a place": map_bytes(one.info),
+            "license": one.info.license.partition(",")[0],
+        }
         for one in compared
     ]
-    columns = (
-        "network",
-        "accuracy",
-        "max-F1",
-        "R@P100 of the belief",
-        "time, ms",
-        "memory, MB",
-        "file, MB",
-        "dimensions",
-        "map, bytes a place",
-        "license",
-    )
     note = (
-        f"Means over {len(pairs)} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"
+        f"Means over {pairs} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"
         " regions of a frame. Memory: what the process grows by when it opens and runs the network."
     )
-    tables = [Table("networks", "Networks side by side", columns, rows, note)]
-    for index, pair in enumerate(pairs):
-        tables.append(_pair_table(index, pair, compared))
-    points = {one.name: (one.cost.time_ms, one.accuracy) for one in compared}
-    picture = plots.time_plot(points, "time of a frame's two regions, ms", "accuracy")
-    return Section("Networks", tables=tables, figures=[Figure("accuracy_and_time", "Accuracy and time", picture)])
-
-
-def _pair_table(index: int, pair: Pair, compared: Sequence[Compared]) -> Table:
-    rows: list[Sequence[Cell]] = [
-        [one.name, one.found[index].accuracy, one.found[index].max_f1_of_places, one.recall_at_100[index]]
-        for one in compared
-    ]
-    return Table(f"networks_{index}", pair.name, ("network", "accuracy", "max-F1", "R@P100 of the belief"), rows)
+    return Table("networks", "Networks side by side", tuple(rows[0]), [list(row.values()) for row in rows], note)
 
 
 def map_bytes(info: ModelInfo) -> int:

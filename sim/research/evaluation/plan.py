@@ -62,16 +62,13 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a feed, several feeds (each a drive of its own), or a scenario that is rendered into a feed.
 
     A scenario has a frame every spacing of the sampling.
-    first_row, last_row: the first and the last row of the feed that are used. external: name -> .npy of descriptors
-    (rows of the feed, D) that another program made, under --feeds as well; methods Raw-NAME, NSD-NAME.
+    last_row: the last row of the feed that is used.
     """
 
     feed: str = ""
     feeds: tuple[str, ...] = ()
     scenario: str = ""
-    first_row: Annotated[int, Meta(ge=0)] = 0
     last_row: Annotated[int, Meta(ge=0)] | None = None
-    external: dict[str, str] = {}
 
 
 class Pair(Struct, frozen=True, forbid_unknown_fields=True):
@@ -85,8 +82,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
-    figure: of the paper. published: method -> max-F1 in the paper, marked as from another data set unless `dataset`
-    names the paper's own.
+    figure: of the paper. published: method -> max-F1 in the paper, of its own data sets.
     """
 
     name: str
@@ -102,22 +98,18 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     loop: Annotated[int, Meta(ge=0)] = 0
     loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
     figure: str = ""
-    dataset: str = ""
     published: dict[str, float] = {}
 
 
 class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
     """[experiments]: what is run besides every method on every pair.
 
-    sequence_lengths: frames (fig. 12), spacings_m: places this far apart; both with sweep_methods on sweep_pairs (all).
-    cold_start: right answers by thirds of the drive, of these methods.
+    sequence_lengths: frames (fig. 12), with sweep_methods on sweep_pairs (all).
     """
 
     sequence_lengths: list[Length] = []
-    spacings_m: list[Positive] = []
     sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
     sweep_pairs: list[str] = []
-    cold_start: list[str] = []
 
 
 class Plan(Struct, frozen=True, forbid_unknown_fields=True):
@@ -149,8 +141,8 @@ def _check_names(path: Path, plan: Plan) -> None:
     for name, traverse in plan.traverses.items():
         if [bool(traverse.feed), bool(traverse.feeds), bool(traverse.scenario)].count(True) != 1:
             raise ConfigError(f"{path}: traverses.{name}: needs one of feed, feeds and scenario")
-        if traverse.feeds and (traverse.external or traverse.first_row or traverse.last_row is not None):
-            raise ConfigError(f"{path}: traverses.{name}: first_row, last_row and external need feed, not feeds")
+        if traverse.feeds and traverse.last_row is not None:
+            raise ConfigError(f"{path}: traverses.{name}: last_row needs feed, not feeds")
     for index, pair in enumerate(plan.pairs):
         where = f"{path}: pairs[{index}] {pair.name!r}"
         for key in ("reference", "query", "calibration"):

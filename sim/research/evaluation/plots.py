@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import textwrap
 from collections.abc import Mapping, Sequence
 
@@ -13,18 +12,6 @@ from numpy.typing import NDArray
 from sim.evaluation.figures import WIDTH_IN, to_png
 
 MARKERS = "osD^v<>Pp*hX"
-
-
-def time_plot(points: Mapping[str, tuple[float, float]], time: str, score: str) -> bytes:
-    """A named point for each (time, score); the times in steps of equal ratio."""
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.2))
-    for (name, (x, y)), marker in zip(points.items(), itertools.cycle(MARKERS), strict=False):
-        axes.scatter(x, y, marker=marker, s=50, label=name)
-        axes.annotate(name, (x, y), xytext=(6, 4), textcoords="offset points", fontsize=7)
-    axes.set(xlabel=time, ylabel=score, xscale="log")
-    axes.grid(alpha=0.3, which="both")
-    axes.margins(0.2)
-    return to_png(figure)
 
 
 def match_plot(

@@ -22,8 +22,7 @@ import edge
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
 from sim.evaluation.report import Section, write_report
-from sim.research.evaluation import experiments
-from sim.research.evaluation.comparison import compare, overview, pair_section
+from sim.research.evaluation.comparison import compare, overview, pair_section, sequence_lengths, sweep_pairs
 from sim.research.evaluation.descriptions import Descriptions
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import Plan, TraversePlan, load_plan
@@ -38,10 +37,8 @@ PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplo
 def run_plan(runner: MethodRunner) -> Iterator[Section]:
     """All comparisons and experiments of a plan, section by section."""
     plan, wanted = runner.plan, runner.plan.experiments
-    total = len(plan.methods) * len(plan.pairs)
-    sweeps = len(experiments.sweep_pairs(plan)) * len(wanted.sweep_methods)
-    total += sweeps * (len(wanted.sequence_lengths) + len(wanted.spacings_m))
-    with tqdm(total=total, unit="step", desc="plan") as progress:
+    sweeps = len(sweep_pairs(plan)) * len(wanted.sweep_methods) * len(wanted.sequence_lengths)
+    with tqdm(total=len(plan.methods) * len(plan.pairs) + sweeps, unit="step", desc="plan") as progress:
 
         def step(what: str) -> None:
             progress.set_postfix_str(what)
@@ -52,11 +49,7 @@ def run_plan(runner: MethodRunner) -> Iterator[Section]:
         for pair in plan.pairs:
             yield pair_section(runner, pair, results)
         if wanted.sequence_lengths:
-            yield experiments.sequence_lengths(runner, step)
-        if wanted.spacings_m:
-            yield experiments.spacings(runner, step)
-        if wanted.cold_start:
-            yield experiments.cold_start(runner, results)
+            yield sequence_lengths(runner, step)
 
 
 @dataclass(frozen=True)
@@ -72,13 +65,13 @@ class Folders:
 def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
     """A runner that reads traverses when they are first needed."""
 
-    def open_traverse(name: str, sampling: SamplingConfig) -> Traverse:
+    def open_traverse(name: str) -> Traverse:
         traverse = plan.traverses[name]
         if traverse.scenario:
             paths = [feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)]
         else:
             paths = [folders.feeds / feed for feed in traverse.feeds or (traverse.feed,)]
-        return load_traverse(name, traverse, paths, sampling, folders.feeds)
+        return load_traverse(name, traverse, paths, plan.sampling)
 
     return MethodRunner(plan, Descriptions(plan, folders.models), open_traverse)
 

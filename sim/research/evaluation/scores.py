@@ -20,14 +20,12 @@ def joined(several: Sequence[Answers]) -> Answers:
 class Scores:
     """The curve in numbers.
 
-    queries, on_map: number of queries, and of those that have a true place. accuracy: correct best matches over on_map,
-    at any confidence (recall@1). average_precision: sum over thresholds of precision times the gain in
-    recall_of_places. max_f1_*: highest harmonic mean of precision and that recall. recall_at_100, recall_at_99: highest
-    recall_of_places at any threshold with at least that precision in percent.
+    accuracy: correct best matches over the queries that have a true place, at any confidence (recall@1).
+    average_precision: sum over thresholds of precision times the gain in recall_of_places. max_f1_*: highest harmonic
+    mean of precision and that recall. recall_at_100, recall_at_99: highest recall_of_places at any threshold with at
+    least that precision in percent.
     """
 
-    queries: int
-    on_map: int
     accuracy: float
     average_precision: float
     max_f1_of_correct: float
@@ -38,16 +36,13 @@ class Scores:
 
 def scores(answers: Answers) -> Scores:
     """All single numbers of one method on one pair of traverses."""
-    curve = precision_recall(answers)
-    on_map = int(answers.has_truth.sum())
+    curve, on_map = precision_recall(answers), int(answers.has_truth.sum())
     answered = ~np.isnan(answers.confidence)
     return Scores(
-        queries=len(answers.confidence),
-        on_map=on_map,
         accuracy=float((answers.correct & answered).sum()) / on_map if on_map else float("nan"),
         average_precision=average_precision(curve),
-        max_f1_of_correct=max_f1_of_correct(answers),
-        max_f1_of_places=max_f1_of_places(answers),
+        max_f1_of_correct=_max_f1(curve.precision, curve.recall_of_correct),
+        max_f1_of_places=_max_f1(curve.precision, curve.recall_of_places),
         recall_at_100=recall_at_precision(curve, 1.0),
         recall_at_99=recall_at_precision(curve, 0.99),
     )
@@ -61,22 +56,17 @@ def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
     return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
 
 
-def f1(precision: Floats, recall: Floats) -> Floats:
-    """Harmonic mean, 0 where both are 0 or recall is undefined: (T,), (T,) -> (T,)."""
-    total = precision + recall
-    return np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
-
-
-def max_f1_of_correct(answers: Answers) -> float:
-    """Highest F1 with recall_of_correct; 0 if nothing is correct."""
-    curve = precision_recall(answers)
-    return float(f1(curve.precision, curve.recall_of_correct).max(initial=0.0))
-
-
 def max_f1_of_places(answers: Answers) -> float:
     """Highest F1 with recall_of_places; 0 if nothing is correct."""
     curve = precision_recall(answers)
-    return float(f1(curve.precision, curve.recall_of_places).max(initial=0.0))
+    return _max_f1(curve.precision, curve.recall_of_places)
+
+
+def _max_f1(precision: Floats, recall: Floats) -> float:
+    """Highest harmonic mean of (T,) and (T,); 0 where both are 0 or recall is undefined."""
+    total = precision + recall
+    f1 = np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
+    return float(f1.max(initial=0.0))
 
 
 def average_precision(curve: PrecisionRecall) -> float:

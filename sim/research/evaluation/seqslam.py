@@ -16,22 +16,11 @@ from numpy.typing import NDArray
 
 SIZE_PX = (64, 32)
 PATCH_PX = 8
-
-
-@dataclass(frozen=True)
-class SeqslamSettings:
-    """The published parameters.
-
-    length: frames of a trajectory less one (`ds`), even. contrast_window: places (`Rwindow` of the enhancement), even;
-    0 leaves the matrix as it is. window: places around the best whose scores are not the second best, even.
-    slope_min, slope_max: places a frame.
-    """
-
-    length: int = 10
-    contrast_window: int = 10
-    window: int = 10
-    slope_min: float = 0.8
-    slope_max: float = 1.2
+CONTRAST_WINDOW, WINDOW = 10, 10
+"""The published parameters: places (`Rwindow` of the enhancement), and those around the best whose scores are not the
+second best; both even."""
+SLOPES = (0.8, 1.2)
+"""Least and greatest, places a frame."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +58,15 @@ def difference_matrix(reference: NDArray[np.float32], query: NDArray[np.float32]
     return out
 
 
-def enhance_contrast(differences: NDArray[np.floating], window: int) -> NDArray[np.float32]:
-    """Each difference less the mean, over the sample deviation, of the `window` + 1 places around it: (N, Q).
+def enhance_contrast(differences: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Each difference less the mean, over the sample deviation, of the places around it: (N, Q).
 
     Shifted in the end so that the least is 0, since uniqueness is a ratio. Where a query differs from all of these
     places by the same, there is no contrast: 0 before the shift.
     """
-    places = len(differences)
-    out = np.zeros(differences.shape, dtype=np.float32)
-    for place in range(places):
-        near = differences[max(0, place - window // 2) : place + window // 2 + 1].astype(np.float64)
+    out, half = np.zeros(differences.shape, dtype=np.float32), CONTRAST_WINDOW // 2
+    for place in range(len(differences)):
+        near = differences[max(0, place - half) : place + half + 1].astype(np.float64)
         deviation = near.std(axis=0, ddof=1)
         away = differences[place] - near.mean(axis=0)
         out[place] = np.divide(away, deviation, out=np.zeros_like(away), where=deviation > 0)
@@ -86,11 +74,13 @@ def enhance_contrast(differences: NDArray[np.floating], window: int) -> NDArray[
     return out
 
 
-def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> SeqslamMatches:
-    """Trajectories through a difference matrix (N, Q) that was enhanced already, if it is to be."""
+def search(differences: NDArray[np.floating], length: int) -> SeqslamMatches:
+    """Trajectories through a difference matrix (N, Q) that was enhanced already, if it is to be.
+
+    length: frames of a trajectory less one (`ds`), even.
+    """
     places, queries = differences.shape
-    length = settings.length
-    lines = _offsets(settings)
+    lines = _offsets(length)
     # Below the last place lies infinity: a trajectory that leaves the map costs that.
     padded = np.vstack([differences, np.full((1, queries), np.inf, dtype=differences.dtype)])
     rows = np.minimum(np.arange(places)[:, np.newaxis, np.newaxis] + lines, places)
@@ -104,22 +94,21 @@ def search(differences: NDArray[np.floating], settings: SeqslamSettings) -> Seqs
         best = int(scores.argmin())
         if not np.isfinite(scores[best]):
             continue
-        ratio[query] = _uniqueness(scores, best, settings.window)
+        ratio[query] = _uniqueness(scores, best)
         place[query] = best + ahead
     return SeqslamMatches(place, ratio)
 
 
-def _offsets(settings: SeqslamSettings) -> NDArray[np.intp]:
+def _offsets(length: int) -> NDArray[np.intp]:
     """Places passed at each frame of each trajectory, (K, length + 1): one for every whole end offset, rounded down."""
-    length = settings.length
-    ends = np.arange(settings.slope_min * length, settings.slope_max * length + 1e-9)
+    ends = np.arange(SLOPES[0] * length, SLOPES[1] * length + 1e-9)
     offsets: NDArray[np.intp] = np.floor(np.arange(length + 1) * (ends / max(length, 1))[:, np.newaxis]).astype(np.intp)
     return offsets
 
 
-def _uniqueness(scores: NDArray[np.floating], best: int, window: int) -> float:
+def _uniqueness(scores: NDArray[np.floating], best: int) -> float:
     """Best over the best outside the window; NaN if nothing is outside, 1 if both are 0."""
-    outside = np.concatenate([scores[: max(0, best - window // 2)], scores[best + window // 2 + 1 :]])
+    outside = np.concatenate([scores[: max(0, best - WINDOW // 2)], scores[best + WINDOW // 2 + 1 :]])
     if not outside.size or not np.isfinite(outside.min()):
         return float("nan")
     second = float(outside.min())

@@ -39,7 +39,6 @@ class Traverse:
     distance_m: NDArray[np.float64]
     missed: NDArray[np.intp]
     pixels: NDArray[np.float32]
-    external: dict[str, Path]
 
     def feed_rows(self) -> list[FeedRow]:
         """The chosen rows as the feed has them."""
@@ -75,10 +74,8 @@ def open_pictures(feed: Feed) -> Pictures:
     return feed.pictures() if feed.pictures else FeedImages(feed)
 
 
-def load_traverse(
-    name: str, plan: TraversePlan, paths: Sequence[Path], sampling: SamplingConfig, beside: Path = Path()
-) -> Traverse:
-    """Read the feeds and choose their frames; paths of external descriptors are relative to `beside`.
+def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling: SamplingConfig) -> Traverse:
+    """Read the feeds and choose their frames.
 
     FeedError if fewer than 2 frames of a feed are left, or it has no distance to choose by.
     """
@@ -89,7 +86,7 @@ def load_traverse(
         feed, count = read_feed(path), len(items)
         last = len(feed.rows) - 1 if plan.last_row is None else plan.last_row
         for item in traverse(feed, sampling, must_have_distance=sampling.by == "distance"):
-            if plan.first_row <= item.frame.index <= last:
+            if item.frame.index <= last:
                 items.append((before + item.frame.index, drive, item.distance_m, item.missed))
                 pixels.append(describe(item.frame.image))
         if len(items) < count + 2:
@@ -106,7 +103,6 @@ def load_traverse(
         distance_m=np.array(distance_m, dtype=np.float64),
         missed=np.array(missed),
         pixels=np.stack(pixels),
-        external={source: beside / file for source, file in plan.external.items()},
     )
 
 

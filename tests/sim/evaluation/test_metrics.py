@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
-from sim.research.evaluation.scores import at_threshold, max_f1_of_correct, scores
+from sim.research.evaluation.scores import at_threshold, scores
 
 
 @st.composite
@@ -90,7 +90,10 @@ def test_off_map_queries_count_against_a_method_that_accepts_them() -> None:
     silent = Answers(np.array([1.0, 1.0, np.nan]), np.array([True, True, False]), np.array([True, True, False]))
     assert recall_at_precision(precision_recall(bold), 1.0) == 0.0
     assert recall_at_precision(precision_recall(silent), 1.0) == 1.0
-    assert max_f1_of_correct(bold) < max_f1_of_correct(silent) == max_f1_of_correct(Answers(np.ones(2), flags, flags))
+    bold_f1, silent_f1, right_f1 = (
+        scores(one).max_f1_of_correct for one in (bold, silent, Answers(np.ones(2), flags, flags))
+    )
+    assert bold_f1 < silent_f1 == right_f1
 
 
 def test_a_correct_match_off_the_map_is_refused() -> None:

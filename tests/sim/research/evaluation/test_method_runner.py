@@ -115,7 +115,7 @@ def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     plan = load_plan(SHIPPED / "real_front_rear.toml")
     plan = msgspec.structs.replace(plan, networks={"shipped": NetworkPlan()})
     feeds = shared / "feeds/street_front_rear"
-    outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "NSD-CR/batch")
+    outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Raw-fc6")
     assert len(outcome.query.drives()) == 6
     assert len(outcome.judged) == len(outcome.query.rows) - 6 * 9
     assert outcome.answers.correct.mean() > 0.4  # a guess is right in 0.05

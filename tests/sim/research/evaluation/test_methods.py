@@ -31,7 +31,7 @@ def normalized(value: Array, known: Array) -> Array:
 
 def slow_reference(method: Method, raw: Array) -> list[Array]:
     raw = raw.astype(np.float16).astype(np.float64)  # as a map keeps it
-    return list(raw) if method.nsd == "none" else [normalized(one, raw) for one in raw]
+    return [normalized(one, raw) for one in raw] if method.nsd else list(raw)
 
 
 def slow_rings(method: Method, raw: Array) -> list[list[Array]]:
@@ -39,8 +39,7 @@ def slow_rings(method: Method, raw: Array) -> list[list[Array]]:
     rings: list[list[Array]] = []
     for frame, one in enumerate(raw):
         before = rings[-1][1 - LENGTH :] if rings else []
-        known = raw if method.nsd == "batch" else raw[: frame + 1]
-        rings.append([*before, one if method.nsd == "none" else normalized(one, known)])
+        rings.append([*before, normalized(one, raw[: frame + 1]) if method.nsd else one])
     return rings
 
 
@@ -129,16 +128,13 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     np.testing.assert_allclose(found.confidence, uniqueness, rtol=5e-3)
 
 
-def test_a_row_may_name_its_network_or_external_descriptors() -> None:
-    assert find_method("NSD-fc6@objects", ["p365", "objects"], []).network == "objects"
-    assert find_method("NSD-fc6", ["p365", "objects"], []).network == "p365"
-    netvlad = find_method("NSD-netvlad/batch", ["p365"], ["netvlad"])
-    assert (netvlad.layer, netvlad.external, netvlad.nsd) == ("external", "netvlad", "batch")
-    assert find_method("Raw-netvlad", ["p365"], ["netvlad"]).nsd == "none"
+def test_a_row_may_name_its_network() -> None:
+    assert find_method("NSD-fc6@objects", ["p365", "objects"]).network == "objects"
+    assert find_method("NSD-fc6", ["p365", "objects"]).network == "p365"
 
 
-@pytest.mark.parametrize("text", ["NSD-fc9", "NSD-fc6@nowhere", "Warm-netvlad", "Raw-netvlad/batch"])
+@pytest.mark.parametrize("text", ["NSD-fc9", "NSD-fc6@nowhere"])
 def test_a_row_that_is_not_there_is_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match="there are") as caught:
-        find_method(text, ["p365"], ["netvlad"])
+        find_method(text, ["p365"])
     assert "\n" not in str(caught.value) and repr(text) in str(caught.value)

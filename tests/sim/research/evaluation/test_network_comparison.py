@@ -54,9 +54,6 @@ def test_networks_side_by_side(
         assert float(row["time, ms"]) > 0.0
         assert float(row["memory, MB"]) > 0.0
     assert float(rows["shipped"]["memory, MB"]) > 30.0  # its weights alone have 40 MB
-    assert (out / "accuracy_and_time.png").read_bytes().startswith(b"\x89PNG")
-    with (out / "networks_0.csv").open(encoding="utf-8") as stream:
-        assert [row["network"] for row in csv.DictReader(stream)] == ["shipped", "small"]
     said = capsys.readouterr().out.splitlines()
     assert said[-1] == str(out / "report.html")
     assert any(line.startswith("| small | ") for line in said)

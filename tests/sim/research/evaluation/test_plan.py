@@ -48,7 +48,7 @@ def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> 
         ('"rows"', '"anchors"\nanchors = [[4, 1], [3, 2]]', "in order"),
         ('query = "here"', 'query = "nowhere"', "query: no 'nowhere'; there are here, there"),
         ('{ feed = "here" }', "{ }", "traverses.here: needs one of feed, feeds and scenario"),
-        ('feed = "here"', 'feeds = ["a", "b"], first_row = 3', "first_row, last_row and external need feed, not feeds"),
+        ('feed = "here"', 'feeds = ["a", "b"], last_row = 3', "last_row needs feed, not feeds"),
         ("length = 5", 'length = 5\ncalibration = "here"', "calibration needs another drive than the query"),
         ("length = 5", 'length = 5\n[experiments]\nsweep_pairs = ["x"]', "experiments: no 'x'; there are p"),
         ("title", "title = [", "not TOML"),

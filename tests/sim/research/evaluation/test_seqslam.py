@@ -7,13 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.research.evaluation.seqslam import (
-    SeqslamSettings,
-    describe,
-    difference_matrix,
-    enhance_contrast,
-    search,
-)
+from sim.research.evaluation.seqslam import describe, difference_matrix, enhance_contrast, search
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +23,8 @@ def golden(shared: Path) -> dict[str, np.ndarray]:
 def test_centered_matches_are_those_of_the_published_program(
     golden: dict[str, np.ndarray], name: str, length: int, enhanced: bool
 ) -> None:
-    differences = enhance_contrast(golden["D"], 10) if enhanced else golden["D"]
-    found = search(differences, SeqslamSettings(length=length))
+    differences = enhance_contrast(golden["D"]) if enhanced else golden["D"]
+    found = search(differences, length)
     expected = golden[name]
     np.testing.assert_array_equal(np.isnan(expected[:, 0]), found.place < 0)
     np.testing.assert_array_equal(np.where(found.place < 0, np.nan, found.place + 1), expected[:, 0])
@@ -38,11 +32,11 @@ def test_centered_matches_are_those_of_the_published_program(
 
 
 def test_local_contrast_is_that_of_the_published_program(golden: dict[str, np.ndarray]) -> None:
-    np.testing.assert_allclose(enhance_contrast(golden["D"], 10), golden["DD"], atol=1e-5)
+    np.testing.assert_allclose(enhance_contrast(golden["D"]), golden["DD"], atol=1e-5)
 
 
 def test_a_map_shorter_than_a_trajectory_gives_no_match() -> None:
-    found = search(np.ones((5, 30), dtype=np.float32), SeqslamSettings(length=10))
+    found = search(np.ones((5, 30), dtype=np.float32), 10)
     assert (found.place == -1).all() and np.isnan(found.ratio).all()
 
 
