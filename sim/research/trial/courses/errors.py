@@ -36,30 +36,26 @@ def _heading(draft: CourseDraft) -> None:
     draft.errors = replace(draft.errors, heading_deg=3.0 * np.sign(draft.errors.heading_deg))
 
 
-@course("F", "irregular-map")
+@course("F", "irregular-map", rules=(*USUAL, sends))
 def _irregular(draft: CourseDraft) -> None:
     """Places every 1 to 5 m."""
     draft.map = [replace(draft.map[0], spacing_m=(1.0, 5.0))]
-    draft.rules = (*USUAL, sends)
 
 
-@course("F", "no-headings")
+@course("F", "no-headings", rules=(*USUAL, sends))
 def _no_headings(draft: CourseDraft) -> None:
     """A map whose places have no heading."""
     draft.map = [replace(draft.map[0], headings=False)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("F", "antimeridian")
+@course("F", "antimeridian", rules=(*USUAL, sends))
 def _antimeridian(draft: CourseDraft) -> None:
     """The road crosses 180 degrees."""
     middle_lon_deg = np.degrees(draft.way.at(draft.way.length_m / 2)[0] / (6378137.0 * math.cos(math.radians(27.4772))))
     draft.lon_shift_deg = float(180.0 - 153.0283 - middle_lon_deg)
-    draft.rules = (*USUAL, sends)
 
 
-@course("F", "clock-wrap")
+@course("F", "clock-wrap", rules=(*USUAL, resumes))
 def _clock_wrap(draft: CourseDraft) -> None:
     """The autopilot's clock in milliseconds wraps in the middle of the drive, 49.7 days after boot."""
     draft.booted_before_s = 2**32 / 1e3 - draft.share(0.6) / 8.0
-    draft.rules = (*USUAL, resumes)

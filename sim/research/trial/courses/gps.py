@@ -48,19 +48,17 @@ SPOOFS: dict[str, Callable[[float], gps_histories.History]] = {
 BY_SCRIPT = ("jump", "drag-1-along")
 
 
-@course("D", "gps-{}", *GPS_WORKS)
+@course("D", "gps-{}", *GPS_WORKS, rules=(never_sent,))
 def _gps_works(draft: CourseDraft, value: str) -> None:
     """GPS works (RTK, PPP, the second receiver, a lost request for its messages), so no position may be sent."""
     draft.gps_at = lambda time_s: GPS_WORKS[value]
     draft.loses = lambda time_s, message, outgoing: value == "lost-request" and not outgoing and _requests_gps(message)
-    draft.rules = (never_sent,)
 
 
-@course("D", "gps-500-m")
+@course("D", "gps-500-m", rules=(*USUAL, sends))
 def _gps_500_m(draft: CourseDraft) -> None:
     """A 3-D fix that is 500 m accurate, by its own word: GPS must count as lost."""
     draft.gps_at = lambda time_s: GpsReport(accuracy_m=1.0 if time_s < GPS_S else 500.0)
-    draft.rules = (*USUAL, sends)
 
 
 @course("D", "gps-flicker")
@@ -69,12 +67,11 @@ def _gps_flicker(draft: CourseDraft) -> None:
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or time_s % 8 < 4 else NO_FIX
 
 
-@course("D", "gps-one-message")
+@course("D", "gps-one-message", rules=(*USUAL, resumes))
 def _gps_one_message(draft: CourseDraft) -> None:
     """A single good report in the middle of an outage."""
     at_s = draft.share(0.5) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or at_s <= time_s < at_s + 0.2 else NO_FIX
-    draft.rules = (*USUAL, resumes)
 
 
 @course("D", "gps-drag-{}", 0.5, 5)
@@ -90,17 +87,16 @@ def _gps_drag(draft: CourseDraft, value: float) -> None:
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
 
 
-@course("D", "gps-back-150")
+@course("D", "gps-back-150", rules=(*HONEST, called_soon))
 def _gps_back(draft: CourseDraft) -> None:
     """GPS comes back 150 m wrong; a person drives."""
     back_s, (east_m, north_m) = draft.share(0.5) / 8.0, draft.side(150.0)
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S else NO_FIX if time_s < back_s else wrong
     draft.steers, draft.doubted_gps = False, "switch"
-    draft.rules = (*HONEST, called_soon)
 
 
-@course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0)
+@course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0, rules=(*HONEST, called_on_map))
 def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     """GPS agrees with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
     agreed_m = draft.length_m - 400.0
@@ -109,10 +105,9 @@ def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
     draft.steers, draft.doubted_gps = False, "switch"
-    draft.rules = (*HONEST, called_on_map)
 
 
-@course("D", "gps-turned-twice")
+@course("D", "gps-turned-twice", rules=(never_called, never_sent))
 def _gps_turned_twice(draft: CourseDraft) -> None:
     """Half of the way out by day, 200 m back, and out again, mapped on the way; an honest GPS must not be called."""
     way, turns = turned_twice(draft, 0.0)
@@ -120,14 +115,13 @@ def _gps_turned_twice(draft: CourseDraft) -> None:
     draft.maps_live, draft.steers = True, False
     draft.map = []
     draft.gps_at = lambda time_s: GpsReport()
-    draft.rules = (never_called, never_sent)
 
 
-@course("D", "gps-{}", "multipath", "rtk-2-cm")
+@course("D", "gps-{}", "multipath", "rtk-2-cm", rules=(never_called,))
 def _gps_honest(draft: CourseDraft, value: str) -> None:
     """An honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
     follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
-    draft.steers, draft.rules = False, (never_called,)
+    draft.steers = False
 
 
 @course("D", "gps-spoofed-{}", *SPOOFS)
@@ -139,7 +133,7 @@ def _gps_spoofed(draft: CourseDraft, value: str) -> None:
     draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
 
 
-@course("D", "gps-steered-aside")
+@course("D", "gps-steered-aside", rules=(never_sent, warned_before_50_m))
 def _gps_steered_aside(draft: CourseDraft) -> None:
     """A spoofed GPS is dragged to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
     start_s = draft.share(0.35) / 8.0
@@ -149,7 +143,6 @@ def _gps_steered_aside(draft: CourseDraft) -> None:
         return GpsReport(east_off_m=-off_m * np.cos(heading_rad), north_off_m=off_m * np.sin(heading_rad))
 
     draft.gps_at = report
-    draft.rules = (never_sent, warned_before_50_m)
 
 
 def follow_history(draft: CourseDraft, history: gps_histories.History) -> None:

@@ -19,58 +19,58 @@ OUTAGES_S, OUTAGE_FROM_S = (5, 12), 30.0
 BACKED_M, BACKED_AT = (20, 60), (1 / 3, 2 / 3)
 """By how much, and after which shares of the way out."""
 
+HOME = (*USUAL, arrives, on_its_lane, resumes)
 
-@course("G", "home")
+
+@course("G", "home", rules=(*USUAL, close, sends, resumes))
 def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
-    draft.rules = (*USUAL, close, sends, resumes)
 
 
-@course("G", "take-me-home")
+@course("G", "take-me-home", rules=HOME)
 def _take_me_home(draft: CourseDraft) -> None:
     """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in one of four lights."""
     _home_in(draft, str(draft.rng.choice(HOME_LIGHTS)))
 
 
-@course("G", "take-me-home-{}", *HOME_LIGHTS)
+@course("G", "take-me-home-{}", *HOME_LIGHTS, rules=HOME)
 def _home_in(draft: CourseDraft, value: str) -> None:
     """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in this light."""
     out_and_home(draft, value)
     draft.maps_live = True
     draft.map = [Stretch(SET_OFF_M, draft.length_m)]
     draft.gps_at = lambda time_s: GpsReport()
-    draft.rules = (*USUAL, arrives, on_its_lane, resumes)
 
 
-@course("G", "take-me-home-outage-{}", *OUTAGES_S)
+@course("G", "take-me-home-outage-{}", *OUTAGES_S, rules=HOME)
 def _home_after_outage(draft: CourseDraft, value: float) -> None:
     """The same at night, where GPS was lost for so many seconds on the way out, as below a bridge."""
     _home_in(draft, "night")
     draft.gps_at = lambda time_s: NO_FIX if OUTAGE_FROM_S <= time_s < OUTAGE_FROM_S + value else GpsReport()
 
 
-@course("G", "take-me-home-silence-4")
+@course("G", "take-me-home-silence-4", rules=HOME)
 def _home_after_silence(draft: CourseDraft) -> None:
     """The same at night, where the autopilot sent nothing but heartbeats for 4 s on the way out."""
     _home_in(draft, "night")
     draft.silence_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 4.0
 
 
-@course("G", "take-me-home-killed")
+@course("G", "take-me-home-killed", rules=HOME)
 def _home_after_kill(draft: CourseDraft) -> None:
     """The same at night, where the daemon died on the way out, and was back 6 to 10 s later."""
     _home_in(draft, "night")
     draft.killed_s, draft.down_s = OUTAGE_FROM_S, draft.rng.uniform(*DOWN_S)
 
 
-@course("G", "take-me-home-unseen-8")
+@course("G", "take-me-home-unseen-8", rules=HOME)
 def _home_after_unseen(draft: CourseDraft) -> None:
     """The same at night, where the camera that maps gave no frame for 8 s, as while it is opened again."""
     _home_in(draft, "night")
     draft.unseen_s = OUTAGE_FROM_S, OUTAGE_FROM_S + 8.0
 
 
-@course("G", "take-me-home-backed-{}", *BACKED_M)
+@course("G", "take-me-home-backed-{}", *BACKED_M, rules=HOME)
 def _home_after_backing(draft: CourseDraft, value: float) -> None:
     """The same at night, where the vehicle backed twice by so many meters on the way out."""
     _home_in(draft, "night")
@@ -79,7 +79,7 @@ def _home_after_backing(draft: CourseDraft, value: float) -> None:
         draft.legs = [Leg(at_m), Leg(at_m - value, -2.0), *draft.legs]
 
 
-@course("G", "take-me-home-turned-twice")
+@course("G", "take-me-home-turned-twice", rules=HOME)
 def _home_after_turns(draft: CourseDraft) -> None:
     """The same at night, where the way out led 200 m back in its middle, and out again: 200 m are mapped twice."""
     _home_in(draft, "night")
@@ -87,7 +87,7 @@ def _home_after_turns(draft: CourseDraft) -> None:
     home_by(draft, out, turns)
 
 
-@course("G", "take-me-home-switched-off", least_m=1200.0)
+@course("G", "take-me-home-switched-off", least_m=1200.0, rules=(*USUAL, sends))
 def _home_after_switched_off(draft: CourseDraft) -> None:
     """The same at night, where computer and autopilot were off at the turn and GPS is gone after; a person drives."""
     _home_in(draft, "night")
@@ -98,19 +98,16 @@ def _home_after_switched_off(draft: CourseDraft) -> None:
     draft.gps_at = lambda time_s: GpsReport() if time_s < off_s else NO_FIX
     draft.origin_off_m, draft.steers = (0.0, 0.0), False
     draft.unsent = [(0.0, out.to_m + CONFIRMED_M)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("G", "take-me-home-multipath")
+@course("G", "take-me-home-multipath", rules=(*USUAL, resumes))
 def _home_after_multipath(draft: CourseDraft) -> None:
     """The same at night, where GPS was 10 m off or gone for seconds now and then on the way out, as in a town."""
     _home_in(draft, "night")
     follow_history(draft, gps_histories.multipath)
-    draft.rules = (*USUAL, resumes)
 
 
-@course("G", "person")
+@course("G", "person", rules=(*USUAL, sends, resumes))
 def _person(draft: CourseDraft) -> None:
     """A person keeps to the lane, whatever the autopilot believes."""
     draft.steers = False
-    draft.rules = (*USUAL, sends, resumes)

@@ -17,61 +17,54 @@ from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 
-@course("E", "lost-acknowledgements")
+@course("E", "lost-acknowledgements", rules=(*USUAL, sends))
 def _lost_acknowledgements(draft: CourseDraft) -> None:
     """Every second answer of the autopilot is lost."""
     draft.loses = lambda time_s, message, outgoing: (
         outgoing and message.get_type() == "COMMAND_ACK" and int(time_s) % 2 == 0
     )
-    draft.rules = (*USUAL, sends)
 
 
-@course("E", "lost-source-set")
+@course("E", "lost-source-set", rules=(*HONEST, sources_restored))
 def _lost_source_set(draft: CourseDraft) -> None:
     """The command that selects the second set of sources is lost until 31 s after GPS; GPS comes back later."""
     draft.emit = "vision_position"
     draft.loses = lambda time_s, message, outgoing: not outgoing and time_s < 40.0 and is_command(message, 42007)
-    draft.rules = (*HONEST, sources_restored)
     draft.gps_at = lambda time_s: NO_FIX if GPS_S <= time_s < draft.share(0.8) / 8.0 else GpsReport()
 
 
-@course("E", "silence-{}", 6, 60)
+@course("E", "silence-{}", 6, 60, rules=(*USUAL, resumes))
 def _silence(draft: CourseDraft, value: float) -> None:
     """Nothing but heartbeats from the autopilot for some seconds."""
     draft.silence_s = (draft.share(0.4) / 8.0, draft.share(0.4) / 8.0 + value)
     draft.unsent = [(draft.share(0.3), draft.share(0.4) + value * 10.4 + 80)]
-    draft.rules = (*USUAL, resumes)
 
 
-@course("E", "daemon-killed")
+@course("E", "daemon-killed", rules=(*USUAL, resumes))
 def _daemon_killed(draft: CourseDraft) -> None:
     """The daemon dies in the middle of the drive, without a word, and is back 6 to 10 s later."""
     draft.killed_s, draft.down_s = draft.share(0.5) / 8.0, draft.rng.uniform(*DOWN_S)
-    draft.rules = (*USUAL, resumes)
     draft.unsent = [(draft.share(0.35), draft.share(0.65) + 140)]
 
 
-@course("E", "autopilot-restarted-{}", 120, 300, least_m=1200.0)
+@course("E", "autopilot-restarted-{}", 120, 300, least_m=1200.0, rules=(*USUAL, sends))
 def _autopilot_restarted(draft: CourseDraft, value: float) -> None:
     """The autopilot restarts without GPS, so many meters from its origin: it believes to be there. A person drives."""
     draft.restarted_s, draft.origin_off_m = value / 8.0, (0.0, 0.0)
     draft.steers = False
     draft.unsent = [(value - 20.0, value + CONFIRMED_M)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("E", "second-autopilot")
+@course("E", "second-autopilot", rules=(*HONEST, warns_of_another))
 def _second_autopilot(draft: CourseDraft) -> None:
     """Another vehicle ahead, on the same radio, has the same ids: a warning must say so."""
     draft.has_double, draft.steers = True, False
-    draft.rules = (*HONEST, warns_of_another)
 
 
-@course("E", "another-companion")
+@course("E", "another-companion", rules=HONEST)
 def _another_companion(draft: CourseDraft) -> None:
     """Another computer on the vehicle resets the autopilot every 10 s, by positions that are 3 m wrong."""
     draft.companion_s = 10.0
-    draft.rules = HONEST
 
 
 @course("E", "frozen-30")
@@ -92,19 +85,17 @@ def _pictures(draft: CourseDraft, value: float) -> None:
     draft.late_s = value
 
 
-@course("E", "pictures-3-stop")
+@course("E", "pictures-3-stop", rules=(*USUAL, resumes))
 def _pictures_stop(draft: CourseDraft) -> None:
     """The same, and the vehicle stops for 8 s after 40 m, with GPS: the stamps are corrected."""
     draft.late_s = 3.0
     draft.drive(draft.way, Leg(40.0, then_wait_s=8.0), Leg(draft.way.length_m - 2))
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S + 12.0 else NO_FIX
-    draft.rules = (*USUAL, resumes)
 
 
-@course("E", "gps-returns")
+@course("E", "gps-returns", rules=(*HONEST, not_with_gps))
 def _gps_returns(draft: CourseDraft) -> None:
     """GPS comes back while positions go unanswered: none may be sent again then."""
     back_s = draft.share(0.6) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if not GPS_S <= time_s < back_s else NO_FIX
     draft.loses = lambda time_s, message, outgoing: outgoing and message.get_type() == "COMMAND_ACK"
-    draft.rules = (*HONEST, not_with_gps)

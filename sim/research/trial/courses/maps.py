@@ -33,7 +33,7 @@ def _one_stretch(draft: CourseDraft) -> None:
     draft.map = [Stretch(start_m, start_m + 220.0)]
 
 
-@course("C", "false-{}", 140, 260, 400)
+@course("C", "false-{}", 140, 260, 400, rules=(*USUAL, resumes))
 def _false(draft: CourseDraft, value: float) -> None:
     """Part of the map is 300 m wrong, and GPS fails before it is reached."""
     start_m = draft.share(0.3)
@@ -44,7 +44,6 @@ def _false(draft: CourseDraft, value: float) -> None:
         Stretch(end_m, draft.length_m),
     ]
     draft.unsent = [(draft.length_m - end_m, draft.length_m - start_m + 240)]
-    draft.rules = (*USUAL, resumes)
 
 
 @course("C", "false-{}-no-gps", 140, 260, 400)
@@ -53,7 +52,6 @@ def _false_no_gps(draft: CourseDraft, value: float) -> None:
     _false(draft, value)
     draft.map = [Stretch(0.0, draft.share(0.15)), draft.map[1]]
     draft.has_gps = False
-    draft.rules = USUAL
 
 
 @course("C", "false-within-400-no-gps", least_m=1200.0)
@@ -88,36 +86,33 @@ def _alike(draft: CourseDraft) -> None:
     draft.unsent = [(0.0, math.inf)]
 
 
-@course("C", "far-origin", least_m=1200.0)
+@course("C", "far-origin", least_m=1200.0, rules=(*USUAL, sends))
 def _far_origin(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 260 m off; a person drives, and the map is right."""
     _no_gps(draft)
     draft.origin_off_m = draft.side(260.0)
 
 
-@course("C", "no-gps", least_m=1200.0)
+@course("C", "no-gps", least_m=1200.0, rules=(*USUAL, sends))
 def _no_gps(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
     draft.unsent = [(0.0, CONFIRMED_M)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("C", "shifted-40")
+@course("C", "shifted-40", rules=(within_sigmas, not_worse))
 def _shifted(draft: CourseDraft) -> None:
     """The whole map is 40 m wrong."""
     draft.map = [Stretch(0.0, draft.length_m, off_m=draft.side(40.0))]
-    draft.rules = (within_sigmas, not_worse)
 
 
-@course("C", "two-drives-40")
+@course("C", "two-drives-40", rules=(within_sigmas, not_worse))
 def _two_drives(draft: CourseDraft) -> None:
     """Two drives over the road disagree by 40 m, and nobody says which of them is right."""
     draft.map = [Stretch(0.0, draft.length_m), Stretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
-    draft.rules = (within_sigmas, not_worse)
 
 
-@course("C", "two-laps")
+@course("C", "two-laps", rules=HONEST)
 def _two_laps(draft: CourseDraft) -> None:
     """Laps of 120 m whose places are 300 m wrong, without GPS from boot: a lap must not confirm another."""
     start_m = draft.length_m / 2
@@ -125,7 +120,6 @@ def _two_laps(draft: CourseDraft) -> None:
     draft.drive(lap.then(lap).then(lap).then(lap))
     draft.map = [Stretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
     draft.has_gps, draft.steers = False, False
-    draft.rules = HONEST
 
 
 def on_layers(one: Course) -> Course:

@@ -47,7 +47,7 @@ def _there_and_back(draft: CourseDraft, at_m: float) -> tuple[Way, Way, Way]:
     return way, turned, turned.then(along(draft.road(direction="forward"), at_m + 1, draft.length_m))
 
 
-@course("B", "figure-eight")
+@course("B", "figure-eight", rules=(*USUAL, sends))
 def _figure_eight(draft: CourseDraft) -> None:
     """A loop to the right and one to the left, and the first once more."""
     middle_m = draft.share(0.5)
@@ -55,19 +55,17 @@ def _figure_eight(draft: CourseDraft) -> None:
     left = bent(along(draft.home, middle_m - 1, 0.0), to_the_left=True)
     draft.drive(joined(right, left).then(right))
     draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("B", "circle-twice")
+@course("B", "circle-twice", rules=(*USUAL, sends))
 def _circle_twice(draft: CourseDraft) -> None:
     """The same circle twice."""
     lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
     draft.drive(lap.then(lap))
     draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
-    draft.rules = (*USUAL, sends)
 
 
-@course("B", "laps-12-apart")
+@course("B", "laps-12-apart", rules=(*USUAL, sends))
 def _laps_apart(draft: CourseDraft) -> None:
     """A circle, and then another one 12 m outside; both are mapped."""
     lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
@@ -76,7 +74,6 @@ def _laps_apart(draft: CourseDraft) -> None:
     draft.drive(both)
     inside = Stretch(draft.share(0.4), draft.length_m, on_way=True)
     draft.map = [inside, replace(inside, left_m=-APART_M)]
-    draft.rules = (*USUAL, sends)
 
 
 @course("B", "lane-12-beside")
@@ -86,19 +83,17 @@ def _lane_beside(draft: CourseDraft) -> None:
     draft.drive(beside(draft.way, lambda m: left_m))
 
 
-@course("B", "parallel-streets-12")
+@course("B", "parallel-streets-12", rules=(*USUAL, sends))
 def _parallel_12(draft: CourseDraft) -> None:
     """Another street 12 m to the left or to the right, both mapped, and seen from both."""
     draft.map = [draft.map[0], replace(draft.map[0], left_m=float(draft.rng.choice((-APART_M, APART_M))))]
-    draft.rules = (*USUAL, sends)
 
 
-@course("B", "parallel-streets-30")
+@course("B", "parallel-streets-30", rules=(*USUAL, sends))
 def _parallel_30(draft: CourseDraft) -> None:
     """Another street 30 m to the left or to the right, both mapped, which looks different."""
     other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), looks=draft.world + 100)
     draft.map = [draft.map[0], other]
-    draft.rules = (*USUAL, sends)
 
 
 @course("B", "reversing-{}", 2, 4)
@@ -108,11 +103,10 @@ def _reversing(draft: CourseDraft, value: float) -> None:
     draft.drive(draft.way, Leg(middle_m), Leg(middle_m - 60, -value), Leg(draft.way.length_m - 2))
 
 
-@course("B", "stop")
+@course("B", "stop", rules=(*USUAL, resumes))
 def _stop(draft: CourseDraft) -> None:
     """45 s at rest, and on."""
     draft.drive(draft.way, Leg(draft.share(0.6), then_wait_s=45.0), Leg(draft.way.length_m - 2))
-    draft.rules = (*USUAL, resumes)
 
 
 @course("B", "ferry")

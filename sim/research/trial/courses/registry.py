@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sim.research.trial.course import Course, CourseDraft
+from sim.research.trial.course_rules import USUAL, Rule
 
 CASES = {
     "A": "one mapped stretch",
@@ -19,25 +20,26 @@ CASES = {
     "K": "eight drives over one road, of which four are searched",
 }
 
-
 COURSES: dict[str, Course] = {}
 
 
 def course(
-    case: str, name: str, *values: object, least_m: float = 0.0
+    case: str, name: str, *values: object, rules: tuple[Rule, ...] = USUAL, least_m: float = 0.0
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add a course to a case, or one for each value; `name` has the value's place. Its docstring says what it is."""
+    """Add a course to a case, or one for each value; `name` has the value's place. Its docstring says what it is.
+
+    rules: that it must pass, unless the course sets others.
+    """
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
         about = " ".join((function.__doc__ or "").split())
-        for value in values:
+        for given in [(value,) for value in values] or [()]:
 
-            def lay(draft: CourseDraft, value: object = value) -> None:
-                function(draft, value)
+            def lay(draft: CourseDraft, given: tuple[object, ...] = given) -> None:
+                draft.rules = rules
+                function(draft, *given)
 
-            COURSES[name.format(value)] = Course(case, lay, about, least_m)
-        if not values:
-            COURSES[name] = Course(case, function, about, least_m)
+            COURSES[name.format(*given)] = Course(case, lay, about, least_m)
         return function
 
     return add

@@ -20,12 +20,11 @@ def _run_away(draft: CourseDraft) -> None:
     draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
 
 
-@course("H", "px4-no-velocity-aid")
+@course("H", "px4-no-velocity-aid", rules=(never_sent,))
 def _px4_no_aid(draft: CourseDraft) -> None:
     """Nothing measures PX4's velocity, which runs away: where the vehicle is between two places, nobody knows."""
     draft.firmware, draft.steers, draft.motion = "px4", False, "off"
     _run_away(draft)
-    draft.rules = (never_sent,)
 
 
 ROVER_WANDER_MPS = 0.1
@@ -77,34 +76,30 @@ def _rover_camera_sent(draft: CourseDraft, value: str) -> None:
         draft.shown_m = lambda route_m: route_m * (1.1 if route_m < slips_m else 1.0)
 
 
-@course("H", "px4-aided{}", "", "-1.17")
+@course("H", "px4-aided{}", "", "-1.17", rules=(*USUAL, close, sends))
 def _px4_aided(draft: CourseDraft, value: str) -> None:
     """PX4 with a velocity sensor whose scale is 3 % wrong; 1.17 is reset by each position."""
     draft.firmware = f"px4{value}"
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
-    draft.rules = (*USUAL, close, sends)
 
 
-@course("H", "vision")
+@course("H", "vision", rules=(*USUAL, close, sends))
 def _vision(draft: CourseDraft) -> None:
     """ArduPilot with VISION_POSITION_ESTIMATE, whose stream turns the filter's heading."""
     draft.emit = "vision_position"
-    draft.rules = (*USUAL, close, sends)
 
 
-@course("H", "stream-unused")
+@course("H", "stream-unused", rules=(*HONEST, warns))
 def _stream_unused(draft: CourseDraft) -> None:
     """PX4 whose parameters for positions are missing: a warning must say that nobody uses them."""
     draft.firmware = "px4-without-agp"
     draft.errors = OdometryErrors("velocity sensor", 1.03)
-    draft.rules = (*HONEST, warns)
 
 
-@course("H", "px4-failsafe")
+@course("H", "px4-failsafe", rules=(*HONEST, first_in_time))
 def _px4_failsafe(draft: CourseDraft) -> None:
     """PX4 gives up 6 s after the loss of GPS; on a mapped road the first position must come before."""
     draft.firmware, draft.steers = "px4", False
     draft.errors = OdometryErrors("velocity sensor", 1.03)
     lost_s = draft.share(0.7) / 8.0
     draft.gps_at = lambda time_s: GpsReport() if time_s < lost_s else NO_FIX
-    draft.rules = (*HONEST, first_in_time)
