@@ -8,7 +8,6 @@ from edge.localization.refusals import as_table
 from sim.research.trial.table import put_between
 
 PAGE = Path(__file__).parents[2] / "docs/positions.md"
-MARKS = "<!-- refusals: begin -->", "<!-- refusals: end -->"
 
 if __name__ == "__main__":
-    put_between(MARKS, PAGE, as_table())
+    put_between("refusals", PAGE, as_table())

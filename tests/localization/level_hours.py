@@ -37,7 +37,6 @@ NEAR_M = 40.0
 """Larger shifts are noticed more easily, so that they are a class of their own."""
 CLASSES = {"right": None, "shifted by less": (SHIFTED_M[0], NEAR_M), "shifted by more": (NEAR_M, SHIFTED_M[1])}
 CONFIDENCE = 0.95
-MARKS = "<!-- level hours: begin -->", "<!-- level hours: end -->"
 
 
 def seed_of_run() -> int:
@@ -200,7 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = statement(drives(args.drives, first_seed, Path(folder)), first_seed)
     print(text)
     if args.page is not None:
-        put_between(MARKS, args.page, text)
+        put_between("level hours", args.page, text)
     return 0
 
 

@@ -248,7 +248,7 @@ def main() -> None:
     rows = list(tables(seen, args.odometer))
     print("\n".join(rows))
     if args.page:
-        put_between(("<!-- belief: begin -->", "<!-- belief: end -->"), args.page, "\n".join(rows))
+        put_between("belief", args.page, "\n".join(rows))
 
 
 def tables(seen: list[tuple[Described, dict[str, Described]]], odometer: float) -> Iterator[str]:

@@ -351,7 +351,7 @@ def main() -> None:
             print(row, flush=True)
             rows.append(row)
         if args.page:
-            put_between((f"<!-- {name}: begin -->", f"<!-- {name}: end -->"), args.page, "\n".join(rows))
+            put_between(name, args.page, "\n".join(rows))
     if args.picture:
         draw(args.picture, args.seeds, scene, args.length)
 

@@ -155,7 +155,7 @@ def main() -> None:
     rows = [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."]
     print("\n".join(rows))
     if args.page:
-        put_between(("<!-- reliability: begin -->", "<!-- reliability: end -->"), args.page, "\n".join(rows))
+        put_between("reliability", args.page, "\n".join(rows))
     if args.picture:
         args.picture.write_bytes(plot(claims))
 

@@ -32,15 +32,13 @@ def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLib
 
     Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states.
     """
-    config = DescriptorConfig()
-    regions = RegionsKey(config.regions, config.region_width, "set")
     rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
     numbers = range(len(draft.map))
     cameras = dict.fromkeys(stretch.camera for stretch in draft.map)
     by_camera = [[number for number in numbers if draft.map[number].camera == camera] for camera in cameras]
     for part in by_camera if draft.layers else [numbers]:
         folder = path / f"{part[0]}" if draft.layers else path
-        with MapBuilder(folder, model_key(network), regions, SamplingConfig()) as builder:
+        with open_builder(folder, network) as builder:
             for number in part:
                 _drive_stretch(builder, draft, number, library, rngs)
             builder.finish()
@@ -85,6 +83,12 @@ def _errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
     return off_m
 
 
+def open_builder(path: Path, network: Network, *, replace: bool = False) -> MapBuilder:
+    """A builder of a map whose pictures are described as by default."""
+    regions = RegionsKey.of(DescriptorConfig())
+    return MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=replace)
+
+
 def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m: float, off_m: Array) -> Place:
     if stretch.on_way:
         # Against the way, on the lane that the rig's offset expects.
@@ -93,7 +97,20 @@ def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m
         heading_rad += math.pi
     else:
         east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m + stretch.left_m)
-    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], draft.lon_shift_deg)
-    heading_deg = math.degrees(heading_rad) % 360 if stretch.headings else NAN
-    known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
-    return Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps")
+    pose = east_m, north_m, heading_rad if stretch.headings else NAN
+    return place_at(row, route_m, pose, off_m, lon_shift_deg=draft.lon_shift_deg)
+
+
+def place_at(
+    row: int,
+    route_m: float,
+    pose: tuple[float, float, float],
+    off_m: Array,
+    sigma_m: float = MAP_SIGMA_M,
+    lon_shift_deg: float = 0.0,
+) -> Place:
+    """A place whose position is wrong by off_m, (2,) east and north; pose: meters east and north, and heading."""
+    east_m, north_m, heading_rad = pose
+    lat_deg, lon_deg = geodetic(east_m + off_m[0], north_m + off_m[1], lon_shift_deg)
+    known = row, lat_deg, lon_deg, ORIGIN_ALT_M, math.degrees(heading_rad) % 360, route_m
+    return Place(*known, position_sigma_m=sigma_m, position_source="gps")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
-import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
@@ -18,16 +17,7 @@ from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_layers
-from sim.research.trial.table import (
-    HEADER,
-    MARKS,
-    CourseScore,
-    in_short,
-    layer_marks,
-    layers_in_short,
-    line,
-    put_between,
-)
+from sim.research.trial.table import HEADER, CourseScore, in_short, layers_in_short, line, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -63,31 +53,17 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--length-m", type=float, default=LENGTH_M, metavar="M", help=f"of the road, from {SHORTEST_M:g} (default 1000)"
     )
-    parser.add_argument(
-        "--worlds",
-        type=_worlds,
-        default=WORLDS,
-        metavar="SEEDS",
-        help=f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})",
-    )
+    roads = f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})"
+    parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
     parser.add_argument(
         "--layers", action="store_true", help="drive each on a map of eight layers as well, and compare the cases"
     )
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
     parser.add_argument(
-        "--minutes", type=float, default=math.inf, metavar="N", help="begin no further drive after so long"
-    )
-    parser.add_argument(
         "--page", type=Path, metavar="FILE", help="write the table into this page, in place of its last one"
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        default=Path("trial"),
-        metavar="FOLDER",
-        help="keeps rendered views, and the journal of each road's last drive",
-    )
+    kept = "keeps rendered views, and the journal of each road's last drive"
+    parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER", help=kept)
     parser.set_defaults(run=_run)
 
 
@@ -98,9 +74,7 @@ def _run(args: argparse.Namespace) -> int:
             print("\n".join(f"{name:<{width}}  {case}  {COURSES[name].about}" for name in courses_of(case)))
         return 0
     _check(args)
-    logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
-    planned = plan(args)
-    runs = drive_all(planned, args)
+    runs = drive_all(plan(args), args)
     scores = compare(runs) if args.layers else judge(list(runs), runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
@@ -108,12 +82,10 @@ def _run(args: argparse.Namespace) -> int:
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
-        if len(runs) < len(planned):
-            what += f" --minutes {args.minutes:g}"
         what += " --layers" * args.layers
         table = layers_in_short(scores) if args.layers else in_short(scores)
-        marks = layer_marks("cases" if args.case else driven) if args.layers else MARKS
-        put_between(marks, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
+        name = f"layers {'cases' if args.case else driven}" if args.layers else "results"
+        put_between(name, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
 
@@ -124,7 +96,6 @@ def plan(args: argparse.Namespace) -> list[Planned]:
         drives = [drive for case in (CASES if args.case == "all" else args.case) for drive in drives_of(case, seeds)]
     else:
         names = list(COURSES) if args.course == "all" else args.course.split(",")
-        # Seed by seed, so that a trial that --minutes ends has driven all courses.
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
     maps = (False, True) if args.layers else (False,)
     return [
@@ -188,24 +159,21 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     args.output.mkdir(parents=True, exist_ok=True)
     worlds = list(dict.fromkeys(one.world for one in planned))
     parts = [[one for one in planned if one.world in worlds[job :: args.jobs]] for job in range(args.jobs)]
-    ends_s = time.monotonic() + 60 * args.minutes
-    rest = [args.length_m] * len(parts), [args.output] * len(parts), [ends_s] * len(parts)
+    of_part = partial(drive_part, length_m=args.length_m, folder=args.output)
     if args.jobs == 1:
-        found = [drive_part(planned, args.length_m, args.output, ends_s)]
+        found = [of_part(planned)]
     else:
         with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
-            found = list(pool.map(drive_part, parts, *rest))
+            found = list(pool.map(of_part, parts))
     return {one: run for runs in found for one, run in runs.items()}
 
 
-def drive_part(planned: Sequence[Planned], length_m: float, folder: Path, ends_s: float) -> dict[Planned, CourseRun]:
-    """Drives in one process; none begins after `ends_s` of time.monotonic()."""
+def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:
+    """Drives in one process."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     library, runs = RoadLibrary(Network.load(), folder / "views"), {}
     try:
         for one in planned:
-            if time.monotonic() > ends_s:
-                break
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
             course = on_layers(COURSES[one.course]) if one.layers else COURSES[one.course]

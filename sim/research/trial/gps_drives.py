@@ -14,18 +14,16 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from edge.config import CameraConfig, Config, DescriptorConfig, GatesConfig, MapConfig, RigConfig, SamplingConfig
+from edge.config import CameraConfig, Config, GatesConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
 from edge.localization import GPS_SIGMA_M, GpsFix, Report
 from edge.localization.gps_judge import GpsJudge, compare
-from edge.recognizer import model_key
 from edge.reference_map import Route, open_map_set
-from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.store import RegionsKey
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
-from sim import ORIGIN_ALT_M, geodetic
+from sim import geodetic
+from sim.research.trial.course_map import open_builder, place_at
 from sim.research.trial.gps_histories import Array, History
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.run import RIG, map_scenario
@@ -93,16 +91,11 @@ def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network
     views, rng = library[out], np.random.default_rng([world, seed, 5])
     places_m = np.arange(0.0, LENGTH_M + 1, 2.0)
     errors_m = MAP_SIGMA_M / math.sqrt(2) * receiver_errors(len(places_m), 2.0, WANDERS_AT_M, rng)
-    config = DescriptorConfig()
-    regions = RegionsKey(config.regions, config.region_width, "set")
-    with MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=True) as builder:
+    with open_builder(path, network, replace=True) as builder:
         builder.begin_segment("out", "rear")
         for row, (route_m, error_m) in enumerate(zip(places_m, errors_m, strict=True)):
-            east_m, north_m, heading_rad = views.drive.route.at(route_m, out.lane_m)
-            lat_deg, lon_deg = geodetic(east_m + error_m[0], north_m + error_m[1])
-            heading_deg = math.degrees(heading_rad) % 360
-            known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
-            builder.add(views.raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
+            pose = views.drive.route.at(route_m, out.lane_m)
+            builder.add(views.raw(route_m), place_at(row, route_m, pose, error_m, MAP_SIGMA_M))
         builder.finish()
     return path
 

@@ -29,15 +29,11 @@ from edge.daemon import Daemon
 from edge.geodesy import moved
 from edge.journal.records import FixSent, FrameUsed
 from edge.opened_parts import OpenedParts
-from edge.recognizer import model_key
-from edge.reference_map.builder import MapBuilder, Place
-from edge.reference_map.store import RegionsKey
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge.telemetry.vehicle import Vehicle
-from sim import ORIGIN_ALT_M, geodetic
 from sim.journal import records_of
-from sim.research.trial.course_map import MAP_SIGMA_M
+from sim.research.trial.course_map import open_builder, place_at
 from sim.research.trial.course_rules import SENT_WITHIN_S
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
@@ -45,10 +41,9 @@ from sim.trial.records import Array
 from sim.trial.run import JOURNAL, map_scenario, read_position
 from sim.trial.simulation import STEP_S
 from sim.trial.views import MOST_LEFT_M, RoadLibrary
-from sim.trial.way import Way, along
+from sim.trial.way import along
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.pty_link import PtyLink, open_pty
-from sim.world.scenario import Scenario
 
 ANSWERS_S = 0.02
 """After which a position is accepted."""
@@ -58,13 +53,12 @@ ANSWERS_S = 0.02
 class Positions:
     """Positions that were sent, each with its error in meters (n,); own_sigma_m: NaN where the journal has none.
 
-    sigma_m: as it was sent. share: of the time without GPS, with a position at most SENT_WITHIN_S old. first_m: driven
+    share: of the time without GPS, with a position at most SENT_WITHIN_S old. first_m: driven
     without GPS before the first one.
     """
 
     time_s: Array
     error_m: Array
-    sigma_m: Array
     own_sigma_m: Array
     share: float
     first_m: float
@@ -98,8 +92,6 @@ def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed
     """Replay a recorded drive; the journal of its last run stays in `folder`."""
     network = PlacedNetwork(library)
     received: list[tuple[float, Message]] = []
-    sent: list[FixSent] = []
-    used: list[FrameUsed] = []
     journal = (folder / JOURNAL).resolve()
     with TemporaryDirectory(dir=folder) as scratch:
         map_path = Path(scratch) / "map"
@@ -114,14 +106,13 @@ def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed
                 while daemon.turn():
                     playback.pull(daemon.parts.autopilot.vehicle)
                 received += playback.received
-    sent, used = list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))
     then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
     return Replayed(
         drive.name,
         _positions(drive, then, drive.sent),
-        _positions(drive, received, sent),
+        _positions(drive, received, list(records_of(journal, FixSent))),
         _frames(drive, drive.used),
-        _frames(drive, used),
+        _frames(drive, list(records_of(journal, FrameUsed))),
     )
 
 
@@ -209,8 +200,10 @@ class _Views:
     """What the camera sees at a moment, where the vehicle truly was."""
 
     def __init__(self, drive: RecordedDrive) -> None:
-        self._drive, self._scenario = drive, _camera_scenario(drive.scenario)
-        self._way = _way(self._scenario)
+        self._drive = drive
+        self._scenario = msgspec.structs.replace(drive.scenario, view="front", epoch_ns=None)
+        ends_m = 0.0, self._scenario.length_m
+        self._way = along(self._scenario, *(ends_m if self._scenario.direction == "forward" else ends_m[::-1]))
         self._heading_rad = np.unwrap(np.radians(drive.truth["heading_deg"]))
         self._along_m: float | None = None
 
@@ -225,15 +218,6 @@ class _Views:
         turn_deg = math.degrees(heading_rad - self._way.heading_rad[row])
         rows = np.arange(len(self._way.route_m))
         return View(self._scenario, float(np.interp(self._along_m, rows, self._way.route_m)), left_m, turn_deg)
-
-
-def _camera_scenario(scenario: Scenario) -> Scenario:
-    return msgspec.structs.replace(scenario, view="front", epoch_ns=None)
-
-
-def _way(scenario: Scenario) -> Way:
-    ends_m = (0.0, scenario.length_m) if scenario.direction == "forward" else (scenario.length_m, 0.0)
-    return along(scenario, *ends_m)
 
 
 def _settings(config: Config, link: PtyLink, map_path: Path, journal: Path) -> Config:
@@ -260,18 +244,13 @@ def _build_map(drive: RecordedDrive, path: Path, network: PlacedNetwork, library
     places = np.arange(int(drive.scenario.length_m / spacing_m))
     true = [route.at(place * spacing_m, lane_m) for place in places]
     off_m, first_rows = _map_errors(drive, true)
-    config = DescriptorConfig()
-    regions = RegionsKey(config.regions, config.region_width, "set")
-    with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
+    with open_builder(path, network) as builder:
         for place in places:
             if place in first_rows:
                 builder.begin_segment(f"segment from place {place}", "rear")
                 row = 0
-            east_m, north_m, heading_rad = true[place]
-            lat_deg, lon_deg = geodetic(east_m + off_m[place, 0], north_m + off_m[place, 1])
-            heading_deg, route_m = math.degrees(heading_rad) % 360, float(place * spacing_m)
-            known = row, lat_deg, lon_deg, ORIGIN_ALT_M, heading_deg, route_m
-            builder.add(library[out].raw(route_m), Place(*known, position_sigma_m=MAP_SIGMA_M, position_source="gps"))
+            route_m = float(place * spacing_m)
+            builder.add(library[out].raw(route_m), place_at(row, route_m, true[place], off_m[place]))
             row += 1
         builder.finish()
 
@@ -303,11 +282,11 @@ def _positions(drive: RecordedDrive, messages: list[tuple[float, Message]], sent
     for sent_s, message in messages:
         position = read_position(message)
         if position is not None:
-            *here_m, sent_sigma_m, age_s = position
+            *here_m, _, age_s = position
             at = (message.x, message.y) if message.get_type() == "COMMAND_INT" else (message.lat, message.lon)
             off_m = math.dist(here_m, drive.true_m(sent_s - age_s).tolist())
-            found.append((sent_s, off_m, sent_sigma_m, own_sigma_m.get(at, math.nan)))
-    time_s, error_m, sigma_m, own_m = np.array(found, np.float64).reshape(-1, 4).T
+            found.append((sent_s, off_m, own_sigma_m.get(at, math.nan)))
+    time_s, error_m, own_m = np.array(found, np.float64).reshape(-1, 3).T
     lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
     moments_s = np.arange(lost_s, stops_s, 0.1)
     last_s = np.r_[-math.inf, time_s][np.searchsorted(time_s, moments_s, side="right")]
@@ -316,7 +295,7 @@ def _positions(drive: RecordedDrive, messages: list[tuple[float, Message]], sent
     way_m = drive.true_m(moments_s)
     driven_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(way_m, axis=1)))]
     first_m = float(np.interp(first_s[0], moments_s, driven_m)) if len(first_s) else math.nan
-    return Positions(time_s, error_m, sigma_m, own_m, share, first_m)
+    return Positions(time_s, error_m, own_m, share, first_m)
 
 
 FALSE_M = 25.0

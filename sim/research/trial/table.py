@@ -36,14 +36,6 @@ def line(name: str, run: CourseRun) -> str:
     )
 
 
-MARKS = "<!-- results: begin -->", "<!-- results: end -->"
-
-
-def layer_marks(what: str) -> tuple[str, str]:
-    """Of a table of drives on one map and on layers: of `cases`, or of some courses."""
-    return f"<!-- layers {what}: begin -->", f"<!-- layers {what}: end -->"
-
-
 @dataclass(frozen=True)
 class CourseScore:
     """All drives of one course, or of one case."""
@@ -165,8 +157,9 @@ def _is_worse(alone: CourseScore, layered: CourseScore) -> bool:
     return layered.passed < alone.passed or beyond or bool(layered.odd_rms and not alone.odd_rms)
 
 
-def put_between(marks: tuple[str, str], page: Path, text: str) -> None:
-    """Replace what stands between the two marks of a page; ConfigError where they are missing."""
+def put_between(name: str, page: Path, text: str) -> None:
+    """Replace what stands between the two marks of that name on a page; ConfigError where they are missing."""
+    marks = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     before, begin, rest = page.read_text(encoding="utf-8").partition(marks[0])
     _, end, after = rest.partition(marks[1])
     if not end:

@@ -24,7 +24,6 @@ from sim.research.trial.courses.maps import DRIVES, on_layers
 from sim.research.trial.table import (
     ENOUGH_RUNS,
     HEADER,
-    MARKS,
     CourseScore,
     in_short,
     layers_in_short,
@@ -371,14 +370,14 @@ def test_in_short_layers_show_what_is_worse_on_them() -> None:
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
-    page = tmp_path / "trial.md"
-    page.write_text(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n")
-    put_between(MARKS, page, "new")
-    put_between(MARKS, page, "newer")
-    assert page.read_text() == f"before\n{MARKS[0]}\n\nnewer\n\n{MARKS[1]}\nafter\n"
+    page, begin, end = tmp_path / "trial.md", "<!-- results: begin -->", "<!-- results: end -->"
+    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    put_between("results", page, "new")
+    put_between("results", page, "newer")
+    assert page.read_text() == f"before\n{begin}\n\nnewer\n\n{end}\nafter\n"
     page.write_text("no marks")
     with pytest.raises(ConfigError, match="no lines"):
-        put_between(MARKS, page, "new")
+        put_between("results", page, "new")
 
 
 def test_the_courses_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
