@@ -12,28 +12,29 @@ Believed frames of the other seeds' drives, whose road is on no map, are counted
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
+from functools import cache, partial
+from itertools import permutations, product
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
+from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, cut_regions
+from edge.feed import View
 from edge.localization.region_lines import lag_places
-from edge.reference_map import ModelKey
-from edge.reference_map.builder import Place
+from edge.reference_map import MapSet, ModelKey
+from edge.reference_map.builder import NAN, Place
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, joined
+from sim.research.evaluation.tables import options, publish
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
-from sim.research.trial.table import put_between
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import LightName, Scenario
@@ -47,6 +48,7 @@ HOME_LEFT_M = 3.5  # of the map's drive is the lane home
 FIRST_FRAME = 16  # the first that can have an answer
 Cut = Literal["whole", "first half", "second half", "thirds"]
 CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
+M_PER_DEG = 110_574.0
 Floats = NDArray[np.float64]
 
 
@@ -57,6 +59,11 @@ class Described:
     raw: NDArray[np.float32]
     route_m: Floats
     driven_m: Floats
+
+
+Drives = dict[tuple[LightName, Direction], Described]
+World = tuple[Described, Drives]
+"""A road as the rear camera saw it by day, and what the front camera saw on it."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +80,25 @@ class Beliefs:
     lag_m: Floats
 
 
-def described(scenario: Scenario, network: Network, cache: Path, spacing_m: float = SPACING_M) -> Described:
-    """Render a drive at each spacing_m and describe it, unless `cache` has it."""
+@cache
+def _network() -> Network:
+    return Network.load()
+
+
+def described(scenario: Scenario, folder: Path, spacing_m: float = SPACING_M) -> Described:
+    """Render a drive at each spacing_m and describe it, unless `folder` has it."""
     name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}"
     name += ".npz" if spacing_m == SPACING_M else f"_{spacing_m:g}m.npz"
-    if not (cache / name).exists():
-        drive = scenario.drive()
+    if not (folder / name).exists():
+        drive, network = scenario.drive(), _network()
         times_s = times_by_distance(drive, spacing_m)
         renderer = open_renderer(scenario, drive)
         images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
         raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.size)) for image in images])
         renderer.close()
         route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
-        np.savez(cache / name, raw=raw, route_m=route_m, distance_m=driven_m)
-    stored = np.load(cache / name)
+        np.savez(folder / name, raw=raw, route_m=route_m, distance_m=driven_m)
+    stored = np.load(folder / name)
     return Described(stored["raw"], stored["route_m"], stored["distance_m"])
 
 
@@ -99,6 +111,21 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
         "second half": [(half, places)],
         "thirds": [(0, third), (2 * third, places)],
     }[cut]
+
+
+@contextmanager
+def mapped(road: Described, cut: Cut, view: View = "rear", *, to_north: bool = False) -> Iterator[MapSet]:
+    """The map of a part of the road; view: where its camera looked. to_north: along a meridian, else nobody knows."""
+    places = [
+        Place(row, route_m / M_PER_DEG if to_north else NAN, 0.0 if to_north else NAN, route_m=route_m)
+        for row, route_m in enumerate(road.route_m.tolist())
+    ]
+    drives = [
+        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
+        for start, end in kept(cut, len(places))
+    ]
+    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2]), DescriptorConfig()) as maps:
+        yield maps
 
 
 def believe(
@@ -116,19 +143,9 @@ def believe(
     """
     # Without a rig there is no lane, but any parallax, so that it is measured.
     config = Config(rig=rig or RigConfig(parallax=1.0), sampling=sampling)
-    rows = np.arange(len(road.raw))
-    drives = [
-        MappedDrive(
-            road.raw[start:end].astype(np.float32),
-            [Place(row, route_m=float(road.route_m[row])) for row in rows[start:end].tolist()],
-            "rear",
-        )
-        for start, end in kept(cut, len(rows))
-    ]
     found = np.full((len(query.raw), 5), np.nan)
     found[:, 1] = found[:, 3] = 0.0
-    model = ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])
-    with temporary_map(drives, model, config.descriptor) as map_set:
+    with mapped(road, cut) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
             travel = Travel(None if odometer_scale is None else float(driven_m) * odometer_scale)
@@ -179,14 +196,9 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
         else np.inf
         for enter, leave in zip(edges[::2], edges[1::2], strict=True)
     ]
-    answers = [
-        _answers(confidence, np.abs(place_m - true_m), on_map)
-        for confidence, place_m in (
-            (beliefs.confidence, beliefs.along_m),
-            (beliefs.uniqueness, beliefs.match_m),
-        )
-    ]
-    return Judged(answers[0], answers[1], first_m)
+    belief = _answers(beliefs.confidence, np.abs(beliefs.along_m - true_m), on_map)
+    uniqueness = _answers(beliefs.uniqueness, np.abs(beliefs.match_m - true_m), on_map)
+    return Judged(belief, uniqueness, first_m)
 
 
 def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> Answers:
@@ -195,28 +207,23 @@ def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> 
     return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
 
 
-def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, dict[str, Described]]]:
-    """The road of each seed as the rear camera saw it, and the drives on it by "light direction"."""
-    network = Network.load()
+def worlds(seeds: list[int], length_m: float, folder: Path) -> Iterator[World]:
+    """The road of each seed as the rear camera saw it, and the drives on it."""
     for seed in seeds:
         scene = partial(Scenario, seed=seed, length_m=length_m)
-        road = described(scene(view="rear", drive_seed=1), network, cache)
         drives = {}
         for drive_seed, (light, way) in enumerate(product(LIGHTS, DIRECTIONS), start=2):
-            seen = partial(scene, light=light, direction=way, drive_seed=drive_seed)
-            drives[f"{light} {way}"] = described(seen(), network, cache)
-        yield road, drives
+            drives[light, way] = described(scene(light=light, direction=way, drive_seed=drive_seed), folder)
+        yield described(scene(view="rear", drive_seed=1), folder), drives
 
 
-def judge_world(road: Described, drives: dict[str, Described], odometer: float) -> Iterator[tuple[Cut, Judged]]:
+def judge_world(road: Described, drives: Drives) -> Iterator[tuple[Cut, Judged]]:
     """Each drive over the road with each part of it mapped."""
-    alone = {name: believe(road, drive, "whole", odometer) for name, drive in drives.items()}
-    for cut, (name, drive) in product(CUTS, drives.items()):
-        light, _, way = name.partition(" ")
-        other = f"{'dusk' if light == 'day' else 'day'} {way}"
+    alone = {name: believe(road, drive, "whole") for name, drive in drives.items()}
+    for cut, ((light, way), drive) in product(CUTS, drives.items()):
+        other: tuple[LightName, Direction] = ("dusk" if light == "day" else "day", way)
         ahead_m = offset_m(drives[other], alone[other])
-        rig = rig_of("forward" if way == "forward" else "reverse", ahead_m, alone[other])
-        beliefs = believe(road, drive, cut, odometer, rig=rig)
+        beliefs = believe(road, drive, cut, rig=rig_of(way, ahead_m, alone[other]))
         mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
         yield cut, judge(drive, mapped_m, beliefs, ahead_m)
 
@@ -236,42 +243,34 @@ def _row(cut: Cut, judged: list[Judged]) -> str:
 
 def main() -> None:
     """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True)
-    parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
-    parser.add_argument("--odometer", type=float, default=1.0, help="what it reads for each meter")
-    parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
-    args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
-    seen = list(worlds(args.seeds, args.length, args.cache))
-    rows = list(tables(seen, args.odometer))
-    print("\n".join(rows))
-    if args.page:
-        put_between("belief", args.page, "\n".join(rows))
+    args = options(__doc__, 1000.0).parse_args()
+    publish("belief", tables(list(worlds(args.seeds, args.length, args.cache))), args.page)
 
 
-def tables(seen: list[tuple[Described, dict[str, Described]]], odometer: float) -> Iterator[str]:
+def tables(seen: Sequence[World]) -> Iterator[str]:
     """Each part of the roads mapped, and drives over roads that are on no map."""
     judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
     for road, drives in seen:
-        for cut, one in judge_world(road, drives, odometer):
+        for cut, one in judge_world(road, drives):
             judged[cut].append(one)
     yield "| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |"
     yield "|---|---|---|---|---|"
     yield from (_row(cut, judged[cut]) for cut in CUTS)
-    elsewhere = [
-        (drive, believe(road, drive, "whole").confidence)
-        for road, _ in seen
-        for other, ds in seen
-        if other is not road
-        for drive in ds.values()
-    ]
-    foreign = np.concatenate([np.zeros(0), *(confidence for _, confidence in elsewhere)])
+    foreign = foreign_confidence(seen)
     believed, most = foreign >= AcceptanceConfig().confidence_from, foreign.max(initial=0.0)
-    km = sum(one.driven_m[-1] for one, _ in elsewhere) / 1000
+    km = (len(seen) - 1) * sum(drive.driven_m[-1] for _, drives in seen for drive in drives.values()) / 1000
     what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.3f}"
     yield f"\nOn {km:.0f} km of other roads {what}."
+
+
+def foreign_confidence(seen: Sequence[World]) -> Floats:
+    """The confidence of each frame of each drive on the map of every other road."""
+    found = [
+        believe(road, drive, "whole").confidence
+        for (road, _), (_, drives) in permutations(seen, 2)
+        for drive in drives.values()
+    ]
+    return np.concatenate([np.zeros(0), *found])
 
 
 if __name__ == "__main__":

@@ -14,35 +14,41 @@ looked, by direction and by light, in the worlds and in rehearsed drives over th
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config
-from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.feed import View
-from edge.reference_map import Drives, MapSet, ModelKey
-from edge.reference_map.builder import Place
+from edge.reference_map import Drives
 from edge.sequence import Direction
 from sim.coverage import Conditions, Pass, Rehearsal, Sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import longest_gap, spans_of
-from sim.research.evaluation.belief import Described, believe, described, kept, offset_m
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.research.evaluation.belief import (
+    SPACING_M,
+    TOLERANCE_M,
+    Cut,
+    Described,
+    believe,
+    described,
+    kept,
+    mapped,
+    offset_m,
+)
+from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import Scenario
 
 STRETCH_M, REHEARSALS, FACTOR = 100.0, 8, 1.5
 DRIVEN: tuple[tuple[Conditions, int], ...] = ((Conditions("home", "night"), 2), (Conditions("again", "dusk"), 3))
 """Conditions, and the seed of the drive."""
 VIEWS: tuple[View, ...] = ("rear", "front")
-M_PER_DEG = 110_574.0
 AROUND_M = 8.0
 DEAD = 0.1
 """Share of the mean deviation below which a dimension says nothing of a shift."""
@@ -53,40 +59,20 @@ Floats = NDArray[np.float64]
 class Judged:
     """A drive over a world: shares of stretches (n,), predicted and found, whether first in it, and longest gaps."""
 
-    name: str
     predicted: Floats
     found: Floats
-    is_first: NDArray[np.bool_]
+    is_first: Floats
     predicted_gap_m: float
     found_gap_m: float
 
 
-@contextmanager
-def mapped(road: Described, *, whole: bool, view: View = "rear") -> Iterator[MapSet]:
-    """The road's map, by a camera that looked so, on a straight line north."""
-    rows, config = np.arange(len(road.raw)), Config()
-    drives = [
-        MappedDrive(
-            road.raw[start:end].astype(np.float32),
-            [
-                Place(row, float(road.route_m[row]) / M_PER_DEG, 0.0, route_m=float(road.route_m[row]))
-                for row in rows[start:end].tolist()
-            ],
-            view,
-        )
-        for start, end in kept("whole" if whole else "thirds", len(rows))
-    ]
-    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2]), config.descriptor) as maps:
-        yield maps
-
-
-def judge(name: str, road: Described, query: Described, conditions: Conditions, *, whole: bool) -> Judged:
+def judge(road: Described, query: Described, conditions: Conditions, cut: Cut) -> Judged:
     """Rehearse a drive over a world, and hold it against the one that was driven."""
-    with mapped(road, whole=whole) as maps:
-        drives = Drives(maps, 2.0)
+    with mapped(road, cut, to_north=True) as maps:
+        drives = Drives(maps, SPACING_M)
         rehearsal = Rehearsal(maps, Config(), conditions)
         rehearsed = [rehearsal.drive(seed) for seed in range(REHEARSALS)]
-        found = _passes(road, query, drives, whole=whole, home=conditions.way == "home")
+        found = _passes(road, query, drives, cut, home=conditions.way == "home")
         spans = spans_of(maps, drives, STRETCH_M)
         predicted = Sheet.of(maps, drives, spans, rehearsed, [], np.inf)
         real = Sheet.of(maps, drives, spans, [], [found], np.inf)
@@ -97,7 +83,7 @@ def judge(name: str, road: Described, query: Described, conditions: Conditions, 
         for one, other in zip(predicted.stretches, real.stretches, strict=True)
         if one.share is not None and other.share is not None
     ])  # fmt: skip
-    return Judged(name, shares[:, 0], shares[:, 1], shares[:, 2] > 0, gap.length_m, real_gap.length_m)
+    return Judged(shares[:, 0], shares[:, 1], shares[:, 2], gap.length_m, real_gap.length_m)
 
 
 def _is_first(segment: int, from_m: float, drives: Drives, home: bool) -> bool:
@@ -106,46 +92,37 @@ def _is_first(segment: int, from_m: float, drives: Drives, home: bool) -> bool:
     return high_m - from_m <= 2 * STRETCH_M if home else from_m - low_m < 2 * STRETCH_M
 
 
-def _passes(road: Described, query: Described, drives: Drives, *, whole: bool, home: bool) -> list[Pass]:
+def _passes(road: Described, query: Described, drives: Drives, cut: Cut, *, home: bool) -> list[Pass]:
     """What was driven, over each segment."""
-    beliefs = believe(road, query, "whole" if whole else "thirds")
+    beliefs = believe(road, query, cut)
     along_m = query.route_m + offset_m(query, beliefs)
-    right = np.abs(beliefs.along_m - along_m) <= 40.0
+    right = np.abs(beliefs.along_m - along_m) <= TOLERANCE_M
     believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_from)
     found = []
-    for segment in range(1 if whole else 2):
+    for segment in range(len(kept(cut, len(road.raw)))):
         low_m, high_m = drives.extent_m(segment)
         inside = (along_m >= low_m) & (along_m <= high_m)
         found.append(Pass(segment, along_m[inside], believed[inside]))
     return found[::-1] if home else found
 
 
-def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[int, Described, list[Described]]]:
-    """The road of each seed as the rear camera saw it, and the drives of DRIVEN."""
-    network = Network.load()
-    for seed in seeds:
-        road = described(Scenario(seed=seed, length_m=length_m, view="rear", drive_seed=1), network, cache)
-        queries = [described(_scene(seed, length_m, one, number), network, cache) for one, number in DRIVEN]
-        yield seed, road, queries
-
-
-def _scene(seed: int, length_m: float, conditions: Conditions, drive_seed: int) -> Scenario:
+def driven(road: Scenario, conditions: Conditions, drive_seed: int, folder: Path) -> Described:
+    """A drive of the front camera over a road."""
     direction: Direction = "reverse" if conditions.way == "home" else "forward"
-    return Scenario(seed=seed, length_m=length_m, light=conditions.light, direction=direction, drive_seed=drive_seed)
+    seen = replace(road, view="front", light=conditions.light, direction=direction, drive_seed=drive_seed)
+    return described(seen, folder)
 
 
-def print_similarity(seeds: list[int], length_m: float, cache: Path) -> None:
+def similarity(roads: Sequence[Scenario], folder: Path) -> Iterator[str]:
     """A table: cosine of a place with its place of the map, mean and standard deviation, found and rehearsed."""
-    network = Network.load()
-    print("| map | way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|---|")
+    yield "| map | way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|---|"
     for view, way, light in product(VIEWS, WAYS, LIGHTS):
         found, rehearsed, shifts = [], [], []
-        for seed in seeds:
-            road = described(Scenario(seed=seed, length_m=length_m, view=view, drive_seed=1), network, cache)
-            conditions = Conditions(way, light)
-            query = described(_scene(seed, length_m, conditions, 5), network, cache)
+        for scenario in roads:
+            road, conditions = described(replace(scenario, view=view), folder), Conditions(way, light)
+            query = driven(scenario, conditions, 5, folder)
             shifts.append(_shift(road, query))
-            with mapped(road, whole=True, view=view) as maps:
+            with mapped(road, "whole", view, to_north=True) as maps:
                 rehearsal = Rehearsal(maps, Config(), conditions)
                 swapped = not rehearsal.look_alike(0)
                 found.append(_similarity(road, query, swapped=swapped))
@@ -153,7 +130,7 @@ def print_similarity(seeds: list[int], length_m: float, cache: Path) -> None:
                 driven_m = road.route_m[::-1] if way == "home" else road.route_m
                 rehearsed.append(_similarity(road, Described(raw, driven_m, road.route_m), swapped=swapped))
         cells = (f"{np.mean(values):.2f} / {np.std(values):.2f}" for values in map(np.concatenate, (found, rehearsed)))
-        print(f"| {view} | {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |", flush=True)
+        yield f"| {view} | {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |"
 
 
 def _similarity(road: Described, query: Described, *, swapped: bool) -> Floats:
@@ -186,35 +163,36 @@ def _unit(raw: NDArray[np.float32]) -> NDArray[np.float32]:
     return unit
 
 
+def predictions(roads: Sequence[Scenario], folder: Path) -> Iterator[str]:
+    """For each drive its shares and gaps, and for all the correlation of shares and how many gaps are right."""
+    judged = []
+    yield "| road | drive | share, predicted / found | longest gap, predicted / found |\n|---|---|---|---|"
+    for number, scenario in enumerate(roads):
+        cut: Cut = "thirds" if number % 2 else "whole"
+        for conditions, drive_seed in DRIVEN:
+            query = driven(scenario, conditions, drive_seed, folder)
+            judged.append(one := judge(described(scenario, folder), query, conditions, cut))
+            name = f"{scenario.seed}{', the middle not mapped' * (number % 2)} | {conditions.way}, {conditions.light}"
+            shares = f"{one.predicted.mean():.2f} / {one.found.mean():.2f}"
+            yield f"| {name} | {shares} | {one.predicted_gap_m:.0f} / {one.found_gap_m:.0f} m |"
+    predicted, found, is_first = (
+        np.concatenate(rows) for rows in zip(*((one.predicted, one.found, one.is_first) for one in judged), strict=True)
+    )
+    later = np.corrcoef(predicted[is_first == 0], found[is_first == 0])[0, 1]
+    right = [1 / FACTOR <= one.predicted_gap_m / max(one.found_gap_m, 1.0) <= FACTOR for one in judged]
+    yield (
+        f"correlation by stretch: {np.corrcoef(predicted, found)[0, 1]:.2f} of {len(found)}; without the first 200 m of"
+        f" each segment {later:.2f}\nlongest gap within a factor of {FACTOR:g}: {sum(right)} of {len(right)}"
+    )
+
+
 def main() -> None:
-    """Print for each drive its gaps, and for all the correlation of shares and how many gaps are right."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True)
-    parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--length", type=float, default=1200.0, help="of the road, m")
+    """Print the predictions, or what they rest on."""
+    parser = options(__doc__, 1200.0)
     parser.add_argument("--similarity", action="store_true", help="print what the constants rest on")
     args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
-    if args.similarity:
-        print_similarity(args.seeds, args.length, args.cache)
-        return
-    judged = []
-    print("| road | drive | share, predicted / found | longest gap, predicted / found |\n|---|---|---|---|")
-    for number, (seed, road, queries) in enumerate(worlds(args.seeds, args.length, args.cache)):
-        for (conditions, _), query in zip(DRIVEN, queries, strict=True):
-            name = (
-                f"{seed}{'' if number % 2 == 0 else ', the middle not mapped'} | {conditions.way}, {conditions.light}"
-            )
-            one = judge(name, road, query, conditions, whole=number % 2 == 0)
-            judged.append(one)
-            shares = f"{one.predicted.mean():.2f} / {one.found.mean():.2f}"
-            print(f"| {name} | {shares} | {one.predicted_gap_m:.0f} / {one.found_gap_m:.0f} m |", flush=True)
-    predicted, found = (np.concatenate([getattr(one, what) for one in judged]) for what in ("predicted", "found"))
-    later = ~np.concatenate([one.is_first for one in judged])
-    print(f"correlation by stretch: {np.corrcoef(predicted, found)[0, 1]:.2f} of {len(found)};", end=" ")
-    print(f"without the first 200 m of each segment {np.corrcoef(predicted[later], found[later])[0, 1]:.2f}")
-    right = [1 / FACTOR <= one.predicted_gap_m / max(one.found_gap_m, 1.0) <= FACTOR for one in judged]
-    print(f"longest gap within a factor of {FACTOR:g}: {sum(right)} of {len(right)}")
+    roads = [Scenario(seed=seed, length_m=args.length, view="rear", drive_seed=1) for seed in args.seeds]
+    publish("coverage", (similarity if args.similarity else predictions)(roads, args.cache), args.page)
 
 
 if __name__ == "__main__":

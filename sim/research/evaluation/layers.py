@@ -16,7 +16,6 @@ frames    of the recognizer while learning runs, and without
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -41,9 +40,9 @@ from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
 from sim.research.evaluation.learning_frames import frames_rows
+from sim.research.evaluation.tables import options, publish
 from sim.research.pictures import note_sources
 from sim.research.trial.courses.maps import DRIVES
-from sim.research.trial.table import put_between
 from sim.trial.receiver_errors import receiver_errors
 from sim.world.route import Route as Road
 from sim.world.scenario import LightName, Scenario, View
@@ -330,28 +329,17 @@ TABLES: dict[str, Callable[[Sequence[int], Scene], Iterator[str]]] = {
 
 def main() -> None:
     """Print the tables, or write them into a page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True, help="of roads")
-    parser.add_argument("--cache", type=Path, required=True, help="folder of descriptors")
-    parser.add_argument("--length", type=float, default=800.0, help="of the road, m")
+    parser = options(__doc__, 800.0)
     parser.add_argument("--tables", nargs="*", choices=TABLES, default=list(TABLES), help="all by default")
-    parser.add_argument("--page", type=Path, help="write the tables between their marks on this page")
     parser.add_argument("--picture", type=Path, help="draw the layers of the first road")
     args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
-    network = Network.load()
 
     def scene(seed: int, view: View, light: LightName, drive: int, way: Direction = "forward") -> Described:
         scenario = Scenario(seed=seed, length_m=args.length, view=view, light=light, direction=way, drive_seed=drive)
-        return described(scenario, network, args.cache)
+        return described(scenario, args.cache)
 
     for name in args.tables:
-        rows = []
-        for row in TABLES[name](args.seeds, scene):
-            print(row, flush=True)
-            rows.append(row)
-        if args.page:
-            put_between(name, args.page, "\n".join(rows))
+        publish(name, TABLES[name](args.seeds, scene), args.page)
     if args.picture:
         draw(args.picture, args.seeds, scene, args.length)
 

@@ -10,10 +10,8 @@ real streets each scene is recognized on the map of all scenes, and on that of a
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 from pathlib import Path
 
 import msgspec
@@ -24,12 +22,12 @@ from numpy.typing import NDArray
 from edge.localization.consensus import RIGHT_AT_HALF
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.belief import Described, believe, judge_world, worlds
+from sim.research.evaluation.belief import World, foreign_confidence, judge_world, worlds
 from sim.research.evaluation.method_runner import MethodRunner
 from sim.research.evaluation.plan import NetworkPlan, Pair, TraversePlan, load_plan
 from sim.research.evaluation.run import Folders, find_plan, open_runner
 from sim.research.evaluation.scores import joined
-from sim.research.trial.table import put_between
+from sim.research.evaluation.tables import options, publish
 
 TENTHS = 10
 Floats = NDArray[np.float64]
@@ -75,15 +73,10 @@ class Claims:
         return float(np.exp(found))
 
 
-def of_roads(seen: Sequence[tuple[Described, dict[str, Described]]]) -> Claims:
+def of_roads(seen: Sequence[World]) -> Claims:
     """Each drive over its own road with each part of it mapped, and over every other one's map."""
-    mapped = [judged.belief for road, drives in seen for _, judged in judge_world(road, drives, 1.0)]
-    foreign = [
-        believe(road, drive, "whole").confidence
-        for (road, _), (_, others) in permutations(seen, 2)
-        for drive in others.values()
-    ]
-    return Claims.of(joined(mapped), np.concatenate(foreign))
+    mapped = [judged.belief for road, drives in seen for _, judged in judge_world(road, drives)]
+    return Claims.of(joined(mapped), foreign_confidence(seen))
 
 
 def of_streets(feeds: Path) -> Claims:
@@ -134,17 +127,13 @@ def plot(claims: dict[str, Claims]) -> bytes:
 
 def main() -> None:
     """Print, write and draw how right the confidence is."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options(__doc__, 1200.0, seeds=False)
     parser.add_argument(
         "--roads", type=int, nargs="+", action="append", required=True, help="seeds of a set of roads; may be repeated"
     )
-    parser.add_argument("--length", type=float, default=1200.0, help="of the roads, m")
     parser.add_argument("--feeds", type=Path, help="folder with the recordings of the plan real_front_rear")
-    parser.add_argument("--cache", type=Path, required=True, help="keeps the descriptors of the roads")
-    parser.add_argument("--page", type=Path, help="write the table between its marks on this page")
     parser.add_argument("--picture", type=Path, help="draw it into this file")
     args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
     claims = {
         f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache)))
         for seeds in args.roads
@@ -152,10 +141,7 @@ def main() -> None:
     if args.feeds:
         claims["real streets"] = of_streets(args.feeds)
     fits = ", ".join(f"{one.fitted():.1f} by {name}" for name, one in claims.items())
-    rows = [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."]
-    print("\n".join(rows))
-    if args.page:
-        put_between("reliability", args.page, "\n".join(rows))
+    publish("reliability", [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."], args.page)
     if args.picture:
         args.picture.write_bytes(plot(claims))
 

@@ -11,9 +11,8 @@ this drive has with a frame and a place every 2 m.
 
 from __future__ import annotations
 
-import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -24,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, SamplingConfig
-from edge.descriptor.network import Network
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.belief import Cut, Described, believe, described, judge, kept, offset_m
 from sim.research.evaluation.scores import at_threshold, joined
+from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import Scenario
 
 MAP_M = (1, 2, 4)
@@ -77,19 +76,17 @@ def rows_used(case: Case, count: int, rng: np.random.Generator) -> NDArray[np.in
     return rows
 
 
-def worlds(seeds: list[int], length_m: float, cache: Path) -> Iterator[tuple[Described, list[Described]]]:
-    """The road of each seed as the rear camera saw it, and the drives on it."""
-    network = Network.load()
-    for seed in seeds:
-        scene = partial(Scenario, seed=seed, length_m=length_m)
-        home = scene(light="night", direction="reverse", drive_seed=3)
-        scenes = [scene(view="rear", drive_seed=1), home, scene(light="dusk", drive_seed=4)]
-        found = [described(one, network, cache, 1.0) for one in scenes]
-        road, *drives = (replace(one, raw=one.raw[:, :, ::EVERY]) for one in found)
-        yield road, drives
+def world(seed: int, length_m: float, folder: Path) -> tuple[Described, list[Described]]:
+    """The road of a seed as the rear camera saw it, and the drives on it."""
+    scene = partial(Scenario, seed=seed, length_m=length_m)
+    home = scene(light="night", direction="reverse", drive_seed=3)
+    scenes = [scene(view="rear", drive_seed=1), home, scene(light="dusk", drive_seed=4)]
+    found = [described(one, folder, 1.0) for one in scenes]
+    road, *drives = (replace(one, raw=one.raw[:, :, ::EVERY]) for one in found)
+    return road, drives
 
 
-def judged(road: Described, query: Described, ahead_m: float, case: Case, seed: int) -> dict[Cut, Answers]:
+def judged(seed: int, road: Described, query: Described, ahead_m: float, case: Case) -> dict[Cut, Answers]:
     """Of one drive, with all of the road mapped and with a part of it."""
     mapped = thinned(road, np.arange(0, len(road.raw), case.map_m))
     seen = thinned(query, rows_used(case, len(query.raw), np.random.default_rng(seed)))
@@ -126,35 +123,30 @@ def _cell(maps: list[Figures]) -> str:
     return "; ".join([f"{least:.3f}", *(f"{min(ours):.2f} to {max(ours):.2f}" for ours in recalls)])
 
 
+def rows_of(seeds: Sequence[int], length_m: float, odometers: Sequence[str], folder: Path) -> Iterator[str]:
+    """A row for each odometer and kind of frames, with a column for each spacing of the vehicle's frames."""
+    drives = [
+        (seed, road, drive, ahead_m)
+        for seed in seeds
+        for road, drives in [world(seed, length_m, folder)]
+        for drive, ahead_m in zip(drives, offsets_m(road, drives), strict=True)
+    ]
+    yield "| odometer, frames | " + " | ".join(f"each {vehicle_m} m" for vehicle_m in VEHICLE_M) + " |"
+    yield "|---" * (1 + len(VEHICLE_M)) + "|"
+    for odometer, frames in product(odometers, FRAMES):
+        cells = []
+        for vehicle_m in VEHICLE_M:
+            cases = (Case(map_m, vehicle_m, frames, odometer) for map_m in MAP_M)
+            cells.append(_cell([_figures([judged(*one, case) for one in drives]) for case in cases]))
+        yield f"| {odometer}, {frames} | {' | '.join(cells)} |"
+
+
 def main() -> None:
-    """Print a row for each odometer and kind of frames, with a column for each spacing of the vehicle's frames."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True)
-    parser.add_argument("--cache", type=Path, required=True)
-    parser.add_argument("--length", type=float, default=1000.0, help="of the road, m")
+    """Print or write the table."""
+    parser = options(__doc__, 1000.0)
     parser.add_argument("--odometers", nargs="+", choices=ODOMETERS, default=list(ODOMETERS), help="default: all")
     args = parser.parse_args()
-    args.cache.mkdir(parents=True, exist_ok=True)
-    seen = [(road, drives, offsets_m(road, drives)) for road, drives in worlds(args.seeds, args.length, args.cache)]
-    print("| odometer, frames | " + " | ".join(f"each {vehicle_m} m" for vehicle_m in VEHICLE_M) + " |")
-    print("|---" * (1 + len(VEHICLE_M)) + "|")
-    for odometer, frames in product(args.odometers, FRAMES):
-        cells = [
-            _cell([_judge_all(seen, args.seeds, Case(map_m, vehicle_m, frames, odometer)) for map_m in MAP_M])
-            for vehicle_m in VEHICLE_M
-        ]
-        print(f"| {odometer}, {frames} | {' | '.join(cells)} |", flush=True)
-
-
-def _judge_all(seen: list[tuple[Described, list[Described], list[float]]], seeds: list[int], case: Case) -> Figures:
-    """All drives of all worlds. seen: each world's road, its drives, and how far ahead their matches lie."""
-    return _figures(
-        [
-            judged(road, drive, ahead_m, case, seed)
-            for seed, (road, drives, ahead) in zip(seeds, seen, strict=True)
-            for drive, ahead_m in zip(drives, ahead, strict=True)
-        ]
-    )
+    publish("spacing", rows_of(args.seeds, args.length, args.odometers, args.cache), args.page)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,8 @@ def course(
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
         about = " ".join((function.__doc__ or "").split())
-        for given in [(value,) for value in values] or [()]:
+        arguments: list[tuple[object, ...]] = [(value,) for value in values] or [()]
+        for given in arguments:
 
             def lay(draft: CourseDraft, given: tuple[object, ...] = given) -> None:
                 draft.rules = rules
