@@ -16,7 +16,7 @@ from sim.bench.simulated_map import write_simulated_map
 from sim.bench.timing import Times, time_ms
 from sim.research.bench.machine import read_all
 from sim.research.bench.network_rows import floor_of
-from sim.research.bench.rows import Row, Section, Target
+from sim.research.bench.rows import Row, Section, at_most
 
 LANE = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
 """Beside the map's drive: the regions of two frames are matched together, and each region alone."""
@@ -73,10 +73,8 @@ def measure(folder: Path, places: int, frames: int) -> Section:
         Row("whole frame, in a lane beside the map's drive", lane, "whole frame", lane.median_ms / whole.median_ms)
     )
     targets = [
-        Target("whole frame", "2x the network or less", f"{over:.2f}x", over <= 2),
-        Target("whole frame, against the sum of its floors", "1.3x or less", f"{over_floors:.2f}x", over_floors <= 1.3),
-        Target(
-            "whole frame: 99 % of frames over floors, against the median", "1.5x or less", f"{tail:.2f}x", tail <= 1.5
-        ),
+        at_most("whole frame, against its network", 2, over),
+        at_most("whole frame, against the sum of its floors", 1.3, over_floors),
+        at_most("whole frame: 99 % of frames over floors, against the median", 1.5, tail),
     ]
     return Section(f"Whole frame of {SIZE_PX[0]}x{SIZE_PX[1]}, {places:,} places", rows, targets)

@@ -23,7 +23,7 @@ from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.bench.frames import smooth_picture
 from sim.bench.simulated_map import write_simulated_map
 from sim.bench.timing import Times
-from sim.research.bench.rows import Row, Section, Target
+from sim.research.bench.rows import Row, Section, at_most
 
 SIZE_PX = (640, 480)
 LENGTH = 40
@@ -123,5 +123,5 @@ def measure(folder: Path, places: int, frames: int) -> Section:
         Row(two_name, times[two_name], "one camera", ratio, f"all threads; 95 % of frames within {slowest:.1f} ms"),
         Row("restart with the map of the drive", Times((two.resumed_s * 1e3,)), note="once, wall-clock"),
     ]
-    target = Target(two_name, f"{MOST_TIMES:g}x one camera or less", f"{ratio:.2f}x", ratio <= MOST_TIMES)
+    target = at_most(f"{two_name}, against one camera", MOST_TIMES, ratio)
     return Section(f"Mapping while driving, {places:,} places", rows, [target])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import faiss
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from sim.bench.timing import race
 from sim.research.bench.machine import Machine, read_all
-from sim.research.bench.rows import Row, Section, Target, against
+from sim.research.bench.rows import Row, Section, against, at_most
 
 faiss.omp_set_num_threads(1)
 REGIONS, DIMENSIONS = 2, 4096
@@ -19,17 +19,15 @@ BLOCK = 1000
 OURS, READING, FAISS = "ours", "reading the map's bytes once", "faiss SQ8, one order"
 
 
-def measure(machine: Machine, places: list[int], rounds: int, dimensions: int = DIMENSIONS) -> Section:
+def measure(machine: Machine, places: Sequence[int], rounds: int, dimensions: int = DIMENSIONS) -> Section:
     """A section with the rows of every size; targets are for sizes of 10,000 and up."""
-    rows: list[Row] = []
-    targets: list[Target] = []
+    section = Section("Matching, one frame in both orders", [], [])
     for count in places:
-        more_rows, more_targets = _of_size(machine, count, rounds, dimensions)
-        rows, targets = rows + more_rows, targets + more_targets
-    return Section("Matching, one frame in both orders", rows, targets)
+        _add_size(section, machine, count, rounds, dimensions)
+    return section
 
 
-def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tuple[list[Row], list[Target]]:
+def _add_size(section: Section, machine: Machine, places: int, rounds: int, dimensions: int) -> None:
     rng = np.random.default_rng(places)
     descriptors, sq8 = _simulated(rng, places, dimensions)
     matcher = CostMatcher(descriptors, inverse_lengths(_norms(descriptors)))
@@ -43,30 +41,16 @@ def _of_size(machine: Machine, places: int, rounds: int, dimensions: int) -> tup
     }
     times = race(racers, rounds)
     size = f"{places:,} places x {REGIONS * dimensions}"
-    rows = [against(OURS, OURS, times, READING, size)]
-    rows += [against(name, name, times, OURS, size) for name in list(racers)[1:]]
+    section.rows.append(against(OURS, OURS, times, READING, size))
+    section.rows.extend(against(name, name, times, OURS, size) for name in (READING, FAISS))
     macs = machine.floor_ms(descriptors.size, descriptors.size * len(ring))
     whole = race({"ring": lambda: matcher.costs(ring)}, max(2, rounds // 3))["ring"]
     ratio = whole.median_ms / macs
-    rows.append(Row("40 rows, when the ring is normalized again", whole, "its floor", ratio, size=size))
-    if places < 10_000:
-        return rows, []
-    over = times[OURS].ratio(times[READING])
-    to_faiss = times[OURS].ratio(times[FAISS])
-    return rows, [
-        Target(
-            f"matching {places:,} x {REGIONS * dimensions} against reading the map's bytes once",
-            "1.3x or less",
-            f"{over:.2f}x",
-            over <= 1.3,
-        ),
-        Target(
-            f"matching {places:,} x {REGIONS * dimensions} against {FAISS}",
-            "1x or less",
-            f"{to_faiss:.2f}x",
-            to_faiss <= 1.0,
-        ),
-    ]
+    section.rows.append(Row("40 rows, when the ring is normalized again", whole, "its floor", ratio, size=size))
+    if places >= 10_000:
+        what = f"matching {places:,} x {REGIONS * dimensions} against"
+        section.targets.append(at_most(f"{what} {READING}", 1.3, times[OURS].ratio(times[READING])))
+        section.targets.append(at_most(f"{what} {FAISS}", 1, times[OURS].ratio(times[FAISS])))
 
 
 def _simulated(

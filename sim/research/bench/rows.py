@@ -44,6 +44,11 @@ class Section:
     targets: list[Target]
 
 
+def at_most(what: str, wanted: float, ratio: float) -> Target:
+    """A ratio that should not be greater."""
+    return Target(what, f"{wanted:g}x or less", f"{ratio:.2f}x", ratio <= wanted)
+
+
 def against(what: str, name: str, times: dict[str, Times], rival: str, size: str = "") -> Row:
     """The row of one racer against another."""
     return Row(what, times[name], rival, times[name].ratio(times[rival]), size=size)

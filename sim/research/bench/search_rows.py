@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.sequence import VIEWS_OPPOSED
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
-from sim.bench.timing import Times, race
-from sim.research.bench.rows import Row, Section, Target, against
+from sim.bench.timing import race
+from sim.research.bench.rows import Row, Section, Target, against, at_most
 
 LENGTHS = (10, 40, 80)
 GATHERED = 40
 SLOPES = slopes_around_diagonal(0.2, 21)
 
 
-def measure(places: list[int], rounds: int) -> Section:
+def measure(places: Sequence[int], rounds: int) -> Section:
     """Two lines of planes (directions with their region order), 21 slopes, as the daemon searches."""
     rows: list[Row] = []
     targets: list[Target] = []
@@ -33,18 +33,11 @@ def measure(places: list[int], rounds: int) -> Section:
         times = race({"ours": ours[GATHERED], "direct gather": direct(count, GATHERED)}, max(2, rounds // 5))
         rows.append(against(f"{line}: direct gather", "direct gather", times, "ours", size))
         if count == max(places):
-            targets += [_gather_target(f"{size}, {line}", times), _length_target(count, steady)]
+            faster = times["direct gather"].ratio(times["ours"])
+            what = f"search, {size}, {line}, against the direct gather"
+            targets.append(Target(what, "100x faster", f"{faster:.0f}x faster", faster >= 100))
+            targets.append(at_most(f"search, {size}, L = 80 against L = 10", 1.1, steady["80"].ratio(steady["10"])))
     return Section("Sequence search, one frame", rows, targets)
-
-
-def _length_target(places: int, steady: dict[str, Times]) -> Target:
-    ratio = steady["80"].ratio(steady["10"])
-    return Target(f"search, {places:,} places, L = 80 against L = 10", "1.1x or less", f"{ratio:.2f}x", ratio <= 1.1)
-
-
-def _gather_target(what: str, times: dict[str, Times]) -> Target:
-    faster = times["direct gather"].ratio(times["ours"])
-    return Target(f"search, {what}, against the direct gather", "100x faster", f"{faster:.0f}x faster", faster >= 100)
 
 
 def _rows(places: int, count: int) -> NDArray[np.int32]:
