@@ -22,7 +22,7 @@ from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB
 from sim.research.alexnet.graph import build_float
 from sim.research.alexnet.weights import read_weights
-from sim.research.evaluation.matching import matching_accuracy
+from tests.descriptor.accuracy import matching_accuracy
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
 

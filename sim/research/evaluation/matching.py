@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.descriptor import NormalizedRows
-from edge.descriptor.open_network import normalized_set
 from edge.feed import View
-from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.evidence import Neighborhood
 from edge.sequence.submap import RowMatcher
 from sim.evaluation.metrics import Answers
@@ -36,26 +34,6 @@ class Matches:
 
 CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
 """Costs (n, orders, N) int32 of query rows (n, R, D), or of whatever the rows are."""
-
-
-def unit_rows(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """All regions of a frame as one vector of length 1, (N, R * D); zero stays zero."""
-    flat = descriptors.reshape(len(descriptors), -1)
-    norms = np.linalg.norm(flat, axis=1, keepdims=True)
-    return np.asarray(np.divide(flat, norms, out=np.zeros_like(flat), where=norms > 0))
-
-
-def matching_accuracy(query: NDArray[np.float32], reference: NDArray[np.float32], correct: NDArray[np.bool_]) -> float:
-    """Share of query frames (N, R, D), NSD, whose most similar reference frame (M, R, D) is in `correct` (N, M)."""
-    similarity = unit_rows(normalized_set(query)) @ unit_rows(normalized_set(reference)).T
-    best = similarity.argmax(axis=1)
-    return float(correct[np.arange(len(best)), best].mean())
-
-
-def int8_matcher(descriptors: NDArray[np.float32]) -> CostMatcher:
-    """The recognizer's matcher on descriptors (N, R, D), quantized as a map keeps them."""
-    encoded = encode(descriptors)
-    return CostMatcher.of_encoded(encoded)
 
 
 def match(

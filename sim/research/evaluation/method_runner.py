@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, SequenceConfig
 from edge.errors import ConfigError
 from edge.recognizer import model_key
+from edge.reference_map.costs import CostMatcher, encode
 from sim.evaluation.metrics import Answers, answers_within
 from sim.research.evaluation.as_run import config_of, match_as_run
 from sim.research.evaluation.bootstrap import Resampling
@@ -20,7 +21,6 @@ from sim.research.evaluation.descriptions import Descriptions, Raw
 from sim.research.evaluation.matching import (
     Matches,
     errors_of,
-    int8_matcher,
     judge,
     judged_queries,
     match,
@@ -148,6 +148,7 @@ class MethodRunner:
             network = self.descriptions.network(method.network, "fc6")
             return match_as_run(reference, query, raw, config, model_key(network), method.recognizer)
         described = reference_rows(method, raw[0])
+        costs_of = CostMatcher.of_encoded(encode(described)).costs
         starts = {drive.start for drive in query.drives()}
         search = open_matcher(
             *place_coordinates(reference, pair),
@@ -157,7 +158,7 @@ class MethodRunner:
             views=(reference.feed.header.view, query.feed.header.view),
             drives=reference.drives(),
         )
-        return match(query_rows(method, raw[1], length, starts), int8_matcher(described).costs, search, starts)
+        return match(query_rows(method, raw[1], length, starts), costs_of, search, starts)
 
     def _raw(self, method: Method, traverse: Traverse) -> Raw:
         assert method.layer != "pixels"

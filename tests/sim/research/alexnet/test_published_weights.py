@@ -16,7 +16,7 @@ from edge.feed import Feed, FeedImages, read_feed
 from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from sim.research.alexnet.weights import read_weights
-from sim.research.evaluation.matching import matching_accuracy
+from tests.descriptor.accuracy import matching_accuracy
 
 torch: Any = pytest.importorskip("torch", reason="needs the extra `torch`")
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from edge.config import SequenceConfig
 from edge.errors import ConfigError
+from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.search import slopes_around_diagonal
-from sim.research.evaluation.matching import int8_matcher, match, open_matcher
+from sim.research.evaluation.matching import match, open_matcher
 from sim.research.evaluation.methods import METHODS, Method, find_method, query_rows, reference_rows
 
 LENGTH, PLACES, QUERIES, DIMENSIONS, WINDOW = 4, 14, 13, 24, 3.0
@@ -111,7 +112,7 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     rows = query_rows(method, query, LENGTH)
     found = match(
         rows,
-        int8_matcher(reference_rows(method, reference)).costs,
+        CostMatcher.of_encoded(encode(reference_rows(method, reference))).costs,
         open_matcher(
             np.full((PLACES, 2), np.nan),
             np.arange(PLACES, dtype=np.float64),
