@@ -7,7 +7,6 @@ Blocks of contiguous frames are drawn instead (circular block bootstrap, Politis
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,7 @@ from sim.evaluation.metrics import Answers
 from sim.evaluation.report import Interval
 
 Statistic = Callable[[Answers], float]
-
-
-@dataclass(frozen=True)
-class Resampling:
-    """How to resample: frames a block, how many resamples, the interval's level, and the seed."""
-
-    block: int
-    resamples: int = 1000
-    level: float = 0.95
-    seed: int = 0
+LEVEL = 0.95
 
 
 def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -36,14 +26,10 @@ def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[n
     return np.asarray(runs.ravel()[:count] % count, dtype=np.intp)
 
 
-def interval(statistic: Statistic, answers: Answers, how: Resampling) -> Interval:
-    """The interval of one method's score."""
-    rng, count = np.random.default_rng(how.seed), len(answers.confidence)
-    drawn = np.array([statistic(answers.take(block_indices(count, how.block, rng))) for _ in range(how.resamples)])
+def interval(statistic: Statistic, answers: Answers, block: int, resamples: int, seed: int = 0) -> Interval:
+    """The interval of one method's score, by resamples of blocks of so many frames."""
+    rng, count = np.random.default_rng(seed), len(answers.confidence)
+    drawn = np.array([statistic(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
     drawn = drawn[~np.isnan(drawn)]  # a resample with no query on the map has no recall
-    value = statistic(answers)
-    if not drawn.size:
-        return Interval(value, float("nan"), float("nan"), how.level)
-    tail = (1 - how.level) / 2
-    low, high = np.quantile(drawn, [tail, 1 - tail])
-    return Interval(value, float(low), float(high), how.level)
+    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if drawn.size else (np.nan, np.nan)
+    return Interval(statistic(answers), float(low), float(high), LEVEL)

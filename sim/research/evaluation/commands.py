@@ -14,36 +14,20 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev paper`."""
     actions = parser.add_subparsers(required=True, metavar="COMMAND")
-    run = actions.add_parser("run", help="run a plan and write its report")
-    networks = actions.add_parser("networks", help="compare networks on the traverses of a plan")
-    for action, module in ((run, "run"), (networks, "network_comparison")):
-        _add_plan(action)
+    plans = "a plan (TOML, see plan.py beside this module), or one of simulator, real_feeds, real_front_rear"
+    for name, module, about in (
+        ("run", "run", "run a plan and write its report"),
+        ("networks", "network_comparison", "compare networks on the traverses of a plan"),
+    ):
+        action = actions.add_parser(name, help=about)
+        action.add_argument("plan", type=Path, metavar="PLAN", help=plans)
+        action.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of the report's files")
+        for what in ("feeds", "models"):
+            where = f"folder of the plan's {what} (default: beside the plan)"
+            action.add_argument(f"--{what}", type=Path, metavar="FOLDER", help=where)
         action.set_defaults(run=_later(module))
-    networks.add_argument(
-        "--model",
-        action="append",
-        default=[],
-        metavar="NAME=PATH",
-        help="a network file or folder beside those of the plan; may be repeated",
-    )
-
-
-def _add_plan(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "plan",
-        type=Path,
-        metavar="PLAN",
-        help="a plan (TOML, see plan.py beside this module), or one of simulator, real_feeds, real_front_rear",
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for HTML, CSV and PNG files"
-    )
-    parser.add_argument(
-        "--feeds", type=Path, metavar="FOLDER", help="folder of the plan's feeds (default: beside the plan)"
-    )
-    parser.add_argument(
-        "--models", type=Path, metavar="FOLDER", help="folder of the plan's models (default: beside the plan)"
-    )
+    beside = "a network file or folder beside those of the plan; may be repeated"
+    action.add_argument("--model", action="append", default=[], metavar="NAME=PATH", help=beside)
 
 
 def _later(module: str) -> Callable[[argparse.Namespace], int]:

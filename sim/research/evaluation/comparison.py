@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -44,14 +44,14 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     """All scores of one pair, its curves, and the matches of one method."""
     outcomes = [results[pair.name, text] for text in runner.plan.methods]
     shown = shown_outcome(runner, pair, results)
-    slug = slug_of(pair)
+    slug = "".join(letter if letter.isalnum() else "_" for letter in pair.name)
     wrong = ~(shown.error_of_best() <= pair.tolerance)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
     plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, wrong, pair.tolerance)
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
-        tables=[_score_table(runner, pair, slug, outcomes)],
+        tables=[table_of(f"{slug}_scores", "Scores", [_scores_of(runner, pair, one) for one in outcomes], SCORE_NOTE)],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
             Figure(
@@ -67,20 +67,10 @@ def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
 
-def slug_of(pair: Pair) -> str:
-    """The pair's name as part of a file name."""
-    return "".join(letter if letter.isalnum() else "_" for letter in pair.name)
-
-
 def overview(runner: MethodRunner, results: Results) -> Section:
     """Max-F1 of every method on every pair."""
     pairs = [pair.name for pair in runner.plan.pairs]
-    heights = {
-        text: [
-            max_f1_of_places(results[pair, text].answers) if (pair, text) in results else float("nan") for pair in pairs
-        ]
-        for text in runner.plan.methods
-    }
+    heights = {text: [max_f1_of_places(results[pair, text].answers) for pair in pairs] for text in runner.plan.methods}
     rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
     columns, note = ("method", *pairs), " ".join(offset_warnings(runner, results))
     table = Table("overview", "Max-F1 (places) of every method on every pair", columns, rows, note)
@@ -138,19 +128,19 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
     )
 
 
-def _score_table(runner: MethodRunner, pair: Pair, slug: str, outcomes: Sequence[Outcome]) -> Table:
-    rows = [_scores_of(runner, pair, outcome) for outcome in outcomes]
-    return Table(f"{slug}_scores", "Scores", tuple(rows[0]), [list(row.values()) for row in rows], SCORE_NOTE)
+def table_of(name: str, title: str, rows: Sequence[Mapping[str, Cell]], note: str) -> Table:
+    """A table of rows by its columns."""
+    return Table(name, title, tuple(rows[0]), [list(row.values()) for row in rows], note)
 
 
 def _scores_of(runner: MethodRunner, pair: Pair, outcome: Outcome) -> dict[str, Cell]:
     """A row of the table by its columns."""
-    found = scores(outcome.answers)
+    found, block = scores(outcome.answers), 2 * outcome.length  # sequences that far apart share no frame
     precision, recall = at_threshold(outcome.answers, outcome.threshold)
     return {
         "method": outcome.method.name,
         "accuracy": found.accuracy,
-        "max-F1 (places)": interval(max_f1_of_places, outcome.answers, runner.resampling(outcome.length)),
+        "max-F1 (places)": interval(max_f1_of_places, outcome.answers, block, runner.plan.resamples),
         "max-F1 (correct)": found.max_f1_of_correct,
         "AP": found.average_precision,
         "R@P100": found.recall_at_100,

@@ -16,7 +16,6 @@ from edge.recognizer import model_key
 from edge.reference_map.costs import CostMatcher, encode
 from sim.evaluation.metrics import Answers, answers_within
 from sim.research.evaluation.as_run import config_of, match_as_run
-from sim.research.evaluation.bootstrap import Resampling
 from sim.research.evaluation.descriptions import Descriptions, Raw
 from sim.research.evaluation.matching import (
     Matches,
@@ -104,10 +103,6 @@ class MethodRunner:
     def sequence_length(self, pair: Pair) -> int:
         """Frames of a sequence of this pair."""
         return pair.length or max(1, round((pair.length_m or 0.0) / self.plan.sampling.spacing_m))
-
-    def resampling(self, length: int) -> Resampling:
-        """Blocks of two sequences: sequences that far apart share no frame."""
-        return Resampling(block=2 * length, resamples=self.plan.resamples)
 
     def run(self, pair: Pair, text: str, length: int | None = None) -> Outcome:
         """One method on one pair; length: frames of a sequence, where they are others than the plan has."""

@@ -24,6 +24,7 @@ from edge.descriptor.model_file import ModelInfo
 from edge.errors import ConfigError
 from edge.reference_map.place_records import PLACE
 from sim.evaluation.report import Cell, Section, Table, write_report
+from sim.research.evaluation.comparison import table_of
 from sim.research.evaluation.networks import open_network
 from sim.research.evaluation.plan import NetworkPlan, Plan, load_plan
 from sim.research.evaluation.run import about, find_plan, folders_of, open_runner
@@ -141,7 +142,7 @@ def compare(pairs: int, compared: Sequence[Compared]) -> Table:
         f"Means over {pairs} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"
         " regions of a frame. Memory: what the process grows by when it opens and runs the network."
     )
-    return Table("networks", "Networks side by side", tuple(rows[0]), [list(row.values()) for row in rows], note)
+    return table_of("networks", "Networks side by side", rows, note)
 
 
 def map_bytes(info: ModelInfo) -> int:

@@ -9,10 +9,9 @@ from typing import Literal
 
 import msgspec
 
-from edge.descriptor.model_file import ModelFile, ModelInfo, resolve_model
+from edge.descriptor.model_file import ModelFile, resolve_model
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
-from sim.model_tools.onnx_graph import Weights
 from sim.research.alexnet.command import as_int8, read_layer_ranges
 from sim.research.alexnet.graph import alexnet_info, build_float
 from sim.research.alexnet.weights import read_weights
@@ -20,6 +19,7 @@ from sim.research.evaluation.plan import NetworkPlan
 
 Tap = Literal["fc6", "conv3"]
 Precision = Literal["int8", "float32"]
+_weights = lru_cache(maxsize=2)(read_weights)
 
 
 @lru_cache(maxsize=16)
@@ -49,21 +49,6 @@ def _file_of(model: Path | None, tap: Tap, precision: Precision) -> Path:
 
 def _make(plan: NetworkPlan, folder: Path, tap: Tap, precision: Precision) -> ModelFile:
     weights, sha256 = _weights(folder / plan.weights)
-    info = _info(plan, tap, precision, sha256)
-    model = build_float(weights, info)
-    if precision == "int8":
-        model = as_int8(model, read_layer_ranges(folder / plan.ranges), info)
-    data = model.SerializeToString(deterministic=True)
-    info = msgspec.structs.replace(info, sha256=hashlib.sha256(data).hexdigest())
-    return ModelFile(folder / plan.weights, data, info)
-
-
-@lru_cache(maxsize=2)
-def _weights(path: Path) -> tuple[Weights, str]:
-    return read_weights(path)
-
-
-def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> ModelInfo:
     info = alexnet_info(
         Path(plan.weights).name.partition(".")[0],
         tap,
@@ -72,4 +57,10 @@ def _info(plan: NetworkPlan, tap: Tap, precision: Precision, sha256: str) -> Mod
         weights_sha256=sha256,
         calibration=plan.ranges,
     )
-    return msgspec.structs.replace(info, precision=precision)
+    info = msgspec.structs.replace(info, precision=precision)
+    model = build_float(weights, info)
+    if precision == "int8":
+        model = as_int8(model, read_layer_ranges(folder / plan.ranges), info)
+    data = model.SerializeToString(deterministic=True)
+    info = msgspec.structs.replace(info, sha256=hashlib.sha256(data).hexdigest())
+    return ModelFile(folder / plan.weights, data, info)

@@ -15,13 +15,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
-import numpy as np
 from tqdm import tqdm
 
 import edge
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
-from sim.evaluation.report import Section, write_report
+from sim.evaluation.report import Section, Table, write_report
 from sim.research.evaluation.comparison import compare, overview, pair_section, sequence_lengths, sweep_pairs
 from sim.research.evaluation.descriptions import Descriptions
 from sim.research.evaluation.method_runner import MethodRunner
@@ -85,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         runner.method(text)
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(path, plan, runner), sections)
-    _print_overview(sections[0])
+    _print_overview(sections[0].tables[0])
     print(page)
     return 0
 
@@ -122,15 +121,13 @@ def about(path: Path, plan: Plan, runner: MethodRunner) -> dict[str, str]:
     return terms | ({"notes": plan.notes} if plan.notes else {})
 
 
-def _print_overview(section: Section) -> None:
-    """The first table, on the terminal, and what it warns of."""
-    table = section.tables[0]
+def _print_overview(table: Table) -> None:
+    """The table on the terminal, and what it warns of."""
     width = max(len(str(row[0])) for row in table.rows)
     for index, pair in enumerate(table.columns[1:], 1):
         print(f"{table.title.partition(' of')[0]}: {pair}")
         for row in table.rows:
-            if not np.isnan(float(str(row[index]))):
-                print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
+            print(f"  {row[0]!s:{width}}  {row[index]:.3f}")
     if table.note:
         print(table.note, file=sys.stderr)
 

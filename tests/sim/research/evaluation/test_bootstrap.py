@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.bootstrap import Resampling, block_indices, interval
+from sim.research.evaluation.bootstrap import block_indices, interval
 
 
 def accuracy(answers: Answers) -> float:
@@ -38,8 +38,8 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     covered_by_blocks = covered_by_frames = 0
     for seed in range(100):
         answers = runs_of_luck(rng, 600, 20, share=0.6)
-        by_blocks = interval(accuracy, answers, Resampling(block=40, resamples=200, seed=seed))
-        by_frames = interval(accuracy, answers, Resampling(block=1, resamples=200, seed=seed))
+        by_blocks = interval(accuracy, answers, 40, 200, seed)
+        by_frames = interval(accuracy, answers, 1, 200, seed)
         covered_by_blocks += by_blocks.low <= 0.6 <= by_blocks.high
         covered_by_frames += by_frames.low <= 0.6 <= by_frames.high
     assert covered_by_blocks >= 80
@@ -49,5 +49,4 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
 
 def test_the_same_seed_gives_the_same_interval() -> None:
     answers = runs_of_luck(np.random.default_rng(3), 200, 10, 0.5)
-    how = Resampling(block=20, resamples=50, seed=7)
-    assert interval(accuracy, answers, how) == interval(accuracy, answers, how)
+    assert interval(accuracy, answers, 20, 50, seed=7) == interval(accuracy, answers, 20, 50, seed=7)
