@@ -26,8 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             where = f"folder of the plan's {what} (default: beside the plan)"
             action.add_argument(f"--{what}", type=Path, metavar="FOLDER", help=where)
         action.set_defaults(run=_later(module))
-    beside = "a network file or folder beside those of the plan; may be repeated"
-    action.add_argument("--model", action="append", default=[], metavar="NAME=PATH", help=beside)
+        if name == "networks":
+            beside = "a network file or folder beside those of the plan; may be repeated"
+            action.add_argument("--model", action="append", default=[], metavar="NAME=PATH", help=beside)
 
 
 def _later(module: str) -> Callable[[argparse.Namespace], int]:

@@ -85,7 +85,7 @@ def write_drive(
     off_m: (N, 2) east and north, by how much its positions are wrong. light: of its pictures.
     """
     picture = thumbnail(np.full((24, 32, 3), GRAY[light], np.uint8))
-    at_m = np.stack([np.zeros(len(drive.route_m)), drive.route_m], axis=1)
+    at_m = _true(drive)
     if road is not None:
         at_m = np.array([road.at(route_m, LANE_M)[:2] for route_m in drive.route_m.tolist()])
     at_m = at_m if off_m is None else at_m + off_m
@@ -161,23 +161,20 @@ def learned_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
     found: dict[str, list[list[list[float]]]] = {}
     for seed in seeds:
         made = _eight(seed, scene)
-        queries: list[tuple[Described, LightName]] = [(scene(seed, "front", "dusk", 21), "dusk")]
-        queries.append((scene(seed, "front", "night", 22, "reverse"), "night"))
-
-        def judge(what: str, folder: Path, queries: list[tuple[Described, LightName]] = queries) -> None:
-            results = []
-            for query, light in queries:
-                with closing(DriveTally(folder, "front", time.time(), f"{light}-{what}")) as tally:
-                    results.append(drive_over(folder, query, light, tally))
-            found.setdefault(what, []).append(results)
-
+        queries: dict[LightName, Described] = {
+            "dusk": scene(seed, "front", "dusk", 21),
+            "night": scene(seed, "front", "night", 22, "reverse"),
+        }
         with tempfile.TemporaryDirectory() as temporary:
-            judge("first rear drive", folder_of(Path(temporary) / "one", made[:1]))
-            folder = folder_of(Path(temporary) / "all", made)
-            judge("all eight", folder)
-            for what in ("learned", "learned, after counting"):
-                keep_lesson(folder)
-                judge(what, folder)
+            first, every = folder_of(Path(temporary) / "one", made[:1]), folder_of(Path(temporary) / "all", made)
+            for what in ("first rear drive", "all eight", "learned", "learned, after counting"):
+                if what.startswith("learned"):
+                    keep_lesson(every)
+                results, folder = [], first if what == "first rear drive" else every
+                for light, query in queries.items():
+                    with closing(DriveTally(folder, "front", time.time(), f"{light}-{what}")) as tally:
+                        results.append(drive_over(folder, query, light, tally))
+                found.setdefault(what, []).append(results)
     for what, roads in found.items():
         cells = (
             f"{', '.join(f'{first_m:.0f}' for first_m, *_ in way)} m; {', '.join(f'{one[1]:.2f}' for one in way)}"

@@ -30,20 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="WEIGHTS.npz")
     parser.add_argument("--epochs", type=int, default=usual.epochs, help="default %(default)s")
     parser.add_argument("--batch", type=int, default=usual.batch, help="images per step (default %(default)s)")
-    parser.add_argument(
-        "--size", type=int, default=128, metavar="PIXELS", help="size that images are scaled to (default 128)"
-    )
+    size = "size that images are scaled to (default 128)"
+    parser.add_argument("--size", type=int, default=128, metavar="PIXELS", help=size)
     parser.add_argument("--rate", type=float, default=usual.peak_rate, help="peak learning rate (default %(default)s)")
-    parser.add_argument(
-        "--contrast", type=float, default=usual.contrast, help="weight of the contrastive loss (default %(default)s)"
-    )
-    parser.add_argument(
-        "--hold-out",
-        type=float,
-        default=0.02,
-        metavar="SHARE",
-        help="fraction of the images held out for validation (default 0.02)",
-    )
+    weight = "weight of the contrastive loss (default %(default)s)"
+    parser.add_argument("--contrast", type=float, default=usual.contrast, help=weight)
+    share = "fraction of the images held out for validation (default 0.02)"
+    parser.add_argument("--hold-out", type=float, default=0.02, metavar="SHARE", help=share)
     parser.add_argument("--seed", type=int, default=usual.seed)
     parser.add_argument("--device", choices=["cpu", "cuda"], help="default: cuda if available")
     parser.set_defaults(run=_run)
@@ -65,13 +58,8 @@ def _run(args: argparse.Namespace) -> int:
 def _recipe(args: argparse.Namespace) -> Recipe:
     """The recipe with the options in it; ConfigError names a wrong one."""
     recipe = Recipe()
-    for option, key in (
-        ("epochs", "epochs"),
-        ("batch", "batch"),
-        ("rate", "peak_rate"),
-        ("contrast", "contrast"),
-        ("seed", "seed"),
-    ):
+    for option in ("epochs", "batch", "rate", "contrast", "seed"):
+        key = "peak_rate" if option == "rate" else option
         recipe = checked_option(recipe, f"--{option}", **{key: getattr(args, option)})
     if args.size < SMALLEST_SIDE_PX:
         raise ConfigError(f"--size: {args.size} is not {SMALLEST_SIDE_PX} or more")

@@ -75,7 +75,7 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     runs = drive_all(plan(args), args)
-    scores = compare(runs) if args.layers else judge(list(runs), runs)
+    scores = compare(runs) if args.layers else judge(runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
@@ -109,23 +109,20 @@ def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
     return [(names[seed % len(names)], seed, seed % len(names) + seed // len(names)) for seed in seeds]
 
 
-def judge(planned: Sequence[Planned], runs: dict[Planned, CourseRun]) -> list[CourseScore]:
+def judge(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     """A score for each course; before those of a case one of them together, and first of all one of everything."""
-    together, scores = tuple(runs[one] for one in planned), []
+    several = len({COURSES[one.course].case for one in runs}) > 1
+    scores = [CourseScore("**all**", tuple(runs.values()))] if several else []
     for case, about in CASES.items():
         of_courses = [
-            CourseScore(name, tuple(runs[one] for one in planned if one.course == name))
-            for name in dict.fromkeys(one.course for one in planned)
+            CourseScore(name, tuple(run for one, run in runs.items() if one.course == name))
+            for name in dict.fromkeys(one.course for one in runs)
             if COURSES[name].case == case
         ]
         if len(of_courses) > 1:
             scores.append(CourseScore(f"**{case}: {about}**", tuple(run for one in of_courses for run in one.runs)))
         scores += of_courses
-    return (
-        scores
-        if len({COURSES[one.course].case for one in planned}) == 1
-        else [CourseScore("**all**", together), *scores]
-    )
+    return scores
 
 
 def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
