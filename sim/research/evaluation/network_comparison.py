@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import resource
-import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -20,9 +19,9 @@ import msgspec
 import numpy as np
 from tqdm import tqdm
 
-from edge.descriptor.model_file import ModelInfo
 from edge.errors import ConfigError
 from edge.reference_map.place_records import PLACE
+from sim.bench.timing import time_ms
 from sim.evaluation.report import Cell, Section, Table, write_report
 from sim.research.evaluation.comparison import table_of
 from sim.research.evaluation.networks import open_network
@@ -42,19 +41,6 @@ class Cost:
     memory_mb: float
 
 
-@dataclass(frozen=True)
-class Compared:
-    """A network, its cost, and its means over the pairs: of the method's scores, and of R@P100 of the belief."""
-
-    name: str
-    info: ModelInfo
-    file_mb: float
-    cost: Cost
-    accuracy: float
-    max_f1: float
-    recall_at_100: float
-
-
 def run(args: argparse.Namespace) -> int:
     """Compare the networks of a plan and those of --model, and write the report."""
     path = find_plan(args.plan)
@@ -62,26 +48,35 @@ def run(args: argparse.Namespace) -> int:
     folders = folders_of(args, path)
     runner = open_runner(plan, folders)
     opened = {name: open_network(name, one, folders.models, "fc6") for name, one in plan.networks.items()}
-    compared = []
+    rows: list[dict[str, Cell]] = []
     for name in tqdm(opened, desc="networks", unit="network"):
         found, beliefs = (
             [scores(runner.run(pair, f"{method}@{name}").answers) for pair in plan.pairs] for method in (METHOD, BELIEF)
         )
-        compared.append(
-            Compared(
-                name,
-                opened[name].info,
-                opened[name].path.stat().st_size / 1e6,
-                measured(name, plan.networks[name], folders.models),
-                accuracy=fmean(one.accuracy for one in found),
-                max_f1=fmean(one.max_f1_of_places for one in found),
-                recall_at_100=fmean(one.recall_at_100 for one in beliefs),
-            )
+        info, cost = opened[name].info, measured(name, plan.networks[name], folders.models)
+        rows.append(
+            {
+                "network": name,
+                "accuracy": fmean(one.accuracy for one in found),
+                "max-F1": fmean(one.max_f1_of_places for one in found),
+                "R@P100 of the belief": fmean(one.recall_at_100 for one in beliefs),
+                "time, ms": f"{cost.time_ms:.2f}",
+                "memory, MB": f"{cost.memory_mb:.0f}",
+                "file, MB": f"{opened[name].path.stat().st_size / 1e6:.1f}",
+                "dimensions": info.dimensions,
+                # While it is matched: int8 of both regions, and its record.
+                "map, bytes a place": REGIONS * info.dimensions + PLACE.itemsize,
+                "license": info.license.partition(",")[0],
+            }
         )
         runner.descriptions.forget(name)
-    table = compare(len(plan.pairs), compared)
-    section = Section("Networks", tables=[table])
-    page = write_report(args.output, f"Networks: {plan.title}", about(path, plan, runner), [section])
+    note = (
+        f"Means over {len(plan.pairs)} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of"
+        " the two regions of a frame. Memory: what the process grows by when it opens and runs the network."
+    )
+    table = table_of("networks", "Networks side by side", rows, note)
+    sections = [Section("Networks", tables=[table])]
+    page = write_report(args.output, f"Networks: {plan.title}", about(path, plan, runner), sections)
     print(as_markdown(table))
     print(page)
     return 0
@@ -108,46 +103,13 @@ def _measure(name: str, plan: NetworkPlan, folder: Path) -> Cost:
     before_mb = _resident_mb()
     network = open_network(name, plan, folder, "fc6")
     images = np.random.default_rng(0).integers(0, 256, (REGIONS, *network.size, 3), dtype=np.uint8)
-    times_ms = []
-    for _ in range(ROUNDS):
-        start_ns = time.thread_time_ns()
-        network.describe(images)
-        times_ms.append((time.thread_time_ns() - start_ns) / 1e6)
-    return Cost(median(times_ms), _resident_mb() - before_mb)
+    time_of_frame_ms = median(time_ms(lambda: network.describe(images)) for _ in range(ROUNDS))
+    return Cost(time_of_frame_ms, _resident_mb() - before_mb)
 
 
 def _resident_mb() -> float:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() / 1e6
-
-
-def compare(pairs: int, compared: Sequence[Compared]) -> Table:
-    """A row for each network; pairs: of how many the scores are means."""
-    rows: list[dict[str, Cell]] = [
-        {
-            "network": one.name,
-            "accuracy": one.accuracy,
-            "max-F1": one.max_f1,
-            "R@P100 of the belief": one.recall_at_100,
-            "time, ms": f"{one.cost.time_ms:.2f}",
-            "memory, MB": f"{one.cost.memory_mb:.0f}",
-            "file, MB": f"{one.file_mb:.1f}",
-            "dimensions": one.info.dimensions,
-            "map, bytes a place": map_bytes(one.info),
-            "license": one.info.license.partition(",")[0],
-        }
-        for one in compared
-    ]
-    note = (
-        f"Means over {pairs} pair(s). Accuracy: share of right best matches of {METHOD}. Time: CPU time of the two"
-        " regions of a frame. Memory: what the process grows by when it opens and runs the network."
-    )
-    return table_of("networks", "Networks side by side", rows, note)
-
-
-def map_bytes(info: ModelInfo) -> int:
-    """Bytes of a map that a place takes while it is matched: int8 of both regions, and its record."""
-    return REGIONS * info.dimensions + PLACE.itemsize
 
 
 def as_markdown(table: Table) -> str:
