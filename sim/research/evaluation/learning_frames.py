@@ -7,8 +7,9 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from edge.config import Config, MapConfig
 from edge.descriptor.network import Network
 from edge.layers import learn_command
-from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
+from edge.recognizer import model_key, open_recognizer
 from edge.sequence import Travel
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.simulated_map import SPACING_M, write_simulated_map
@@ -67,29 +68,6 @@ class Learning:
         self._process.wait()
 
 
-class _Frames:
-    """A recognizer that gets a picture each FRAME_S."""
-
-    def __init__(self, recognizer: PlaceRecognizer, pictures: Sequence[np.ndarray]) -> None:
-        self._recognizer, self._pictures, self._count = recognizer, pictures, 0
-
-    def block(self, learning: Learning | None) -> list[float]:
-        """Milliseconds of each frame of a block. learning: what is to run meanwhile."""
-        times_ms, due_s = [], time.monotonic()
-        for _ in range(BLOCK):
-            if learning is not None:
-                learning.keep_running()
-            due_s += FRAME_S
-            time.sleep(max(0.0, due_s - time.monotonic()))
-            times_ms.append(time_ms(self._observe, wall_ns))
-        return times_ms
-
-    def _observe(self) -> None:
-        frame, self._count = self._count, self._count + 1
-        picture = self._pictures[frame % len(self._pictures)]
-        self._recognizer.observe(picture, frame * 50_000_000, Travel(frame * SPACING_M))
-
-
 def frames_rows(folder: Path, network: Network, frames: int = FRAMES) -> Iterator[str]:
     """A row for what runs beside the frames: medians of the rounds. frames: in each round, of both."""
     for drive in range(DRIVES):
@@ -97,20 +75,36 @@ def frames_rows(folder: Path, network: Network, frames: int = FRAMES) -> Iterato
     path = folder / "searched"
     write_simulated_map(path, PLACES, model_key(network))
     recognizer = open_recognizer(Config(map=MapConfig(path=str(path), places_per_frame=2 * PLACES)), network=network)
-    rng = np.random.default_rng(1)
-    source = _Frames(recognizer, [smooth_picture(rng, SIZE_PX) for _ in range(64)])
+    rng, number = np.random.default_rng(1), count()
+    pictures = [smooth_picture(rng, SIZE_PX) for _ in range(64)]
     learning = Learning(folder / "learned")
+
+    def observe() -> None:
+        frame = next(number)
+        recognizer.observe(pictures[frame % len(pictures)], frame * 50_000_000, Travel(frame * SPACING_M))
+
+    def block(*, beside: bool) -> list[float]:
+        """Milliseconds of each of the next frames, with the command beside them or without."""
+        times_ms, due_s = [], time.monotonic()
+        for _ in range(BLOCK):
+            if beside:
+                learning.keep_running()
+            due_s += FRAME_S
+            time.sleep(max(0.0, due_s - time.monotonic()))
+            times_ms.append(time_ms(observe, wall_ns))
+        return times_ms
+
     rounds: list[Floats] = []
     used_s, learning_s = _used_by_children_s(), 0.0
     try:
-        source.block(learning)
+        block(beside=True)
         for _ in range(ROUNDS):
             blocks = []
             for _ in range(max(1, frames // BLOCK)):
                 with learning.stopped():
-                    alone_ms = source.block(None)
+                    alone_ms = block(beside=False)
                 began_s = time.monotonic()
-                blocks.append((alone_ms, source.block(learning)))
+                blocks.append((alone_ms, block(beside=True)))
                 learning_s += time.monotonic() - began_s
             rounds.append(np.array(blocks).swapaxes(0, 1).reshape(2, -1))
     finally:

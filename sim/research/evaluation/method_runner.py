@@ -16,7 +16,7 @@ from edge.recognizer import model_key
 from edge.reference_map.costs import CostMatcher, encode
 from sim.evaluation.metrics import Answers, answers_within
 from sim.research.evaluation.as_run import config_of, match_as_run
-from sim.research.evaluation.descriptions import Descriptions, Raw
+from sim.research.evaluation.descriptions import Descriptions
 from sim.research.evaluation.matching import (
     Matches,
     errors_of,
@@ -137,7 +137,8 @@ class MethodRunner:
             if len(reference.paths) > 1 or len(query.paths) > 1:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
             return match_seqslam(reference.pixels, query.pixels, length)
-        raw = self._raw(method, reference), self._raw(method, query)
+        source = method.network, method.layer, method.regions
+        raw = self.descriptions.raw(reference, *source), self.descriptions.raw(query, *source)
         if method.recognizer:
             config = config_of(pair, reference, query, SequenceConfig(length=length), self.plan.region_width)
             network = self.descriptions.network(method.network, "fc6")
@@ -154,7 +155,3 @@ class MethodRunner:
             drives=reference.drives(),
         )
         return match(query_rows(method, raw[1], length, starts), costs_of, search, starts)
-
-    def _raw(self, method: Method, traverse: Traverse) -> Raw:
-        assert method.layer != "pixels"
-        return self.descriptions.raw(traverse, method.network, method.layer, method.regions)

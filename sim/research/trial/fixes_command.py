@@ -40,28 +40,22 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         "fixes", help="simulate drives without GPS over named courses, and judge every position by the truth"
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--course", default="home", metavar="NAMES", help="courses, `all`, or `list` to print them (default home)"
-    )
-    what.add_argument(
-        "--case", metavar="LETTERS", help=f"cases of courses, {min(CASES)} to {max(CASES)} or `all`: each seed has one"
-    )
-    parser.add_argument(
-        "--runs", type=int, default=5, metavar="N", help="seeded drives of each course, or of each case (default 5)"
-    )
+    names = "courses, `all`, or `list` to print them (default home)"
+    what.add_argument("--course", default="home", metavar="NAMES", help=names)
+    letters = f"cases of courses, {min(CASES)} to {max(CASES)} or `all`: each seed has one"
+    what.add_argument("--case", metavar="LETTERS", help=letters)
+    runs = "seeded drives of each course, or of each case (default 5)"
+    parser.add_argument("--runs", type=int, default=5, metavar="N", help=runs)
     parser.add_argument("--first-seed", type=int, default=1, metavar="SEED", help="seed of the first (default 1)")
-    parser.add_argument(
-        "--length-m", type=float, default=LENGTH_M, metavar="M", help=f"of the road, from {SHORTEST_M:g} (default 1000)"
-    )
+    length = f"of the road, from {SHORTEST_M:g} (default 1000)"
+    parser.add_argument("--length-m", type=float, default=LENGTH_M, metavar="M", help=length)
     roads = f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})"
     parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
-    parser.add_argument(
-        "--layers", action="store_true", help="drive each on a map of eight layers as well, and compare the cases"
-    )
+    layers = "drive each on a map of eight layers as well, and compare the cases"
+    parser.add_argument("--layers", action="store_true", help=layers)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="write the table into this page, in place of its last one"
-    )
+    page = "write the table into this page, in place of its last one"
+    parser.add_argument("--page", type=Path, metavar="FILE", help=page)
     kept = "keeps rendered views, and the journal of each road's last drive"
     parser.add_argument("-o", "--output", type=Path, default=Path("trial"), metavar="FOLDER", help=kept)
     parser.set_defaults(run=_run)

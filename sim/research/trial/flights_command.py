@@ -23,9 +23,8 @@ HEADER = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
     parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help="keeps journals and rendered views"
-    )
+    kept = "keeps journals and rendered views"
+    parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=kept)
     parser.set_defaults(run=_run)
 
 
@@ -59,13 +58,8 @@ def _run(args: argparse.Namespace) -> int:
 
 def rows(found: Replayed) -> str:
     """Two rows of the table: as recorded, and computed anew."""
-    return "\n".join(
-        f"| {name} | {_row(positions, frames)} |"
-        for name, positions, frames in (
-            (f"{found.name}, then", found.recorded, found.recorded_frames),
-            ("now", found.replayed, found.replayed_frames),
-        )
-    )
+    then, now = _row(found.recorded, found.recorded_frames), _row(found.replayed, found.replayed_frames)
+    return f"| {found.name}, then | {then} |\n| now | {now} |"
 
 
 def _row(positions: Positions, frames: Frames) -> str:
