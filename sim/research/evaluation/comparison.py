@@ -10,10 +10,9 @@ from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall, recall_at_precision
 from sim.evaluation.report import Cell, Figure, Section, Table
 from sim.research.evaluation import plots
-from sim.research.evaluation.bootstrap import interval
 from sim.research.evaluation.method_runner import MethodRunner, Outcome
 from sim.research.evaluation.plan import Pair, Plan
-from sim.research.evaluation.scores import at_threshold, max_f1_of_places, scores
+from sim.research.evaluation.scores import at_threshold, interval, max_f1_of_places, scores
 
 Results = dict[tuple[str, str], Outcome]
 """Outcome by the names of pair and method."""

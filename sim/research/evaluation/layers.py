@@ -141,11 +141,16 @@ def folder_of(folder: Path, drives: Sequence[tuple[View, LightName, Described]])
     return folder
 
 
-def rebuild(drive: Described, other: Described, places: slice = REBUILT) -> Described:
-    """A drive over a road of which a part looks like another one."""
-    raw = drive.raw.copy()
-    raw[places] = other.raw[places]
-    return replace(drive, raw=raw)
+def rebuilt(scene: Scene, seed: int, other: int, places: slice) -> Callable[[View, LightName, int], Described]:
+    """Drives over a road of which a part looks like that of another seed."""
+
+    def after(view: View, light: LightName, drive: int) -> Described:
+        before = scene(seed, view, light, drive)
+        raw = before.raw.copy()
+        raw[places] = scene(other, view, light, drive).raw[places]
+        return replace(before, raw=raw)
+
+    return after
 
 
 def keep_lesson(folder: Path) -> Lesson:
@@ -189,10 +194,7 @@ def rebuilt_rows(seeds: Sequence[int], scene: Scene) -> Iterator[str]:
     drives = ", ".join(f"{number}" for number in range(len(NEW) + 1))
     yield f"| seed | places searched | recall on the rebuilt tenth after {drives} drives |\n|---|---|---|"
     for seed, other in zip(seeds, [*seeds[1:], seeds[0]], strict=True):
-
-        def after(view: View, light: LightName, drive: int, seed: int = seed, other: int = other) -> Described:
-            return rebuild(scene(seed, view, light, drive), scene(other, view, light, drive))
-
+        after = rebuilt(scene, seed, other, REBUILT)
         recalls, most_places = [], 0.0
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
@@ -268,15 +270,14 @@ def draw(picture: Path, seeds: Sequence[int], scene: Scene, length_m: float) -> 
         folder = Path(temporary)
         for view, light, drive in (*OLD, DRIVES[1]):
             write_drive(folder / f"old-{view}-{light}", scene(seed, view, light, drive), view, light=light, road=road)
-        query = scene(seed, "front", "dusk", 21)
-        after = rebuild(query, scene(other, "front", "dusk", 21), PICTURED)
-        for run, one in enumerate((query, after, after, after)):
+        after = rebuilt(scene, seed, other, PICTURED)
+        later = after("front", "dusk", 21)
+        for run, one in enumerate((scene(seed, "front", "dusk", 21), later, later, later)):
             with closing(DriveTally(folder, "front", time.time(), f"{run}")) as tally:
                 drive_over(folder, one, "dusk", tally, knows_course=False)
         keep_lesson(folder)
         for view, light, drive in NEW:
-            new = rebuild(scene(seed, view, light, drive), scene(other, view, light, drive), PICTURED)
-            write_drive(folder / f"rebuilt-{view}-{light}", new, view, light=light, road=road)
+            write_drive(folder / f"rebuilt-{view}-{light}", after(view, light, drive), view, light=light, road=road)
         lesson = keep_lesson(folder)
         write_layers(picture, folder, lesson)
     note_sources(picture.parent, picture.name)

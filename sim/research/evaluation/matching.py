@@ -87,9 +87,9 @@ def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], le
     """SeqSLAM as published, on frames as it describes them, (N, 32, 64) and (Q, 32, 64)."""
     differences = seqslam.difference_matrix(reference, query)
     ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
-    found = seqslam.search(seqslam.enhance_contrast(differences), ds)
+    place, ratio = seqslam.search(seqslam.enhance_contrast(differences), ds)
     # Best over second best: its inverse is the uniqueness of the other methods.
-    return Matches(found.place, -found.ratio, np.zeros(len(query), np.bool_), differences.T)
+    return Matches(place, -ratio, np.zeros(len(query), np.bool_), differences.T)
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:

@@ -1,13 +1,22 @@
-"""Scores of a method's answers: F1, areas, recall of the best K at several radii; see `sim.evaluation.metrics`."""
+"""Scores of a method's answers: F1, areas, recall; and their intervals. See `sim.evaluation.metrics`.
+
+Neighboring frames are nearly the same picture, so that resampling single frames would make every interval too narrow.
+Blocks of contiguous frames are drawn instead (circular block bootstrap, Politis and Romano 1992).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.evaluation.metrics import Answers, Floats, PrecisionRecall, precision_recall, recall_at_precision
+from sim.evaluation.report import Interval
+
+LEVEL = 0.95
+"""Of the intervals."""
 
 
 def joined(several: Sequence[Answers]) -> Answers:
@@ -73,3 +82,22 @@ def average_precision(curve: PrecisionRecall) -> float:
     """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
     gains = np.diff(curve.recall_of_places, prepend=0.0)
     return float(gains @ curve.precision) if gains.size else 0.0
+
+
+def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """`count` indices below `count`, in runs of `block` that start anywhere; after the last comes the first."""
+    block = min(block, count)
+    starts = rng.integers(0, count, -(-count // block))
+    runs = starts[:, np.newaxis] + np.arange(block)
+    return np.asarray(runs.ravel()[:count] % count, dtype=np.intp)
+
+
+def interval(
+    statistic: Callable[[Answers], float], answers: Answers, block: int, resamples: int, seed: int = 0
+) -> Interval:
+    """The interval of one method's score, by resamples of blocks of so many frames."""
+    rng, count = np.random.default_rng(seed), len(answers.confidence)
+    drawn = np.array([statistic(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
+    drawn = drawn[~np.isnan(drawn)]  # a resample with no query on the map has no recall
+    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if drawn.size else (np.nan, np.nan)
+    return Interval(statistic(answers), float(low), float(high), LEVEL)

@@ -8,8 +8,6 @@ program's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +19,6 @@ CONTRAST_WINDOW, WINDOW = 10, 10
 second best; both even."""
 SLOPES = (0.8, 1.2)
 """Least and greatest, places a frame."""
-
-
-@dataclass(frozen=True)
-class SeqslamMatches:
-    """place: (Q,) index of the reference (from 0), -1 where no whole window fits. ratio: (Q,) best score over the best
-    outside the window, smaller is surer, NaN where there is none.
-    """
-
-    place: NDArray[np.intp]
-    ratio: NDArray[np.float64]
 
 
 def describe(image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -74,10 +62,12 @@ def enhance_contrast(differences: NDArray[np.floating]) -> NDArray[np.float32]:
     return out
 
 
-def search(differences: NDArray[np.floating], length: int) -> SeqslamMatches:
+def search(differences: NDArray[np.floating], length: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Trajectories through a difference matrix (N, Q) that was enhanced already, if it is to be.
 
-    length: frames of a trajectory less one (`ds`), even.
+    length: frames of a trajectory less one (`ds`), even. Returns the place of each query (Q,), from 0, -1 where no
+    whole window fits; and its best score over the best outside the window (Q,), smaller is surer, NaN where there is
+    none.
     """
     places, queries = differences.shape
     lines = _offsets(length)
@@ -96,7 +86,7 @@ def search(differences: NDArray[np.floating], length: int) -> SeqslamMatches:
             continue
         ratio[query] = _uniqueness(scores, best)
         place[query] = best + ahead
-    return SeqslamMatches(place, ratio)
+    return place, ratio
 
 
 def _offsets(length: int) -> NDArray[np.intp]:

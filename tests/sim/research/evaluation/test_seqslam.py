@@ -24,11 +24,11 @@ def test_centered_matches_are_those_of_the_published_program(
     golden: dict[str, np.ndarray], name: str, length: int, enhanced: bool
 ) -> None:
     differences = enhance_contrast(golden["D"]) if enhanced else golden["D"]
-    found = search(differences, length)
+    place, ratio = search(differences, length)
     expected = golden[name]
-    np.testing.assert_array_equal(np.isnan(expected[:, 0]), found.place < 0)
-    np.testing.assert_array_equal(np.where(found.place < 0, np.nan, found.place + 1), expected[:, 0])
-    np.testing.assert_allclose(found.ratio, expected[:, 1], rtol=2e-5)
+    np.testing.assert_array_equal(np.isnan(expected[:, 0]), place < 0)
+    np.testing.assert_array_equal(np.where(place < 0, np.nan, place + 1), expected[:, 0])
+    np.testing.assert_allclose(ratio, expected[:, 1], rtol=2e-5)
 
 
 def test_local_contrast_is_that_of_the_published_program(golden: dict[str, np.ndarray]) -> None:
@@ -36,8 +36,8 @@ def test_local_contrast_is_that_of_the_published_program(golden: dict[str, np.nd
 
 
 def test_a_map_shorter_than_a_trajectory_gives_no_match() -> None:
-    found = search(np.ones((5, 30), dtype=np.float32), 10)
-    assert (found.place == -1).all() and np.isnan(found.ratio).all()
+    place, ratio = search(np.ones((5, 30), dtype=np.float32), 10)
+    assert (place == -1).all() and np.isnan(ratio).all()
 
 
 def test_patches_are_normalized_one_by_one() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.bootstrap import block_indices, interval
+from sim.research.evaluation.scores import block_indices, interval
 
 
 def accuracy(answers: Answers) -> float:
