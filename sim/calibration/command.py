@@ -37,6 +37,7 @@ from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.metrics import TOLERANCE_M
 from sim.evaluation.replay import config_for_map
+from sim.output import refusing
 
 Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
@@ -220,11 +221,8 @@ def check_writable(path: Path) -> None:
     if find_spec("tomlkit") is None:
         raise ConfigError(f"--write needs tomlkit: {install_command('desk')}, or copy the lines yourself")
     load_config(path)
-    try:
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write into its folder: {error.strerror}") from None
+    with refusing(ConfigError, f"{path}: cannot write into its folder"), tempfile.TemporaryFile(dir=path.parent):
+        pass
 
 
 def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str]) -> None:
@@ -236,9 +234,6 @@ def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str]) -> Non
         document.setdefault(section, tomlkit.table())[key] = value
     new = tomlkit.dumps(document)
     parse_config(new, path)  # a valid config stays valid
-    try:
-        with replacing(path) as stream:
-            os.fchmod(stream.fileno(), path.stat().st_mode)
-            stream.write(new.encode())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write it: {error.strerror}") from None
+    with refusing(ConfigError, f"{path}: cannot write it"), replacing(path) as stream:
+        os.fchmod(stream.fileno(), path.stat().st_mode)
+        stream.write(new.encode())

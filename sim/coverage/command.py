@@ -24,6 +24,7 @@ from sim.coverage.sheet import KNOWN_M, SOON_M, Gap, Stretch, spans_of
 from sim.evaluation.replay import config_for_map
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
+from sim.output import refusing
 
 POINTS = 12
 """Of a stretch on the page."""
@@ -124,10 +125,8 @@ def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
 
 
 def _frames(path: Path) -> list[FrameUsed]:
-    try:
+    with refusing(FeedError, f"{path}: cannot read it"):
         frames = list(records_of(path, FrameUsed))
-    except OSError as error:
-        raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
     if not frames:
         raise FeedError(f"{path}: no frames in it; set [telemetry] journal_frames = true, or use `replay --all`")
     return frames

@@ -11,7 +11,7 @@ A further layout is a module and a line in `KINDS`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -34,10 +34,10 @@ class Traverse:
     """
 
     name: str
-    view: View
     source: str
     rows: tuple[FeedRow, ...]
     pictures: Pictures
+    view: View = "front"
     notes: str = ""
 
 
@@ -78,54 +78,38 @@ class DatasetKind:
     truth: TruthKind
     tolerance: float
     """Meters; frames if truth is "rows"."""
-    options: frozenset[str] = field(default=frozenset({"view"}))
+    options: frozenset[str]
 
 
-def _kind(module: str, what: str, truth: TruthKind, tolerance: float, *options: str) -> DatasetKind:
+def _kind(
+    module: str, what: str, *options: str, truth: TruthKind = "positions", tolerance: float = 25.0
+) -> DatasetKind:
     return DatasetKind(f"sim.datasets.{module}", what, truth, tolerance, frozenset({"view", *options}))
 
 
 KINDS: Mapping[str, DatasetKind] = MappingProxyType(
     {
         "robotcar": _kind(
-            "robotcar",
-            "Oxford RobotCar: folder of one traverse",
-            "positions",
-            40.0,
-            "camera",
-            "positions",
-            "crop_bottom",
+            "robotcar", "Oxford RobotCar: folder of one traverse", "camera", "positions", "crop_bottom", tolerance=40.0
         ),
-        "campus": _kind("campus", "frames and anchors.csv (University Campus)", "route_m", 20.0, "positions", "fps"),
-        "nordland": _kind("equal_index", "Nordland: a season's frames or video", "rows", 10.0, "names", "fps"),
-        "gardens-point": _kind("equal_index", "Gardens Point: day_left, ...", "rows", 2.0, "names", "fps"),
-        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "positions", 25.0, "fps"),
-        "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "positions", 10.0, "camera", "positions"),
-        "nsavp": _kind(
-            "nsavp",
-            "NSAVP: folder of one sequence's HDF5 files",
-            "positions",
-            25.0,
-            "camera",
-            "positions",
-            "crop_bottom",
+        "campus": _kind(
+            "campus", "frames and anchors.csv (University Campus)", "positions", "fps", truth="route_m", tolerance=20.0
         ),
-        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "positions", 25.0, "fps"),
-        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions", "positions", 25.0),
-        "pictures": _kind(
-            "pictures_csv", "folder of pictures and a CSV file", "positions", 25.0, "positions", "columns", "fps"
+        "nordland": _kind(
+            "equal_index", "Nordland: a season's frames or video", "names", "fps", truth="rows", tolerance=10.0
         ),
-        "video-log": _kind(
-            "video_log",
-            "video, and a .gpx, .tlog, .bin or .ulg",
-            "positions",
-            25.0,
-            "positions",
-            "start_s",
-            "start_time",
+        "gardens-point": _kind(
+            "equal_index", "Gardens Point: day_left, ...", "names", "fps", truth="rows", tolerance=2.0
         ),
-        "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "positions", 25.0, "camera"),
-        "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "positions", 25.0, "camera", "positions"),
+        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "fps"),
+        "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
+        "nsavp": _kind("nsavp", "NSAVP: folder of one sequence's HDF5 files", "camera", "positions", "crop_bottom"),
+        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),
+        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions"),
+        "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),
+        "video-log": _kind("video_log", "video, and a .gpx, .tlog, .bin or .ulg", "positions", "start_s", "start_time"),
+        "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "camera"),
+        "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "camera", "positions"),
     }
 )
 OWN = frozenset({"geotagged", "pictures", "video-log", "video", "rosbag"})
@@ -152,7 +136,8 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise FeedError(f"{kind}: needs the package {package}: {install_command('import')}") from None
-    if kind in OWN and options.view is None and traverse.view == "front":
-        notes = f"{traverse.notes}; {ASSUMED_FRONT}" if traverse.notes else ASSUMED_FRONT
-        traverse = replace(traverse, notes=notes)
+    if options.view is not None:
+        return replace(traverse, view=options.view)
+    if kind in OWN and traverse.view == "front":
+        return replace(traverse, notes="; ".join(filter(None, (traverse.notes, ASSUMED_FRONT))))
     return traverse

@@ -13,7 +13,6 @@ Frames before the first and after the last anchor have no place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,38 +28,19 @@ from sim.datasets.tables import read_records
 NOMINAL_FPS = 1.0
 
 
-@dataclass(frozen=True)
-class Anchors:
-    """Frames whose place along the route is known: (A,) each; frames ascend."""
+def read_anchors(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Frames and their meters along the route, (A,) each, of anchors.csv; FeedError names the line.
 
-    frame: NDArray[np.float64]
-    route_m: NDArray[np.float64]
-
-    def route_at(self, count: int) -> NDArray[np.float64]:
-        """(count,) meters along the route of each frame, linear between anchors, NaN outside them."""
-        return self._between(self.route_m, count)
-
-    def distance_at(self, count: int) -> NDArray[np.float64]:
-        """(count,) meters covered since the first anchor, whichever way it goes."""
-        covered_m = np.concatenate([[0.0], np.abs(np.diff(self.route_m)).cumsum()])
-        return self._between(covered_m, count)
-
-    def _between(self, meters: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        return np.asarray(np.interp(np.arange(count), self.frame, meters, left=np.nan, right=np.nan))
-
-
-def read_anchors(file: Path) -> Anchors:
-    """Read anchors.csv; FeedError names the line. At least two anchors, frames in ascending order."""
+    At least two anchors, frames in ascending order.
+    """
     records = read_records(file, ("frame", "route_m"), "it gives the places marked by hand, as lines frame,route_m")
     for before, record in pairwise(records):
         if record.integer("frame") <= before.integer("frame"):
             raise FeedError(f"{record.where}: frame {record.integer('frame')} is not after the line before")
     if len(records) < 2:
         raise FeedError(f"{file}: one anchor, and two at least are needed")
-    return Anchors(
-        np.array([record.integer("frame") for record in records], dtype=np.float64),
-        np.array([record.number("route_m") for record in records]),
-    )
+    anchors = np.array([(record.integer("frame"), record.number("route_m")) for record in records])
+    return anchors[:, 0], anchors[:, 1]
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
@@ -68,20 +48,21 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     names, stamps_ns, pictures = frames_of(path, options.fps or NOMINAL_FPS)
     beside = path.with_suffix(".csv") if path.suffix.lower() in VIDEO_SUFFIXES else path / "anchors.csv"
     file = Path(options.positions) if options.positions else beside
-    anchors = read_anchors(file)
-    for frame in anchors.frame[[0, -1]]:
+    anchors, anchors_m = read_anchors(file)
+    for frame in anchors[[0, -1]]:
         if not 0 <= frame < len(names):
             raise FeedError(f"{file}: frame {frame:g} is not among the {len(names)} frames of {path}")
-    route_m, distance_m = anchors.route_at(len(names)), anchors.distance_at(len(names))
+    covered_m = np.r_[0.0, np.abs(np.diff(anchors_m)).cumsum()]  # whichever way it goes
     rows = []
     for index, (name, stamp_ns) in enumerate(zip(names, stamps_ns, strict=True)):
-        known = not np.isnan(route_m[index])
-        extra = {"route_m": f"{route_m[index]:.3f}"} if known else {}
-        rows.append(FeedRow(name, stamp_ns, distance_m=float(distance_m[index]) if known else None, extra=extra))
+        if anchors[0] <= index <= anchors[-1]:
+            route_m, distance_m = (float(np.interp(index, anchors, meters)) for meters in (anchors_m, covered_m))
+            rows.append(FeedRow(name, stamp_ns, distance_m=distance_m, extra={"route_m": f"{route_m:.3f}"}))
+        else:
+            rows.append(FeedRow(name, stamp_ns))
     return Traverse(
         name=path.stem,
-        view=options.view or "front",
-        source=f"{path.name}, {len(anchors.frame)} anchors",
+        source=f"{path.name}, {len(anchors)} anchors",
         rows=tuple(rows),
         pictures=pictures,
         notes="route_m and distance_m are interpolated between places marked by hand",

@@ -40,7 +40,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     ]
     return Traverse(
         name=path.stem,
-        view=options.view or "front",
         source=f"{path.parent.name} {path.name}",
         rows=tuple(rows),
         pictures=pictures,

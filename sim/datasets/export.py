@@ -19,6 +19,7 @@ from edge.geodesy import east_north
 from edge.journal.records import FrameUsed, PlaceFix
 from sim.ground_files import GroundLine, as_geojson, as_gpx, as_kml, write_by_suffix
 from sim.journal import JournalLine, read_journal
+from sim.output import refusing
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def read_track(path: Path) -> list[TrackPoint]:
     """The events and accepted frames of a journal or of replay's output, in order, where they have a position."""
-    try:
+    with refusing(FeedError, f"{path}: cannot read it"):
         points = [_point(line) for line in read_journal(path)]
-    except OSError as error:
-        raise FeedError(f"{path}: cannot read it: {error.strerror}") from None
     return [point for point in points if point is not None]
 
 

@@ -30,6 +30,7 @@ from edge.errors import FeedError
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.gps import FIXES, SOURCES
 from sim.datasets.track import Fix, Track
+from sim.output import refusing
 
 MAVLINK_1, MAVLINK_2 = 0xFE, 0xFD
 STAMP_BYTES = 8
@@ -43,10 +44,8 @@ def read_log(file: Path) -> Track:
     readers = {".tlog": _tlog_fixes, ".bin": _dataflash_fixes, ".ulg": _ulog_fixes, ".gpx": _gpx_fixes}
     if file.suffix.lower() not in readers:
         raise FeedError(f"{file}: not a known kind of log; it is one of {', '.join(readers)}")
-    try:
+    with refusing(FeedError, f"{file}: cannot read it"):
         data = file.read_bytes()
-    except OSError as error:
-        raise FeedError(f"{file}: cannot read it: {error.strerror}") from None
     if not data:
         raise FeedError(f"{file}: empty")
     return Track(str(file), readers[file.suffix.lower()](file, data))

@@ -30,7 +30,6 @@ NOWHERE = Fix(0, math.nan, math.nan)
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """The pictures of one folder. FeedError names a picture that has no time, or the folder if none has a position."""
-    view = options.view or "front"
     placed = sorted(((read_fix(path / name), name) for name in list_pictures(path)), key=lambda item: item[0].stamp_ns)
     without = sum(math.isnan(fix.lat_deg) for fix, _ in placed)
     if without == len(placed):
@@ -43,7 +42,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows.append(row_at(name, replace(fix, stamp_ns=last_ns)))
     return Traverse(
         name=path.name,
-        view=view,
         source=f"geotagged pictures in {path.name}",
         rows=tuple(rows),
         pictures=PictureFiles([path / name for _, name in placed]),

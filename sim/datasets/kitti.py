@@ -48,7 +48,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     ]
     return Traverse(
         name=f"kitti-{path.name}-{camera}",
-        view=options.view or "front",
         source=f"KITTI odometry {path.name} {camera}",
         rows=tuple(rows),
         pictures=PictureFiles([path / camera / name for name in names]),

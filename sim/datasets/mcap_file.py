@@ -28,6 +28,8 @@ from edge.extras import install_command
 from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
 from edge.feed.format import MEASURES, SOURCE
 from edge.geodesy import PositionSource
+from sim.datasets.pictures import PicturesInOrder
+from sim.output import refusing
 
 FRAME = "camera"
 STAMP = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -78,16 +80,13 @@ def _write(feed: Feed, path: Path) -> int:
         from mcap.writer import Writer
     except ModuleNotFoundError:
         raise ConfigError(f"MCAP needs the package mcap: {install_command('desk')}") from None
-    try:
-        with path.open("xb") as stream:
-            writer: Any = Writer(stream)
-            writer.start(profile="", library="lookback")
-            channels = {topic: _register(writer, topic) for topic in SCHEMAS}
-            for topic, stamp_ns, fields in _messages(feed):
-                writer.add_message(channels[topic], stamp_ns, msgspec.json.encode(fields), stamp_ns)
-            writer.finish()
-    except OSError as error:
-        raise FeedError(f"{path}: cannot write it: {error.strerror}") from None
+    with refusing(FeedError, f"{path}: cannot write it"), path.open("xb") as stream:
+        writer: Any = Writer(stream)
+        writer.start(profile="", library="lookback")
+        channels = {topic: _register(writer, topic) for topic in SCHEMAS}
+        for topic, stamp_ns, fields in _messages(feed):
+            writer.add_message(channels[topic], stamp_ns, msgspec.json.encode(fields), stamp_ns)
+        writer.finish()
     print(f"{path}: {len(feed.rows)} frames")
     return 0
 
@@ -154,36 +153,23 @@ Message: TypeAlias = _Picture | _Where | _Row | FeedHeader
 MESSAGES: Mapping[str, Any] = {"/camera": _Picture, "/position": _Where, "/row": _Row, "/feed": FeedHeader}
 
 
-class McapPictures:
-    """The pictures of such a file, in order; going back starts again from the beginning."""
+def _pictures(path: Path) -> PicturesInOrder:
+    return PicturesInOrder(str(path), lambda: _read_messages(path, ["/camera"]), _decoded)
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._messages: Iterator[tuple[int, Message]] | None = None
-        self._next = 0
 
-    def data(self, index: int) -> bytes:
-        """The picture file of row `index` as it was recorded. FrameError names it."""
-        if self._messages is None or index < self._next:
-            self.close()
-            self._messages = _read_messages(self._path, ["/camera"])
-        for _, message in self._messages:
-            self._next += 1
-            if self._next > index and isinstance(message, _Picture):
-                return message.data
-        raise FrameError(f"{self._path}: no picture {index}")
+def _decoded(where: str, message: tuple[int, Message]) -> NDArray[np.uint8]:
+    """A picture, (H, W, 3) uint8 BGR. FrameError, which begins with `where`."""
+    data = np.frombuffer(_data_of(message), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    if image is None:
+        raise FrameError(f"{where}: not a complete JPEG or PNG image")
+    return np.asarray(image, dtype=np.uint8)
 
-    def read(self, index: int) -> NDArray[np.uint8]:
-        """Picture of row `index`, (H, W, 3) uint8 BGR. FrameError names it."""
-        data = np.frombuffer(self.data(index), np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-        if image is None:
-            raise FrameError(f"{self._path}: picture {index}: not a complete JPEG or PNG image")
-        return np.asarray(image, dtype=np.uint8)
 
-    def close(self) -> None:
-        """Close the file; more than once is harmless."""
-        self._messages, self._next = None, 0
+def _data_of(message: tuple[int, Message]) -> bytes:
+    """The file of a picture as it was recorded."""
+    assert isinstance(message[1], _Picture)
+    return message[1].data
 
 
 def open_feed(path: Path, options: FeedOptions) -> Feed:
@@ -202,7 +188,7 @@ def open_feed(path: Path, options: FeedOptions) -> Feed:
             rows[-1] = _with_message(rows[-1], message)
     if header is None or not rows:
         raise FeedError(f"{path}: no feed in it; for other recordings there is `lookback import rosbag`")
-    return Feed(path, header, tuple(rows), lambda: McapPictures(path))
+    return Feed(path, header, tuple(rows), lambda: _pictures(path))
 
 
 def _with_message(row: FeedRow, message: _Where | _Row) -> FeedRow:
@@ -212,11 +198,11 @@ def _with_message(row: FeedRow, message: _Where | _Row) -> FeedRow:
 
 
 def _read(path: Path, output: Path) -> int:
-    feed, pictures = open_feed(path, FeedOptions()), McapPictures(path)
+    feed, pictures = open_feed(path, FeedOptions()), _pictures(path)
     extra = tuple(dict.fromkeys(key for row in feed.rows for key in row.extra))
     with FeedWriter(output, feed.header, extra) as writer:
         for index, row in enumerate(feed.rows):
-            writer.write(pictures.data(index), row)
+            writer.write(_data_of(pictures.message(index)), row)
     print(f"{output}: {len(feed.rows)} frames")
     return 0
 

@@ -77,7 +77,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     files = [f"{file.name}#{index}" for index in range(len(stamps_ns))]
     return Traverse(
         name=file.stem,
-        view=options.view or "front",
         source=f"{SOURCE} {file.stem}",
         rows=_track(poses).rows(str(file), files, stamps_ns),
         pictures=H5Pictures(file, encoding, rows - crop_bottom),

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import FeedError
+from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedImages, Pictures, read_feed, read_picture
+from sim.output import refusing
 
 PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"})
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})
@@ -61,12 +63,39 @@ class JoinedPictures:
             part.close()
 
 
+class PicturesInOrder:
+    """The pictures of a recording that is read from its beginning on; going back starts again there."""
+
+    def __init__(
+        self, what: str, messages: Callable[[], Iterator[Any]], develop: Callable[[str, Any], NDArray[np.uint8]]
+    ) -> None:
+        """messages: opens the recording, one message a picture. develop: makes an image of one; its name is first."""
+        self._what, self._open, self._develop = what, messages, develop
+        self.close()
+
+    def message(self, index: int) -> Any:
+        """That of picture `index` as it was recorded. FrameError where there is none."""
+        if index < self._next:
+            self.close()
+        for message in self._messages:
+            self._next += 1
+            if self._next > index:
+                return message
+        raise FrameError(f"{self._what}: no picture {index}")
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture `index`, (H, W, 3) uint8 BGR; FrameError names it."""
+        return self._develop(f"{self._what}: picture {index}", self.message(index))
+
+    def close(self) -> None:
+        """Close the recording; more than once is harmless."""
+        self._messages, self._next = self._open(), 0
+
+
 def list_pictures(folder: Path) -> list[str]:
     """Names of the picture files in a folder, numbers in their numeric order; FeedError if there are none."""
-    try:
+    with refusing(FeedError, f"{folder}: cannot read this folder"):
         names = [entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES]
-    except OSError as error:
-        raise FeedError(f"{folder}: cannot read this folder: {error.strerror}") from None
     if not names:
         raise FeedError(f"{folder}: no pictures in this folder")
     return sorted(names, key=natural_key)

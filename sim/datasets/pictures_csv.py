@@ -73,7 +73,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     found = ", ".join(f"{column} is the {what}" for what, column in columns.items())
     return Traverse(
         name=path.name,
-        view=options.view or "front",
         source=f"pictures in {path.name} with {file.name}",
         rows=rows,
         pictures=PictureFiles([path / name for name in names]),

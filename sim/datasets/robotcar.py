@@ -78,7 +78,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
 
     return Traverse(
         name=f"{path.name}-{name.replace('/', '-')}",
-        view=options.view or camera.view,
+        view=camera.view,
         source=f"Oxford RobotCar {path.name} {name}",
         rows=_track(path, options.positions or "ins").rows(str(path / name), files, [us * 1000 for us in stamps_us]),
         pictures=PictureFiles([path / file for file in files], develop, cv2.IMREAD_UNCHANGED),

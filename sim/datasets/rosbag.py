@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from edge.errors import FeedError, FrameError
 from sim.datasets import ReadOptions, Traverse
+from sim.datasets.pictures import PicturesInOrder
 from sim.datasets.track import Fix, Track
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -43,33 +45,6 @@ ENCODINGS = {
 }
 
 
-class BagPictures:
-    """The pictures of one topic, in order; going back starts again from the beginning."""
-
-    def __init__(self, path: Path, topic: str) -> None:
-        self._path = path
-        self._topic = topic
-        self._messages: Iterator[Any] | None = None
-        self._next = 0
-
-    def read(self, index: int) -> NDArray[np.uint8]:
-        """Picture `index` of the topic, (H, W, 3) uint8 BGR; FrameError names it."""
-        if self._messages is None or index < self._next:
-            self.close()
-            self._messages = _messages(self._path, self._topic)
-        while True:
-            at, message = self._next, next(self._messages, None)
-            self._next += 1
-            if message is None:
-                raise FrameError(f"{self._path}: {self._topic}: no picture {index}")
-            if at == index:
-                return to_bgr(f"{self._path}: {self._topic}: picture {index}", message)
-
-    def close(self) -> None:
-        """Close the recording; more than once is harmless."""
-        self._messages, self._next = None, 0
-
-
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """One camera's pictures at the positions of one receiver. FeedError lists the topics where it cannot choose."""
     with _open(path) as reader:
@@ -79,10 +54,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     stamps_ns = [_stamp_ns(message) for message in _messages(path, camera)]
     return Traverse(
         name=path.stem,
-        view=options.view or "front",
         source=f"{path.name} {camera}",
         rows=track.rows(f"{path}: {camera}", [f"{camera}#{index}" for index in range(len(stamps_ns))], stamps_ns),
-        pictures=BagPictures(path, camera),
+        pictures=PicturesInOrder(f"{path}: {camera}", partial(_messages, path, camera), to_bgr),
         notes=f"positions from {receiver}",
     )
 

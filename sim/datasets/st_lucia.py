@@ -35,7 +35,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     track = Track(str(file), fixes)
     return Traverse(
         name=path.name,
-        view=options.view or "front",
         source=f"St Lucia {path.name}",
         rows=track.rows(str(frames), names, stamps_ns),
         pictures=pictures,

@@ -11,7 +11,7 @@ times are nominal, as the format's are of whole seconds at best and most often e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 from edge.errors import FeedError
@@ -23,68 +23,34 @@ NOMINAL_FPS = 1.0
 FIELDS = ("", "x", "y", "zone", "letter", "lat", "lon", "pano", "tile", "heading", "pitch", "roll", "height", "time")
 
 
-@dataclass(frozen=True)
-class NamedPlace:
-    """What one name says; NaN is not known."""
-
-    file: str
-    x_m: float
-    y_m: float
-    lat_deg: float
-    lon_deg: float
-    heading_deg: float
-    pano: str
-    time: str
-
-
-def parse_name(folder: Path, name: str) -> NamedPlace:
-    """Take a name apart; FeedError names the picture and the field."""
-    values = dict(zip(FIELDS, name.split("@"), strict=False))
-
-    def number(field: str) -> float:
-        text = values.get(field, "")
-        try:
-            return float(text) if text else math.nan
-        except ValueError:
-            raise FeedError(f"{folder / name}: {field} in this name is {text!r}, which is not a number") from None
-
-    place = NamedPlace(
-        name,
-        number("x"),
-        number("y"),
-        number("lat"),
-        number("lon"),
-        number("heading"),
-        values.get("pano", ""),
-        values.get("time", ""),
-    )
-    if not name.startswith("@") or math.isnan(place.x_m + place.y_m):
-        raise FeedError(f"{folder / name}: this name does not begin with @utm_east@utm_north@")
-    return place
-
-
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """The pictures of one folder, such as images/test/queries. FeedError names the first that has no place."""
-    places = [parse_name(path, name) for name in list_pictures(path)]
-    places.sort(key=lambda place: (place.time, natural_key(place.pano)))
+    said = {name: dict(zip(FIELDS, name.split("@"), strict=False)) for name in list_pictures(path)}
+    names = sorted(said, key=lambda name: (said[name].get("time", ""), natural_key(said[name].get("pano", ""))))
     fps = options.fps or NOMINAL_FPS
     return Traverse(
         name=path.name,
-        view=options.view or "front",
         source=str(Path(*path.parts[-4:])),
-        rows=tuple(_row(place, round(index * 1e9 / fps)) for index, place in enumerate(places)),
-        pictures=PictureFiles([path / place.file for place in places]),
+        rows=tuple(_row(path / name, said[name], round(index * 1e9 / fps)) for index, name in enumerate(names)),
+        pictures=PictureFiles([path / name for name in names]),
         notes="times are nominal; local_x_m and local_y_m are the UTM meters of the names",
     )
 
 
-def _row(place: NamedPlace, stamp_ns: int) -> FeedRow:
-    has_degrees = not math.isnan(place.lat_deg + place.lon_deg)
-    return FeedRow(
-        place.file,
-        stamp_ns,
-        lat_deg=place.lat_deg if has_degrees else None,
-        lon_deg=place.lon_deg if has_degrees else None,
-        heading_deg=None if math.isnan(place.heading_deg) else place.heading_deg,
-        extra={"local_x_m": f"{place.x_m:.2f}", "local_y_m": f"{place.y_m:.2f}"},
-    )
+def _row(file: Path, said: Mapping[str, str], stamp_ns: int) -> FeedRow:
+    """What the name of a picture says, by FIELDS. FeedError names the picture and the field."""
+
+    def number(field: str) -> float | None:
+        text = said.get(field) or "nan"
+        try:
+            return None if math.isnan(float(text)) else float(text)
+        except ValueError:
+            raise FeedError(f"{file}: {field} in this name is {text!r}, which is not a number") from None
+
+    x_m, y_m, lat_deg, lon_deg, heading_deg = map(number, ("x", "y", "lat", "lon", "heading"))
+    if said[""] or x_m is None or y_m is None:
+        raise FeedError(f"{file}: this name does not begin with @utm_east@utm_north@")
+    if lat_deg is None or lon_deg is None:
+        lat_deg = lon_deg = None
+    extra = {"local_x_m": f"{x_m:.2f}", "local_y_m": f"{y_m:.2f}"}
+    return FeedRow(file.name, stamp_ns, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=heading_deg, extra=extra)

@@ -69,7 +69,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
     return Traverse(
         name=path.stem,
-        view=options.view or ("rear" if REAR.search(files[0].stem) else "front"),
+        view="rear" if REAR.search(files[0].stem) else "front",
         source=path.name,
         rows=rows,
         pictures=JoinedPictures(opened, counts),

@@ -39,7 +39,6 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     stamps_ns = [start_ns + row.stamp_ns for row in feed.rows]
     return Traverse(
         name=path.stem,
-        view=options.view or "front",
         source=f"{path.name} with {log.name}",
         rows=track.rows(str(path), [str(index) for index in range(len(stamps_ns))], stamps_ns),
         pictures=pictures,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import ConfigError
+from sim.output import refusing
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 
@@ -22,13 +23,11 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 def write_report(folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section]) -> Path:
     """Write report.html, NAME.csv and NAME.png into `folder` and return the page's path. ConfigError if it cannot."""
     page = folder / "report.html"
-    try:
+    with refusing(ConfigError, f"{folder}: cannot write the report"):
         folder.mkdir(parents=True, exist_ok=True)
         for section in sections:
             _write_files(folder, section)
         page.write_text(render_page(title, about, sections), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write the report: {error.strerror}") from None
     return page
 
 

@@ -13,6 +13,7 @@ from edge.errors import ConfigError
 from edge.files import replacing
 from edge.mission import MissionItem, WayHome, mission_items
 from edge.mission.way_home import FRAME_RELATIVE_ALT
+from sim.output import refusing
 
 ARDUPILOT, GROUND_ROVER = 3, 10  # MAV_AUTOPILOT, MAV_TYPE
 
@@ -20,11 +21,8 @@ ARDUPILOT, GROUND_ROVER = 3, 10  # MAV_AUTOPILOT, MAV_TYPE
 def write_way_home(path: Path, way: WayHome, config: HomeConfig) -> None:
     """Write the file that its suffix names, whole or not at all; ConfigError for another suffix, or if it cannot be."""
     content = encoder_of(path)(way, config)
-    try:
-        with replacing(path) as stream:
-            stream.write(content)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write it: {error.strerror}") from None
+    with refusing(ConfigError, f"{path}: cannot write it"), replacing(path) as stream:
+        stream.write(content)
 
 
 def encoder_of(path: Path) -> Callable[[WayHome, HomeConfig], bytes]:

@@ -29,6 +29,7 @@ from edge.layers import KEEP_FILE, TALLIES, Tally, read_tally
 from edge.reference_map import LearnedFolder, maps_in, open_map, read_header
 from edge.reference_map.map_folder import SIGNATURE, check_signature
 from edge.reference_map.store import HEADER
+from sim.output import refusing
 
 INVENTORY = "inventory.json"
 NAME = re.compile(r"[^./][^/]*")
@@ -196,15 +197,13 @@ def _inventory_of(since: Path) -> Inventory:
 @contextlib.contextmanager
 def _writing(output: Path) -> Iterator[tarfile.TarFile]:
     """A compressed tar file whose bytes depend on nothing but its members."""
-    try:
-        with (
-            replacing(output) as stream,
-            gzip.GzipFile("", "wb", fileobj=stream, mtime=0) as packed,
-            tarfile.open(fileobj=packed, mode="w") as tar,
-        ):
-            yield tar
-    except OSError as error:
-        raise MapError(f"{output}: cannot write it: {error.strerror}") from None
+    with (
+        refusing(MapError, f"{output}: cannot write it"),
+        replacing(output) as stream,
+        gzip.GzipFile("", "wb", fileobj=stream, mtime=0) as packed,
+        tarfile.open(fileobj=packed, mode="w") as tar,
+    ):
+        yield tar
 
 
 def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> None:

@@ -22,6 +22,7 @@ from edge.reference_map.place_records import spell_accuracy
 from edge.reference_map.store import HEADER, MapHeader
 from sim.maps.keys import make_key, sign_map
 from sim.maps.tiles import split_map
+from sim.output import refusing
 
 SAMPLED_PICTURES = 16
 
@@ -191,12 +192,10 @@ def light(path: Path) -> str:
 def _keep(args: argparse.Namespace) -> int:
     if not (args.map / HEADER).is_file():
         raise MapError(f"{args.map}: not a map; name the folder of one")
-    try:
+    with refusing(MapError, f"{args.map}: cannot mark it"):
         if args.undo:
             (args.map / KEEP_FILE).unlink(missing_ok=True)
         else:
             (args.map / KEEP_FILE).touch()
-    except OSError as error:
-        raise MapError(f"{args.map}: cannot mark it: {error.strerror}") from None
     print(f"{args.map}: {'may be deleted' if args.undo else 'kept'}")
     return 0

@@ -10,6 +10,7 @@ from edge.errors import ConfigError, MapError
 from edge.files import replacing
 from edge.reference_map.map_folder import SIGNATURE, ed25519_keys, read_key_of, signed_bytes
 from edge.reference_map.store import open_map, read_header
+from sim.output import refusing
 
 
 def make_key(path: Path) -> Path:
@@ -43,8 +44,5 @@ def sign_map(path: Path, key_file: Path) -> None:
     """Check every byte of a map and sign it; ConfigError for the key, MapError for the map."""
     key = ed25519_keys().Ed25519PrivateKey.from_private_bytes(read_key_of(key_file, is_secret=True))
     header = open_map(path, every_file=True).header
-    try:
-        with replacing(path / SIGNATURE) as stream:
-            stream.write(f"{key.sign(signed_bytes(header)).hex()}\n".encode("ascii"))
-    except OSError as error:
-        raise MapError(f"{path / SIGNATURE}: cannot write it: {error.strerror}") from None
+    with refusing(MapError, f"{path / SIGNATURE}: cannot write it"), replacing(path / SIGNATURE) as stream:
+        stream.write(f"{key.sign(signed_bytes(header)).hex()}\n".encode("ascii"))

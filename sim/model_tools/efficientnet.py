@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from edge.errors import ModelError
 from edge.extras import install_command
 from sim.model_tools.onnx_graph import GraphBuilder, Weights
+from sim.output import refusing
 
 if TYPE_CHECKING:
     import onnx
@@ -43,10 +44,8 @@ def read_packaged_weights() -> tuple[Weights, str]:
     if spec is None or spec.origin is None:
         raise ModelError(f"{NAME}: needs the package {PACKAGE}: {install_command('efficientnet')}")
     path = Path(spec.origin).parent / "models" / f"{NAME}-57934424.pth"
-    try:
+    with refusing(ModelError, f"{path}: cannot read the weights"):
         data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the weights: {error.strerror}") from None
     sha256 = hashlib.sha256(data).hexdigest()
     if sha256 != SHA256:
         raise ModelError(f"{path}: not the weights of {PACKAGE} 0.1.0 (sha256 {sha256[:12]}); install that version")

@@ -25,6 +25,7 @@ from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import regions_of
 from sim.model_tools.torch_file import export_onnx
+from sim.output import refusing
 
 if TYPE_CHECKING:
     import onnx
@@ -139,10 +140,8 @@ def _file(args: argparse.Namespace) -> _Source:
     wanted = onnx_import.ImageInput(
         size, args.layout, (mean[0], mean[1], mean[2]), (std[0], std[1], std[2]), args.channels
     )
-    try:
+    with refusing(ModelError, f"{args.weights}: cannot read the network"):
         data = args.weights.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{args.weights}: cannot read the network: {error.strerror}") from None
     sha256 = hashlib.sha256(data).hexdigest()
     if args.weights.suffix != ".onnx":
         data = export_onnx(args.weights, size or (onnx_import.DEFAULT_SIZE,) * 2)
@@ -256,20 +255,15 @@ def _pair(option: str, text: str | None) -> tuple[int, int] | None:
 def network_file(output: Path, name: str) -> Path:
     """`output`, or the file of that name in it; the folder is made before the long work. ModelError."""
     file = output if output.suffix == ".onnx" else output / name
-    try:
+    with refusing(ModelError, f"{file}: cannot write it"):
         file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
     return file
 
 
 def write(model: onnx.ModelProto, file: Path) -> str:
     """Write a network in one step, read it back, and return its sha256."""
-    try:
-        with replacing(file) as stream:
-            stream.write(model.SerializeToString(deterministic=True))
-    except OSError as error:
-        raise ModelError(f"{file}: cannot write it: {error.strerror}") from None
+    with refusing(ModelError, f"{file}: cannot write it"), replacing(file) as stream:
+        stream.write(model.SerializeToString(deterministic=True))
     info = read_model_file(file).info
     print(f"{file}: {info.output}, {info.precision}, {file.stat().st_size / 1e6:.1f} MB, sha256 {info.sha256}")
     return info.sha256

@@ -34,7 +34,7 @@ def walk(tmp_path: Path, write_pictures: WritePictures) -> Path:
 
 
 def traverse_of(*rows: FeedRow) -> Traverse:
-    return Traverse("test", "front", "here", rows, PictureFiles([]))
+    return Traverse("test", "here", rows, PictureFiles([]))
 
 
 def chosen(traverse: Traverse, **sampling: object) -> list[int]:
@@ -97,7 +97,7 @@ def test_the_distance_driven_is_kept_as_it_was_between_the_chosen_rows() -> None
 
 def test_a_position_that_is_not_on_the_earth_is_named_and_leaves_nothing(walk: Path, tmp_path: Path) -> None:
     rows = tuple(FeedRow(f"{at}.png", at, lat_deg=95.0 if at == 2 else 10.0, lon_deg=20.0) for at in range(4))
-    traverse = Traverse("test", "front", "here", rows, PictureFiles([walk / row.file for row in rows]))
+    traverse = Traverse("test", "here", rows, PictureFiles([walk / row.file for row in rows]))
     taken = choose_rows(traverse, SamplingConfig(by="frames"))
     with pytest.raises(FeedError, match=r"here: 2\.png: lat_deg: 95 is not between -90 and 90 degrees"):
         write_feed(traverse, tmp_path / "feed", taken)
