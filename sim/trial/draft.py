@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
+from sim.trial.driver import Leg
 from sim.trial.way import Way
-from sim.vehicle.driver import Leg
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import GpsReport
 from sim.world.scenario import Scenario

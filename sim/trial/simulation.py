@@ -14,9 +14,9 @@ from edge.telemetry.link import Link
 from sim import Pose
 from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.draft import Draft
+from sim.trial.driver import Driver
 from sim.trial.receiver_errors import WANDERS_AT_S, receiver_errors
 from sim.vehicle.autopilot import SimulatedAutopilot
-from sim.vehicle.driver import Driver
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 STEP_S, FRAME_S = 0.02, 0.1

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sim.trial.draft import Draft
+from sim.trial.driver import Leg
 from sim.trial.way import Way, along
-from sim.vehicle.driver import Leg
 
 SET_OFF_M = 40.0
 """From the start of the road: a vehicle that comes home may drive on too far."""

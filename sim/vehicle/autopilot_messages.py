@@ -10,6 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import Message
 from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim.vehicle.attitude import AttitudeEstimate
+from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import Firmware
 from sim.vehicle.gps import GpsReport
 
@@ -26,11 +28,9 @@ RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlin
 class Snapshot:
     """The state of the autopilot at one moment.
 
-    pose: the truth, for GPS only. uses_gps: whether the filter fuses it. east_m, north_m, sigma_m, heading_deg: the
-    filter's estimate in the simulation's frame. tilt_deg: its roll and pitch; rates_dps: of those and of the heading.
-    origin_m: the filter's local origin there, None while it has none.
-    velocity_mps: of the filter, east and north. driven_m: distance by the wheel encoders, None where it has none.
-    aided: whether anything measures its velocity. base_mode: flags of MAV_MODE_FLAG.
+    pose: the truth, for GPS only. uses_gps: whether the filter fuses it. estimate, attitude: of the filter, in the
+    simulation's frame. origin_m: the filter's local origin there, None while it has none. has_wheels: whether it counts
+    their turns. base_mode: flags of MAV_MODE_FLAG.
     """
 
     firmware: Firmware
@@ -38,16 +38,10 @@ class Snapshot:
     pose: Pose
     gps: GpsReport
     uses_gps: bool
-    east_m: float
-    north_m: float
-    sigma_m: float
-    heading_deg: float
-    tilt_deg: tuple[float, float]
-    rates_dps: tuple[float, float, float]
+    estimate: Estimator
+    attitude: AttitudeEstimate
     origin_m: tuple[float, float] | None
-    velocity_mps: tuple[float, float]
-    driven_m: float | None
-    aided: bool
+    has_wheels: bool
     lon_shift_deg: float
     base_mode: int
 
@@ -59,12 +53,12 @@ class Snapshot:
     @property
     def speed_mps(self) -> float:
         """Ground speed as the filter has it."""
-        return math.hypot(*self.velocity_mps)
+        return math.hypot(*self.estimate.velocity_mps)
 
     @property
     def heading_cdeg(self) -> int:
         """Hundredths of a degree clockwise from north."""
-        return round(self.heading_deg * 100) % 36000
+        return round(self.estimate.heading_deg * 100) % 36000
 
     def degrees(self, east_m: float, north_m: float) -> tuple[int, int]:
         """Latitude and longitude in 1e-7 degrees."""
@@ -78,43 +72,32 @@ def _heartbeat(state: Snapshot) -> Message:
     )
 
 
-def _timesync(state: Snapshot) -> Message:
-    return mavlink.MAVLink_timesync_message(0, state.boot_ns)
-
-
 def _global_position(state: Snapshot) -> Message:
-    east_mps, north_mps = state.velocity_mps
+    east_mps, north_mps = state.estimate.velocity_mps
     # Without an origin there is no global position: ArduPilot sends 0, 0.
-    lat, lon = state.degrees(state.east_m, state.north_m) if state.origin_m is not None else (0, 0)
+    lat, lon = state.degrees(state.estimate.east_m, state.estimate.north_m) if state.origin_m is not None else (0, 0)
+    speeds_cmps = [round(mps * 100) for mps in (north_mps, east_mps, 0.0)]
     return mavlink.MAVLink_global_position_int_message(
-        state.boot_ms,
-        lat,
-        lon,
-        round(ORIGIN_ALT_M * 1000),
-        0,
-        round(north_mps * 100),
-        round(east_mps * 100),
-        0,
-        state.heading_cdeg,
+        state.boot_ms, lat, lon, round(ORIGIN_ALT_M * 1000), 0, *speeds_cmps, state.heading_cdeg
     )
 
 
 def _local_position(state: Snapshot) -> Message:
-    east_mps, north_mps = state.velocity_mps
-    origin_east_m, origin_north_m = state.origin_m or (0.0, 0.0)
+    east_mps, north_mps = state.estimate.velocity_mps
+    here, (origin_east_m, origin_north_m) = state.estimate, state.origin_m or (0.0, 0.0)
     return mavlink.MAVLink_local_position_ned_message(
-        state.boot_ms, state.north_m - origin_north_m, state.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
+        state.boot_ms, here.north_m - origin_north_m, here.east_m - origin_east_m, 0.0, north_mps, east_mps, 0.0
     )
 
 
 def _attitude(state: Snapshot) -> Message:
-    angles_deg = *state.tilt_deg, math.remainder(state.heading_deg, 360.0)
-    return mavlink.MAVLink_attitude_message(state.boot_ms, *map(math.radians, (*angles_deg, *state.rates_dps)))
+    angles_deg = *state.attitude.tilt_deg, math.remainder(state.estimate.heading_deg, 360.0), *state.attitude.rates_dps
+    return mavlink.MAVLink_attitude_message(state.boot_ms, *map(math.radians, angles_deg))
 
 
 def _vfr_hud(state: Snapshot) -> Message:
-    speed_mps = state.speed_mps
-    return mavlink.MAVLink_vfr_hud_message(speed_mps, speed_mps, round(state.heading_deg) % 360, 0, ORIGIN_ALT_M, 0.0)
+    speed_mps, heading_deg = state.speed_mps, round(state.estimate.heading_deg) % 360
+    return mavlink.MAVLink_vfr_hud_message(speed_mps, speed_mps, heading_deg, 0, ORIGIN_ALT_M, 0.0)
 
 
 def _gps_raw(state: Snapshot) -> Message:
@@ -134,64 +117,37 @@ _NO_DOP = (65535, 65535, 0, 0, 0)
 
 def _receiver(state: Snapshot) -> tuple[int, ...]:
     """The fields that both receivers' messages begin with."""
-    return (
-        state.boot_ns // 1000,
-        state.gps.fix_type,
-        *state.degrees(*state.gps.position(state.pose)),
-        round(ORIGIN_ALT_M * 1000),
-        70,
-        110,
-        round(abs(state.pose.speed_mps) * 100),
-        state.heading_cdeg,
-        10,
-    )
-
-
-def _system_time(state: Snapshot) -> Message:
-    return mavlink.MAVLink_system_time_message(0, state.boot_ms)
+    at = *state.degrees(*state.gps.position(state.pose)), round(ORIGIN_ALT_M * 1000)
+    moves = round(abs(state.pose.speed_mps) * 100), state.heading_cdeg
+    return (state.boot_ns // 1000, state.gps.fix_type, *at, 70, 110, *moves, 10)
 
 
 def _wheel_distance(state: Snapshot) -> Message | None:
-    if state.driven_m is None:
+    if not state.has_wheels:
         return None
-    return mavlink.MAVLink_wheel_distance_message(state.boot_ns // 1000, 2, [state.driven_m] * 2 + [0.0] * 14)
+    driven_m = [state.estimate.driven_m] * 2 + [0.0] * 14
+    return mavlink.MAVLink_wheel_distance_message(state.boot_ns // 1000, 2, driven_m)
 
 
 def _odometry(state: Snapshot) -> Message:
-    half_rad = math.radians(state.heading_deg) / 2
+    here, half_rad, unknown = state.estimate, math.radians(state.estimate.heading_deg) / 2, [math.nan] * 21
+    pose = here.north_m, here.east_m, 0.0, [math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)]
+    frames = mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD
     return mavlink.MAVLink_odometry_message(
-        state.boot_ns // 1000,
-        mavlink.MAV_FRAME_LOCAL_NED,
-        mavlink.MAV_FRAME_BODY_FRD,
-        state.north_m,
-        state.east_m,
-        0.0,
-        [math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)],
-        state.speed_mps,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        [math.nan] * 21,
-        [math.nan] * 21,
+        state.boot_ns // 1000, *frames, *pose, state.speed_mps, *[0.0] * 5, unknown, unknown
     )
 
 
 def _filter_flags(state: Snapshot) -> int:
     """As recorded: velocity and relative position while anything aids them, absolute position with GPS."""
-    if not state.aided:
+    if not (state.estimate.is_aided or state.uses_gps):
         return NOT_AIDED_FLAGS
     return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.uses_gps else 0)
 
 
-def _ekf_status(state: Snapshot) -> Message:
-    return mavlink.MAVLink_ekf_status_report_message(_filter_flags(state), *[0.0] * 5)
-
-
 def _estimator_status(state: Snapshot) -> Message:
     return mavlink.MAVLink_estimator_status_message(
-        state.boot_ns // 1000, _filter_flags(state), *[0] * 6, state.sigma_m, 1.0
+        state.boot_ns // 1000, _filter_flags(state), *[0] * 6, state.estimate.sigma_m, 1.0
     )
 
 
@@ -213,18 +169,20 @@ def _version(state: Snapshot) -> Message:
 
 ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
-    mavlink.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+    mavlink.MAVLINK_MSG_ID_TIMESYNC: lambda state: mavlink.MAVLink_timesync_message(0, state.boot_ns),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: _gps2_raw,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: lambda state: mavlink.MAVLink_system_time_message(0, state.boot_ms),
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: _wheel_distance,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator_status,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: lambda state: mavlink.MAVLink_ekf_status_report_message(
+        _filter_flags(state), *[0.0] * 5
+    ),
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

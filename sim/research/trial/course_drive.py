@@ -23,11 +23,11 @@ from sim.research.trial.course import Course, CourseDraft, drafted
 from sim.research.trial.course_map import build_map
 from sim.research.trial.course_rules import CourseRun, failures, within_protection_level
 from sim.trial.cameras import TrialCamera, View
+from sim.trial.driver import Driver, Leg
 from sim.trial.run import Drive
 from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
-from sim.vehicle.driver import Driver, Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.world.sensor import CAMERA_HIGH_M
 

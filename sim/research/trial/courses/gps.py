@@ -26,7 +26,7 @@ from sim.research.trial.course_rules import (
 )
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import turned_twice
-from sim.vehicle.driver import Leg
+from sim.trial.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 GPS_WORKS = {

@@ -10,8 +10,8 @@ from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, 
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import turned_twice
+from sim.trial.driver import Leg
 from sim.trial.take_me_home import SET_OFF_M, home_by, out_and_home
-from sim.vehicle.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")

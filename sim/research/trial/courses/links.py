@@ -13,7 +13,7 @@ from sim.research.trial.course_rules import (
     warns_of_another,
 )
 from sim.research.trial.courses.registry import course
-from sim.vehicle.driver import Leg
+from sim.trial.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 

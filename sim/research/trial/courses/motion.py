@@ -9,8 +9,8 @@ from sim.research.trial.course import CourseDraft, Stretch
 from sim.research.trial.course_rules import USUAL, resumes, sends
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import bent, beside, carried_on, joined, towed
+from sim.trial.driver import Leg
 from sim.trial.way import Way, along
-from sim.vehicle.driver import Leg
 
 APART_M = 12.0
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,11 +31,12 @@ from sim.research.trial.table import (
     put_between,
 )
 from sim.research.trial.ways import joined, placed
+from sim.trial.driver import Driver, Leg
 from sim.trial.records import Sent, Track
 from sim.trial.run import JOURNAL, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
-from sim.vehicle.driver import Driver, Leg
+from sim.vehicle.estimator import Estimator, FilterNoise, OdometryErrors
 from sim.world.scenario import Scenario
 
 LENGTH_M, WORLD = 500.0, 21
@@ -215,11 +216,12 @@ def test_an_autopilot_that_is_wrong_leaves_the_lane_by_what_it_is_wrong() -> Non
     way = placed(along(Scenario(seed=WORLD, length_m=LENGTH_M), 0.0, 400.0), 0.0, 0.0, 0.0)
     straight_on = replace(way, east_m=0 * way.east_m, north_m=np.arange(401.0), heading_rad=0 * way.heading_rad)
     driver = Driver(straight_on, [Leg(380.0)], np.random.default_rng(1))
-    belief = SimpleNamespace(east_m=0.0, north_m=0.0, steering_error_rad=0.0)
-    driver.belief = belief
-    while not driver.ended:
-        belief.east_m, belief.north_m = driver.pose.east_m + 5.0, driver.pose.north_m
+    driver.belief = belief = Estimator(driver.pose, 0.0, OdometryErrors(), FilterNoise())
+    for time_s in itertools.count(0.02, 0.02):
+        belief.update(driver.pose, time_s, (driver.pose.east_m + 5.0, driver.pose.north_m))
         driver.step(0.02)
+        if driver.ended:
+            break
     assert driver.pose.east_m == pytest.approx(-5.0, abs=0.1)
     assert driver.left_m == pytest.approx(5.0, abs=0.1)
 

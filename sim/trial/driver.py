@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim import Pose
+from sim.trial.way import Way
+from sim.vehicle.estimator import Estimator
 
 ACCELERATION_MPS2, BRAKES_MPS2 = 1.5, 3.0
 CARRIED_MPS = 8.0
@@ -18,40 +18,6 @@ SWAY_M = 0.25
 AHEAD_S, AHEAD_M = 0.8, 5.0
 TURN_GAIN, TURN_RADPS = 1.5, 0.6
 LAST_M = 0.5
-
-
-class Line(Protocol):
-    """What is to be followed; `sim.trial.way.Way` has the meaning of its parts."""
-
-    @property
-    def carried(self) -> NDArray[np.bool_]:
-        """For each meter, whether the vehicle is carried."""
-
-    @property
-    def length_m(self) -> float:
-        """Meters."""
-
-    def at(self, along_m: float, left_m: float = 0.0) -> tuple[float, float, float]:
-        """East, north (m), heading (rad)."""
-
-    def project(self, east_m: float, north_m: float, near_m: float) -> tuple[float, float]:
-        """Meters along, and to the left."""
-
-
-class Belief(Protocol):
-    """What an autopilot believes; `sim.vehicle.estimator.Estimator` is one."""
-
-    @property
-    def east_m(self) -> float:
-        """Meters east."""
-
-    @property
-    def north_m(self) -> float:
-        """Meters north."""
-
-    @property
-    def steering_error_rad(self) -> float:
-        """By how much its heading is wrong, clockwise."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +71,7 @@ class Speed:
 class Driver:
     """Moves a vehicle along a line; `pose` is the truth."""
 
-    def __init__(self, line: Line, legs: Sequence[Leg], rng: np.random.Generator, *, starts_m: float = 0.0) -> None:
+    def __init__(self, line: Way, legs: Sequence[Leg], rng: np.random.Generator, *, starts_m: float = 0.0) -> None:
         """legs: in meters of the line, from `starts_m` on."""
         self._line = line
         self._speed = Speed(legs, rng)
@@ -115,7 +81,7 @@ class Driver:
         east_m, north_m, heading_rad = line.at(starts_m)
         self.pose = Pose(east_m, north_m, math.degrees(heading_rad) % 360, 0.0, 0.0)
         self.heading_rad = heading_rad
-        self.belief: Belief | None = None
+        self.belief: Estimator | None = None
         """Of the autopilot, if it steers."""
 
     @property
@@ -140,7 +106,7 @@ class Driver:
         heading_deg = math.degrees(self.heading_rad) % 360
         self.pose = Pose(east_m, north_m, heading_deg, speed_mps, self.pose.distance_m + driven_m)
 
-    def _steer(self, belief: Belief, step_s: float) -> None:
+    def _steer(self, belief: Estimator, step_s: float) -> None:
         """Pure pursuit of the line by the believed position and heading."""
         self._believed_m, _ = self._line.project(belief.east_m, belief.north_m, self._believed_m)
         speed_mps = self._speed.step(self._believed_m, step_s)
