@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from edge.commands.parser import build_parser
-from edge.errors import ConfigError
-from edge.extras import install_command
+from sim.output import needing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,10 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    try:
+    with needing("completion", "desk"):
         import shtab
-    except ModuleNotFoundError:
-        raise ConfigError(f"completion needs shtab: {install_command('desk')}") from None
     whole = build_parser()
     _complete_paths(whole, shtab.FILE)
     print(shtab.complete(whole, args.shell))

@@ -12,8 +12,7 @@ from typing import Any
 import msgspec
 
 from edge.errors import ConfigError
-from edge.extras import install_command
-from sim.output import writing
+from sim.output import needing, writing
 
 
 @dataclass(frozen=True)
@@ -70,10 +69,8 @@ def write_by_suffix(output: Path, writers: Mapping[str, Callable[[], str]]) -> N
     writer = writers.get(output.suffix.lower())
     if writer is None:
         raise ConfigError(f"--output: {output}: use a name that ends in one of {', '.join(writers)}")
-    try:
+    with needing(f"{output.suffix}", "desk"):
         text = writer()
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"{output.suffix} needs {error.name}: {install_command('desk')}") from None
     with writing(output) as stream:
         stream.write(text)
 

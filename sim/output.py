@@ -1,4 +1,4 @@
-"""Where a command writes and reads; an error names the option or the file, and what is wrong with it."""
+"""What a command reads, writes and needs; an error names the option, the file or the package, and what is wrong."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from edge.errors import ConfigError, SetupError, reason
+from edge.extras import install_command
 
 
 @contextmanager
@@ -18,6 +19,16 @@ def refusing(error_class: type[SetupError], what: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise error_class(f"{what}: {reason(error)}") from None
+
+
+@contextmanager
+def needing(what: str, extra: str, error_class: type[SetupError] = ConfigError) -> Iterator[None]:
+    """An import in the block that fails becomes one of these errors: what needs the package, and how to add it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        raise error_class(f"{what} needs the package {package}: {install_command(extra)}") from None
 
 
 def make_folder(folder: Path, kind: str) -> None:

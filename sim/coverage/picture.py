@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edge.errors import ConfigError, SetupError
-from edge.extras import install_command
+from edge.errors import ConfigError
 from edge.geodesy import east_north_of
 from sim.coverage.aliases import Alias
 from sim.coverage.sheet import Gap, Sheet, Stretch
+from sim.output import needing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,10 +60,8 @@ def write_sheet(
     words: Sequence[str],
 ) -> None:
     """Write the page. lines: of each stretch, longitudes and latitudes in degrees. SetupError without matplotlib."""
-    try:
+    with needing("--picture", "sim"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise SetupError(f"--picture needs matplotlib: {install_command('sim')}") from None
     figure = Figure(figsize=A4_INCHES)
     figure.text(0.08, 0.95, "Where this map will be recognized", fontsize=17, weight="bold", va="top")
     figure.text(0.08, 0.915, _wrapped(headline, 80), fontsize=11.5, va="top", linespacing=1.4)

@@ -18,8 +18,8 @@ from types import MappingProxyType
 from typing import Literal
 
 from edge.errors import FeedError
-from edge.extras import install_command
 from edge.feed import FeedRow, Pictures, View
+from sim.output import needing
 
 TruthKind = Literal["positions", "rows", "route_m"]
 
@@ -130,12 +130,9 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         raise FeedError(f"--{unused[0].replace('_', '-')}: is no option of {kind}")
     if not path.exists():
         raise FeedError(f"{path}: no such file or folder")
-    try:
+    with needing(f"{kind}:", "import", FeedError):
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
-        raise FeedError(f"{kind}: needs the package {package}: {install_command('import')}") from None
     if options.view is not None:
         return replace(traverse, view=options.view)
     if kind in OWN and traverse.view == "front":

@@ -23,13 +23,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import ConfigError, FeedError, FrameError
-from edge.extras import install_command
+from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
 from edge.feed.format import MEASURES, SOURCE
 from edge.geodesy import PositionSource
 from sim.datasets.pictures import PicturesInOrder
-from sim.output import refusing
+from sim.output import needing, refusing
 
 FRAME = "camera"
 STAMP = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -76,10 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _write(feed: Feed, path: Path) -> int:
-    try:
+    with needing("MCAP", "desk"):
         from mcap.writer import Writer
-    except ModuleNotFoundError:
-        raise ConfigError(f"MCAP needs the package mcap: {install_command('desk')}") from None
     with refusing(FeedError, f"{path}: cannot write it"), path.open("xb") as stream:
         writer: Any = Writer(stream)
         writer.start(profile="", library="lookback")
@@ -209,11 +206,9 @@ def _read(path: Path, output: Path) -> int:
 
 def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[tuple[int, Message]]:
     """Stamp and content of all whole messages of some topics, in the order in which they were written."""
-    try:
+    with needing("MCAP", "desk"):
         from mcap.exceptions import McapError
         from mcap.reader import NonSeekingReader
-    except ModuleNotFoundError:
-        raise ConfigError(f"MCAP needs the package mcap: {install_command('desk')}") from None
     is_mcap = False
     try:
         with path.open("rb") as stream:

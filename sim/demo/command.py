@@ -7,9 +7,7 @@ import time
 from pathlib import Path
 
 import edge
-from edge.errors import ConfigError
-from edge.extras import install_command
-from sim.output import make_folder
+from sim.output import make_folder, needing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,13 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    try:
+    with needing("demo:", "sim"):
         # Here and not above: matplotlib would take a third of a second of every command's start.
         from sim.demo.story import drive_story, headline, pairs_of, require_good, sections_of
         from sim.evaluation.report import render_page
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
-        raise ConfigError(f"demo: needs the package {package}: {install_command('sim')}") from None
     folder: Path = args.output
     started_s = time.monotonic()
     make_folder(folder, "demo")

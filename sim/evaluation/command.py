@@ -9,12 +9,12 @@ from pathlib import Path
 
 from edge.config import load_config
 from edge.errors import ConfigError
-from edge.extras import install_command
 from edge.feed import read_feed
 from edge.reference_map import open_map_set
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
 from sim.evaluation.replay import config_for_map
+from sim.output import needing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,10 +67,8 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _write(folder: Path, map_path: Path, judged: Sequence[Judged], rows: Sequence[tuple[Value, ...]]) -> Path:
-    try:
+    with needing("--output", "sim"):
         from sim.evaluation import figures, report
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"--output needs the package {error.name}: {install_command('sim')}") from None
     curves = {one.name: precision_recall(one.answers) for one in judged}
     plot = report.Figure("precision_recall", "Every confidence", figures.precision_recall_plot(curves))
     table = report.Table("recordings", "In numbers", COLUMNS, rows)

@@ -14,7 +14,6 @@ from tqdm import tqdm
 from edge.camera.picture_check import FrozenPictureDetector
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
-from edge.extras import install_command
 from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import open_map, open_map_set
 from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
@@ -28,7 +27,7 @@ from sim.evaluation.recognition import judge, recognize
 from sim.evaluation.replay import as_line, config_for_map
 from sim.first_try.verdict import Tried, verdict
 from sim.maps.command import add_spacing_options, build_map, sampling_from
-from sim.output import make_folder
+from sim.output import make_folder, needing
 
 ROLES = ("reference", "query")
 
@@ -65,10 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    try:
+    with needing("try:", "eval"):
         from sim.first_try.page import render
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"try: needs the package {error.name}: {install_command('eval')}") from None
     if not args.tolerance_m > 0:
         raise ConfigError(f"--tolerance-m: {args.tolerance_m:g} is not above 0")
     folder: Path = args.output

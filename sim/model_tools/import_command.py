@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import HEAD_FILE, NETWORK_FILE, ModelFile, ModelInfo, read_model_file
+from edge.descriptor.model_file import NETWORK_FILE, ModelFile, ModelInfo, read_model_file
 from edge.descriptor.network import REGION_COUNT, Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ConfigError, ModelError
@@ -50,7 +50,6 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         f" {efficientnet.NAME}, whose weights are in the extra efficientnet",
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
-    parser.add_argument("--labels", type=Path, help="names of the categories, one per line")
     ranges = parser.add_mutually_exclusive_group()
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
@@ -71,9 +70,6 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     )
     image.add_argument(
         "--white", type=float, default=1.0, help="value of a white pixel before --mean and --std: 1 (default) or 255"
-    )
-    image.add_argument(
-        "--float-layers", type=int, metavar="N", help="keep the first N layers in float (default: found)"
     )
     parser.set_defaults(run=run)
 
@@ -100,7 +96,7 @@ class _Source:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the network file, and its head if there is one."""
+    """Write the network file."""
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
         raise ConfigError(
@@ -108,24 +104,17 @@ def run(args: argparse.Namespace) -> int:
         )
     if not (args.ranges or args.calibrate or args.float_only or is_recipe):
         raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
-    labels = read_label_lines(args.labels) if args.labels else ()
     source = _recipe(args) if is_recipe else _file(args)
-    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, bool(labels))
-    if labels and len(labels) != found.classes:
-        raise ModelError(f"{args.labels}: {len(labels)} labels, but the network has {found.classes} categories")
-    info = _info(args, source, found, labels)
+    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool)
+    info = _info(args, source, found)
     file = network_file(args.output, NETWORK_FILE)
     exact = found.model
     onnx_graph.set_info(exact, info)
     if args.float or args.float_only:
         written = file if args.float_only and args.output.suffix == ".onnx" else file.with_name("network_float32.onnx")
-        sha256 = write(exact, written)
+        write(exact, written)
     if not args.float_only:
-        sha256 = write(_rounded(args, exact, info), file)
-    if found.head is not None:
-        head_info = msgspec.structs.replace(info, tap="categories", pool="", dimensions=len(labels), fc6_sha256=sha256)
-        onnx_graph.set_info(found.head, head_info)
-        write(found.head, file.with_name(HEAD_FILE))
+        write(_rounded(args, exact, info), file)
     return 0
 
 
@@ -161,7 +150,7 @@ def _recipe(args: argparse.Namespace) -> _Source:
     return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool)
 
 
-def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported, labels: tuple[str, ...]) -> ModelInfo:
+def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported) -> ModelInfo:
     height, width = found.size
     return ModelInfo(
         name=source.name,
@@ -172,7 +161,7 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         channel_order="BGR",
         mean_rgb=source.wanted.mean_rgb,
         std_rgb=source.wanted.std_rgb,
-        labels=labels,
+        labels=(),
         license=source.license,
         source=source.source,
         weights_sha256=source.sha256,
@@ -185,7 +174,6 @@ def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) 
     """The int8 network, with as many of its first layers in float as it needs to pass the check on the feeds."""
     info = msgspec.structs.replace(info, precision="int8")
     is_recipe = str(args.weights) == efficientnet.NAME and not args.calibrate
-    layers = args.float_layers if args.float_layers is not None or not is_recipe else RECIPE_FLOAT_LAYERS
     if args.calibrate:
         images = [list(calibration_images([path], info)) for path in args.calibrate]
         ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
@@ -196,7 +184,7 @@ def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) 
     missing = quantize.unknown_tensors(exact, ranges)
     if missing:
         raise ModelError(f"{args.ranges or RECIPE_RANGES}: no range of the tensor {missing[0]!r}; use --calibrate")
-    tries = [layers] if layers is not None else [0] if not images else FLOAT_LAYERS
+    tries = (RECIPE_FLOAT_LAYERS,) if is_recipe else FLOAT_LAYERS if images else (0,)
     best = None
     for count in tries:
         said = f"{info.calibration}, first {count} layers in float" if count else info.calibration

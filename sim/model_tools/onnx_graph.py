@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import METADATA_KEY, ModelInfo
 from edge.errors import ModelError
-from edge.extras import install_command
+from sim.output import needing
 
 if TYPE_CHECKING:
     import onnx
@@ -33,10 +33,8 @@ class GraphBuilder:
 
     def __init__(self) -> None:
         """ModelError where the `onnx` package is missing."""
-        try:
+        with needing("importing a model", "model", ModelError):
             import onnx
-        except ImportError:
-            raise ModelError(f"importing a model needs the onnx package: {install_command('model')}") from None
         self._onnx = onnx
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from edge.descriptor.model_file import OPERATORS
 from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
-from edge.extras import install_command
 from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
+from sim.output import needing
 
 if TYPE_CHECKING:
     import onnx
@@ -57,18 +57,16 @@ class ImageInput:
 
 @dataclass(frozen=True)
 class Imported:
-    """A float graph without metadata. size: height and width. head: descriptors to categories, if it was asked for."""
+    """A float graph without metadata. size: height and width."""
 
     model: onnx.ModelProto
     size: tuple[int, int]
     dimensions: int
     tap: str
-    head: onnx.ModelProto | None = None
-    classes: int = 0
 
 
 def import_onnx(
-    path: Path, data: bytes, wanted: ImageInput, tap: str = "", pool: tuple[int, int] | None = None, head: bool = False
+    path: Path, data: bytes, wanted: ImageInput, tap: str = "", pool: tuple[int, int] | None = None
 ) -> Imported:
     """Cut the network at `tap` ("" is its output), average over a grid (rows, columns), and put pixels in front.
 
@@ -77,27 +75,22 @@ def import_onnx(
     try:
         model = _load(data)
         image, size, layout = _image_input(model, wanted)
-        output = model.graph.output[0].name
-        tap = tap or output
+        tap = tap or model.graph.output[0].name
         _check_tap(model, tap)
-        folded = _fold(model, image, size, layout, [tap, output] if head and tap != output else [tap])
-        cut = _cut(folded, image, tap)
+        cut = _cut(_fold(model, image, size, layout, tap), image, tap)
         _check_operators(cut)
         dimensions, one = _add_pool(cut, tap, pool, _run(cut, image, size, layout))
         _add_pixels(cut, image, size, layout, wanted)
         _free_batch(cut, size, one, dimensions)
-        cut_head, classes = _head(folded, image, tap, output, one, dimensions) if head else (None, 0)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
-    return Imported(cut, size, dimensions, tap, cut_head, classes)
+    return Imported(cut, size, dimensions, tap)
 
 
 def _load(data: bytes) -> onnx.ModelProto:
-    try:
+    with needing("importing a model", "model", ModelError):
         import onnx
         from google.protobuf.message import DecodeError
-    except ImportError:
-        raise ModelError(f"importing a model needs the onnx package: {install_command('model')}") from None
     try:
         model = onnx.load_model_from_string(data)
     except (DecodeError, ValueError):
@@ -159,9 +152,7 @@ def _check_tap(model: onnx.ModelProto, tap: str) -> None:
         raise ModelError(f"has no tensor {tap!r}; near it is {', '.join(map(repr, near))}")
 
 
-def _fold(
-    model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, outputs: list[str]
-) -> onnx.ModelProto:
+def _fold(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, tap: str) -> onnx.ModelProto:
     """The network for a batch of one, with all that does not depend on the image computed, in standard operators."""
     import onnx
     import onnxruntime  # by now with its telemetry disabled
@@ -169,7 +160,7 @@ def _fold(
     _set_shape(_input_of(model, image), [1, *([3, *size] if layout == "nchw" else [*size, 3])])
     del model.graph.output[:]
     del model.graph.value_info[:]
-    model.graph.output.extend(onnx.helper.make_tensor_value_info(one, onnx.TensorProto.FLOAT, None) for one in outputs)
+    model.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
     options.log_severity_level = 4
@@ -190,10 +181,14 @@ def _cut(model: onnx.ModelProto, image: str, tap: str) -> onnx.ModelProto:
 
     cut = onnx.ModelProto()
     cut.CopyFrom(model)
-    nodes, constants = _upstream(model, {tap}, image)
-    for field, kept in ((cut.graph.node, nodes), (cut.graph.initializer, constants)):
-        del field[:]
-        field.extend(kept)
+    needed, nodes = {tap}, list[onnx.NodeProto]()
+    for node in reversed(model.graph.node):
+        if needed.intersection(node.output) - {image}:
+            nodes.append(node)
+            needed.update(node.input)
+    del cut.graph.node[:]
+    cut.graph.node.extend(reversed(nodes))
+    _prune_constants(cut)
     del cut.graph.output[:]
     cut.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
     for number, node in enumerate(cut.graph.node):
@@ -203,16 +198,6 @@ def _cut(model: onnx.ModelProto, image: str, tap: str) -> onnx.ModelProto:
     del cut.opset_import[:]
     cut.opset_import.extend(domains)
     return cut
-
-
-def _upstream(model: onnx.ModelProto, needed: set[str], begin: str) -> tuple[list[Any], list[Any]]:
-    """The nodes, in order, and the constants that some tensors are computed from, given the tensor `begin`."""
-    needed, nodes = set(needed), list[Any]()
-    for node in reversed(model.graph.node):
-        if needed.intersection(node.output) - {begin}:
-            nodes.append(node)
-            needed.update(node.input)
-    return nodes[::-1], [tensor for tensor in model.graph.initializer if tensor.name in needed]
 
 
 def _check_operators(model: onnx.ModelProto) -> None:
@@ -389,35 +374,6 @@ def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, dime
 def _describe(model: onnx.ModelProto, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     found: NDArray[np.float32] = open_session(model.SerializeToString()).run(None, {IMAGE: pixels})[0]
     return found
-
-
-def _head(
-    folded: onnx.ModelProto, image: str, tap: str, output: str, descriptor: str, dimensions: int
-) -> tuple[onnx.ModelProto, int]:
-    """The network from the tap to its output, with a softmax, and how many categories it has."""
-    import onnx
-
-    nodes, constants = _upstream(folded, {output}, tap)
-    reaches = {name for node in nodes for name in node.input}
-    if descriptor != tap or tap == output or image in reaches:
-        raise ModelError(f"--labels: the categories cannot be computed from the descriptor {descriptor!r} alone")
-    make, info = onnx.helper.make_node, onnx.helper.make_tensor_value_info
-    if nodes[-1].op_type != "Softmax":
-        nodes.append(make("Softmax", [output], ["categories"], "categories", axis=1))
-    else:
-        nodes[-1].output[:] = ["categories"]
-    graph = onnx.helper.make_graph(
-        nodes,
-        "head",
-        [info(tap, onnx.TensorProto.FLOAT, ["B", dimensions])],
-        [info("categories", onnx.TensorProto.FLOAT, None)],
-        constants,
-    )
-    model = onnx.helper.make_model(graph, opset_imports=folded.opset_import, ir_version=folded.ir_version)
-    session = open_session(model.SerializeToString())
-    classes = session.run(None, {tap: np.zeros((2, dimensions), np.float32)})[0].shape[-1]
-    _set_output(model, "categories", ["B", classes])
-    return model, int(classes)
 
 
 def _input_of(model: onnx.ModelProto, name: str) -> Any:

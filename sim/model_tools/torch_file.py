@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 from edge.errors import ModelError
-from edge.extras import install_command
+from sim.output import needing
 
 
 def export_onnx(path: Path, size: tuple[int, int]) -> bytes:
@@ -17,10 +17,8 @@ def export_onnx(path: Path, size: tuple[int, int]) -> bytes:
 
     PyTorch runs what is in the file, so it must be one that you trust.
     """
-    try:
+    with needing(f"{path}:", "torch", ModelError):
         import torch
-    except ImportError:
-        raise ModelError(f"{path}: needs PyTorch to be read: {install_command('torch')}") from None
     if not zipfile.is_zipfile(path):
         raise ModelError(f"{path}: not a whole file of TorchScript or torch.export")
     image = torch.zeros(2, 3, *size)

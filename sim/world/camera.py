@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from edge.camera import Camera, Frame
 from edge.config import CameraConfig
-from edge.errors import ConfigError
-from edge.extras import install_command
+from sim.output import needing
 from sim.world.drive import Drive
 from sim.world.scenario import Scenario, load_scenario
 
@@ -30,10 +29,8 @@ def open_camera(config: CameraConfig) -> Camera:
 def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     """The scenario's camera in its world; takes about two seconds a kilometer."""
     # Imported here: positions alone need no renderer.
-    try:
+    with needing("the simulator", "sim"):
         from sim.world.renderer import Renderer
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"the simulator needs {error.name}: {install_command('sim')}") from None
     from sim.world.light import LIGHTS
     from sim.world.street import build_world
     from sim.world.traffic import build_traffic

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.descriptor.model_file import read_model_file
-from edge.descriptor.network import Head, Network, open_session
+from edge.descriptor.network import Network, open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, GraphBuilder
 from sim.model_tools.onnx_import import ImageInput, import_onnx
@@ -197,8 +197,6 @@ def of_no_operator(model: Any) -> None:
         (None, {"tap": "map", "pool": (4, 40)}, r"tensor 'map' has the shape \(B, 72, 11, 11\), which is smaller than"),
         (None, {"tap": "map", "pool": (11, 11), "wanted": ImageInput(size=(99, 99))}, r"input 'x' has the fixed shape"),
         (None, {"tap": "shape"}, r"tensor 'shape' |ONNX Runtime rejects it"),
-        (None, {"head": True}, r"--labels: the categories cannot be computed from the descriptor 'fc' alone"),
-        (None, {"head": True, "tap": "map", "pool": (1, 1)}, r"--labels: the categories cannot be computed"),
         (second_input, {}, r"has 2 inputs \(x, mask\); a network with one image"),
         (of_bytes, {}, r"input 'x' is uint8 \(\?, 3, 32, 32\); float of 4 dimensions is needed"),
         (four_channels, {}, r"input 'x' has the shape \(\?, 4, 32, 32\), with no axis of 3 channels; give --layout"),
@@ -247,19 +245,16 @@ def file(tmp_path: Path) -> Path:
 def test_from_the_file_to_recognized_places(
     file: Path, tmp_path: Path, write_traverse: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Import with categories, info, verify, a map, and a replay whose events carry them."""
+    """Import, info, verify, a map, and a replay."""
     feed, again = write_traverse(tmp_path / "feed"), write_traverse(tmp_path / "again", noise=4.0)
-    labels, model = tmp_path / "labels.txt", tmp_path / "model"
-    labels.write_text("\n".join(f"kind {number}" for number in range(CLASSES)))
-    options = ["--tap", "flat72", "--labels", str(labels), "--calibrate", str(feed), "--license", "CC0", "--float"]
+    model = tmp_path / "model"
+    options = ["--tap", "flat72", "--calibrate", str(feed), "--license", "CC0", "--float"]
     assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
-    names = ["head_int8.onnx", "network_float32.onnx", "network_int8.onnx"]
-    assert sorted(one.name for one in model.iterdir()) == names
+    assert sorted(one.name for one in model.iterdir()) == ["network_float32.onnx", "network_int8.onnx"]
     assert "int8 with 0 layers in float: cosine to float after NSD " in capsys.readouterr().out
     opened = Network.load(model)
     assert (opened.info.name, opened.info.output, opened.info.precision) == ("small", "flat72", "int8")
     assert (opened.info.size, opened.info.dimensions) == ((SIZE, SIZE), CHANNELS)
-    assert Head.load(opened).labels[3] == "kind 3"
 
     weights = str(model / "network_float32.onnx")
     assert main(["model", "verify", str(model), str(again), "--weights", weights]) == 0
@@ -272,10 +267,10 @@ def test_from_the_file_to_recognized_places(
     events = tmp_path / "events.jsonl"
     assert main(["replay", str(again), "--map", str(tmp_path / "map"), "--config", str(config), "-o", str(events)]) == 0
     said = [json.loads(line) for line in events.read_text().splitlines()]
-    assert said and all(one["category"].startswith("kind ") for one in said)
+    assert said and not any(one.get("category") for one in said)
 
 
-def test_without_labels_events_carry_no_category(
+def test_a_float_network_of_a_grid_recognizes_places(
     file: Path, tmp_path: Path, write_traverse: Callable[..., Path]
 ) -> None:
     feed, model = write_traverse(tmp_path / "feed"), tmp_path / "model.onnx"
@@ -287,8 +282,7 @@ def test_without_labels_events_carry_no_category(
     assert main(["map", "build", str(feed), "-o", str(tmp_path / "map"), "--config", str(config)]) == 0
     events = tmp_path / "events.jsonl"
     assert main(["replay", str(feed), "--map", str(tmp_path / "map"), "--config", str(config), "-o", str(events)]) == 0
-    said = [json.loads(line) for line in events.read_text().splitlines()]
-    assert said and not any(one.get("category") for one in said)
+    assert events.read_text()
 
 
 @pytest.mark.parametrize(
@@ -298,17 +292,15 @@ def test_without_labels_events_carry_no_category(
         (["--float-only", "--pool", "4y4"], "--pool: '4y4' is not two numbers such as 4x4"),
         (["--float-only", "--size", "0"], "--size: '0' is not two numbers"),
         (["--float-only", "--std", "0", "1", "1"], "--white and --std: need numbers above 0"),
-        (["--float-only", "--labels", "{labels}", "--tap", "flat72"], "2 labels, but the network has 80 categories"),
         (["--ranges", "{ranges}"], "no range of the tensor "),
     ],
 )
 def test_options_that_cannot_be_used(
     options: Options, reason: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    labels, ranges = tmp_path / "labels.txt", tmp_path / "ranges.json"
-    labels.write_text("one\ntwo\n")
+    ranges = tmp_path / "ranges.json"
     ranges.write_text('{"other": {"min": 0, "max": 1}}')
-    given = [one.format(labels=labels, ranges=ranges) for one in options]
+    given = [one.format(ranges=ranges) for one in options]
     assert main(["model", "import", str(file), "-o", str(tmp_path / "out"), *given]) != 0
     assert reason in capsys.readouterr().err
 

@@ -95,5 +95,5 @@ def test_import_without_the_onnx_package(
 ) -> None:
     monkeypatch.setitem(sys.modules, "onnx", None)  # as Python itself marks a module that cannot be imported
     ranges = shared / "model" / "activation_ranges.json"
-    with pytest.raises(ModelError, match=r"needs the onnx package: .*\[model\]"):
+    with pytest.raises(ModelError, match=r"needs the package onnx: .*\[model\]"):
         lookback("dev", "alexnet", weights, "-o", tmp_path / "model", "--ranges", ranges)
