@@ -91,12 +91,7 @@ def import_dataset(args: argparse.Namespace) -> int:
     )
     progress = tqdm(chosen, unit="frame", desc=args.output.name)
     count = write_feed(
-        traverse,
-        args.output,
-        progress,
-        width=args.width,
-        skip_unreadable=args.skip_unreadable,
-        lossless=args.lossless,
+        traverse, args.output, progress, width=args.width, skip_unreadable=args.skip_unreadable, lossless=args.lossless
     )
     feed = read_feed(args.output)
     print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}")

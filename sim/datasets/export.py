@@ -38,17 +38,6 @@ class TrackPoint:
     is_event: bool = False
 
     @property
-    def name(self) -> str:
-        """Text beside the point on a map."""
-        return f"place {self.fields['place']}"
-
-    @property
-    def description(self) -> str:
-        """What is known of a place."""
-        parts = (self.fields.get("direction"), f"uniqueness {self.fields['uniqueness']}")
-        return ", ".join(part for part in parts if part)
-
-    @property
     def time(self) -> datetime:
         """The stamp as UTC."""
         return datetime.fromtimestamp(self.stamp_ns / 1e9, tz=timezone.utc)
@@ -82,19 +71,16 @@ def _point(line: JournalLine) -> TrackPoint | None:
     return TrackPoint(stamp_ns, record.lat_deg, record.lon_deg, record.heading_deg, fields, is_event)
 
 
+def _event(one: TrackPoint) -> GroundLine:
+    """A point, with all its fields."""
+    name, time = f"place {one.fields['place']}", one.time
+    about = ", ".join(filter(None, (one.fields.get("direction"), f"uniqueness {one.fields['uniqueness']}")))
+    fields = {"name": name, "time": time.isoformat(), **one.fields}
+    return GroundLine(name, [(one.lat_deg, one.lon_deg)], about, [time], fields)
+
+
 def _events(points: Sequence[TrackPoint]) -> list[GroundLine]:
-    """A point for each event, with all its fields."""
-    return [
-        GroundLine(
-            one.name,
-            [(one.lat_deg, one.lon_deg)],
-            one.description,
-            [one.time],
-            {"name": one.name, "time": one.time.isoformat(), **one.fields},
-        )
-        for one in points
-        if one.is_event
-    ]
+    return [_event(one) for one in points if one.is_event]
 
 
 def _track(points: Sequence[TrackPoint], name: str) -> list[GroundLine]:

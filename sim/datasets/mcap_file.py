@@ -52,10 +52,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "position_covariance_type": {"type": "integer"},
         },
     ),
-    "/row": (
-        "lookback.Row",
-        {**{name: {"type": "number"} for name in MEASURES[2:]}, SOURCE: {"type": "string"}},
-    ),
+    "/row": ("lookback.Row", {**{name: {"type": "number"} for name in MEASURES[2:]}, SOURCE: {"type": "string"}}),
     "/feed": ("lookback.Feed", {"name": {"type": "string"}, "view": {"type": "string"}}),
 }
 Fields: TypeAlias = dict[str, Any]

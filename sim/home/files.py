@@ -13,6 +13,7 @@ from edge.errors import ConfigError
 from edge.files import replacing
 from edge.mission import MissionItem, WayHome, mission_items
 from edge.mission.way_home import FRAME_RELATIVE_ALT
+from sim.ground_files import GroundLine, as_geojson
 from sim.output import refusing
 
 ARDUPILOT, GROUND_ROVER = 3, 10  # MAV_AUTOPILOT, MAV_TYPE
@@ -86,19 +87,14 @@ def _plan_item(number: int, item: MissionItem) -> dict[str, Any]:
 
 def _geojson(way: WayHome, config: HomeConfig) -> bytes:
     """The line and each waypoint, with what the checks found."""
-    coordinates = [[lon_deg, lat_deg] for lat_deg, lon_deg in way.positions_deg]
     properties = {
         "name": f"way home, {way.drive}",
         "length_m": round(way.length_m, 1),
         "speed_mps": config.speed_mps or None,
         "findings": [str(finding) for finding in way.findings],
     }
-    features = [_feature("LineString", coordinates, properties)]
-    for number, (position, along_m) in enumerate(zip(coordinates, way.along_m, strict=True)):
-        features.append(_feature("Point", position, {"waypoint": number, "along_m": round(along_m, 1)}))
-    collection = {"type": "FeatureCollection", "features": features}
-    return msgspec.json.format(msgspec.json.encode(collection), indent=1)
-
-
-def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": properties}
+    points = [
+        GroundLine("", [at_deg], properties={"waypoint": number, "along_m": round(along_m, 1)})
+        for number, (at_deg, along_m) in enumerate(zip(way.positions_deg, way.along_m, strict=True))
+    ]
+    return as_geojson([GroundLine("", way.positions_deg, properties=properties)], points).encode()

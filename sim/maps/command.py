@@ -49,10 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_spacing_options(build)
     add_feed_options(build)
     build.add_argument(
-        "--dimensions",
-        type=int,
-        metavar="D",
-        help="reduce the descriptor of each region to D dimensions (PCA)",
+        "--dimensions", type=int, metavar="D", help="reduce the descriptor of each region to D dimensions (PCA)"
     )
     build.add_argument("--cluster", metavar="ADDRESS", help="let the workers of a dask scheduler describe the feeds")
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")

@@ -132,11 +132,7 @@ def _forced(
 
 
 def _new(
-    road: Sequence[Stretch],
-    use: Use,
-    drives: Sequence[StoredMap],
-    tallies: Sequence[Tally],
-    forced: Mapping[int, str],
+    road: Sequence[Stretch], use: Use, drives: Sequence[StoredMap], tallies: Sequence[Tally], forced: Mapping[int, str]
 ) -> dict[int, str]:
     """Drives that no run could recognize yet, unless on half of their road a newer one is as new."""
     runs = [sum(1 for tally in tallies if tally.began_unix_s < drive.made_unix_s) for drive in drives]

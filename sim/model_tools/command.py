@@ -35,10 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     verify.add_argument("feed", type=Path, metavar="FEED")
     verify.add_argument(
-        "--weights",
-        type=Path,
-        required=True,
-        help="the float network, as `model import --float` writes it",
+        "--weights", type=Path, required=True, help="the float network, as `model import --float` writes it"
     )
     verify.set_defaults(run=_verify)
 

@@ -38,9 +38,8 @@ FURTHEST_M = 50_000.0
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `autopilot` to the commands of `lookback dev sim`."""
     parser = sim_commands.add_parser("autopilot", help="run a simulated autopilot on a pseudo-terminal or UDP")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--pty", action="store_true", help="on a new pseudo-terminal; its path is printed (default)")
-    where.add_argument("--udp", metavar="HOST:PORT", help="send to HOST:PORT, where a daemon listens with udpin:")
+    udp = "send to HOST:PORT, where a daemon listens with udpin: (default: a new pseudo-terminal; its path is printed)"
+    parser.add_argument("--udp", metavar="HOST:PORT", help=udp)
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
@@ -49,10 +48,6 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
         help="drive as in this simulated recording, from the companion computer's first heartbeat on",
     )  # fmt: skip
     parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
-    parser.add_argument("--no-origin", action="store_true", help="no origin at boot: until it is set, or GPS has a fix")
-    parser.add_argument(
-        "--drift", metavar="PERCENT", type=float, default=0.0, help="error of odometry in %% of the distance"
-    )
     parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after S seconds")
     parser.set_defaults(run=run)
 
@@ -65,14 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         pose_at = straight_line(arguments.speed, arguments.heading, time.monotonic())
     link = _open(arguments.udp)
-    autopilot = SimulatedAutopilot(
-        link,
-        pose_at,
-        firmware=arguments.firmware,
-        gps=not arguments.no_gps,
-        has_origin=not arguments.no_origin,
-        drift_percent=arguments.drift,
-    )
+    autopilot = SimulatedAutopilot(link, pose_at, firmware=arguments.firmware, gps=not arguments.no_gps)
     if arguments.follow is not None:
         # Over UDP the other end answers what it hears: the sooner it does, the less its camera is ahead.
         often = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, mavlink.MAVLINK_MSG_ID_HEARTBEAT, EAGER_US

@@ -17,9 +17,8 @@ class Light:
     sun_azimuth_deg, sun_elevation_deg: where the sun stands; sun and ambient: its light and the sky's.
     fog_per_m: how much of a thing's color turns into `fog` in each meter. lamps: strength of street lamps.
     lit_share: share of the windows that are lit. gain: the sensor's, by color.
-    longest_exposure: how far automatic exposure may go up, against the day's. noise: standard deviation of a
-    pixel (of 255) before
-    exposure. blur_px: of wet or cold glass. headlight: strength of the vehicle's own beam.
+    longest_exposure: how far automatic exposure may go up, against the day's. noise: standard deviation of a pixel (of
+    255) before exposure. blur_px: of wet or cold glass. headlight: strength of the vehicle's own beam.
     streaks, flakes: how many drops or snowflakes a picture of 320 x 240 shows. wet: how much the road mirrors.
     """
 
@@ -53,93 +52,35 @@ class Light:
 
 LIGHTS = {
     "day": Light(
-        120,
-        50,
-        sun=(0.62, 0.60, 0.54),
-        ambient=(0.52, 0.54, 0.58),
-        sky_top=(0.30, 0.50, 0.82),
-        sky_low=(0.74, 0.83, 0.92),
-        fog=(0.74, 0.80, 0.87),
-        fog_per_m=0.0012,
+        120, 50, sun=(0.62, 0.60, 0.54), ambient=(0.52, 0.54, 0.58), sky_top=(0.30, 0.50, 0.82),
+        sky_low=(0.74, 0.83, 0.92), fog=(0.74, 0.80, 0.87), fog_per_m=0.0012,
     ),
     "dusk": Light(
-        285,
-        8,
-        sun=(0.42, 0.26, 0.14),
-        ambient=(0.30, 0.29, 0.36),
-        sky_top=(0.22, 0.26, 0.46),
-        sky_low=(0.84, 0.56, 0.40),
-        fog=(0.48, 0.40, 0.42),
-        fog_per_m=0.003,
-        clouds=0.8,
-        lamps=0.5,
-        lit_share=0.25,
-        gain=(1.03, 0.95, 0.88),
-        longest_exposure=1.7,
-        noise=3.0,
-        blur_px=0.5,
-        headlight=0.15,
+        285, 8, sun=(0.42, 0.26, 0.14), ambient=(0.30, 0.29, 0.36), sky_top=(0.22, 0.26, 0.46),
+        sky_low=(0.84, 0.56, 0.40), fog=(0.48, 0.40, 0.42), fog_per_m=0.003, clouds=0.8, lamps=0.5, lit_share=0.25,
+        gain=(1.03, 0.95, 0.88), longest_exposure=1.7, noise=3.0, blur_px=0.5, headlight=0.15,
     ),
     "night": Light(
-        200,
-        40,
-        sun=(0.06, 0.07, 0.09),
-        ambient=(0.28, 0.28, 0.32),
-        sky_top=(0.16, 0.15, 0.17),
-        sky_low=(0.50, 0.42, 0.38),
-        fog=(0.09, 0.08, 0.09),
-        fog_per_m=0.002,
-        clouds=0.2,
-        lamps=0.45,
-        lit_share=0.2,
-        gain=(1.0, 0.86, 0.66),
-        longest_exposure=2.6,
-        noise=3.5,
-        blur_px=0.8,
-        headlight=0.7,
+        200, 40, sun=(0.06, 0.07, 0.09), ambient=(0.28, 0.28, 0.32), sky_top=(0.16, 0.15, 0.17),
+        sky_low=(0.50, 0.42, 0.38), fog=(0.09, 0.08, 0.09), fog_per_m=0.002, clouds=0.2, lamps=0.45, lit_share=0.2,
+        gain=(1.0, 0.86, 0.66), longest_exposure=2.6, noise=3.5, blur_px=0.8, headlight=0.7,
     ),
     "rain": Light(
-        180,
-        45,
-        sun=(0.05, 0.05, 0.05),
-        ambient=(0.50, 0.52, 0.55),
-        sky_top=(0.42, 0.45, 0.49),
-        sky_low=(0.58, 0.60, 0.62),
-        fog=(0.52, 0.55, 0.58),
-        fog_per_m=0.009,
-        clouds=0.9,
-        lit_share=0.2,
-        gain=(0.84, 0.88, 0.92),
-        noise=4.0,
-        blur_px=0.9,
-        headlight=0.1,
-        streaks=90,
-        wet=0.35,
+        180, 45, sun=(0.05, 0.05, 0.05), ambient=(0.50, 0.52, 0.55), sky_top=(0.42, 0.45, 0.49),
+        sky_low=(0.58, 0.60, 0.62), fog=(0.52, 0.55, 0.58), fog_per_m=0.009, clouds=0.9, lit_share=0.2,
+        gain=(0.84, 0.88, 0.92), noise=4.0, blur_px=0.9, headlight=0.1, streaks=90, wet=0.35,
     ),
     "snow": Light(
-        180,
-        30,
-        sun=(0.08, 0.08, 0.08),
-        ambient=(0.82, 0.84, 0.88),
-        sky_top=(0.70, 0.73, 0.78),
-        sky_low=(0.82, 0.84, 0.87),
-        fog=(0.83, 0.85, 0.88),
-        fog_per_m=0.009,
-        clouds=0.9,
-        snow=True,
-        gain=(0.98, 1.0, 1.04),
-        noise=3.0,
-        flakes=150,
+        180, 30, sun=(0.08, 0.08, 0.08), ambient=(0.82, 0.84, 0.88), sky_top=(0.70, 0.73, 0.78),
+        sky_low=(0.82, 0.84, 0.87), fog=(0.83, 0.85, 0.88), fog_per_m=0.009, clouds=0.9, snow=True,
+        gain=(0.98, 1.0, 1.04), noise=3.0, flakes=150,
     ),
-}
+}  # fmt: skip
 """By the name that a scenario gives as `light`."""
 
 
 def illuminate(
-    light: Light,
-    points_m: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    lamps_m: NDArray[np.float64],
+    light: Light, points_m: NDArray[np.float64], normals: NDArray[np.float64], lamps_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Light that falls on surface points, (N, 3) RGB: sky, sun by the angle of the surface, and nearby lamps."""
     facing = np.clip(normals @ light.sun_direction(), 0, 1)[:, None]

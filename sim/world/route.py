@@ -46,11 +46,7 @@ class Route:
         low, share = int(row), row - int(row)
         east, north = self.points_m[low] + share * (self.points_m[low + 1] - self.points_m[low])
         heading = self.headings_rad[low] + share * (self.headings_rad[low + 1] - self.headings_rad[low])
-        return (
-            float(east - left_m * np.cos(heading)),
-            float(north + left_m * np.sin(heading)),
-            float(heading),
-        )
+        return (float(east - left_m * np.cos(heading)), float(north + left_m * np.sin(heading)), float(heading))
 
     def district(self, route_m: float) -> DistrictKind:
         """Kind of district at an arc length; the first and the last go on over the lead-in and lead-out."""

@@ -94,7 +94,7 @@ def test_geojson_has_the_line_its_waypoints_and_the_findings(way: WayHome, tmp_p
     path = tmp_path / "home.geojson"
     write_way_home(path, way, HomeConfig())
     collection = json.loads(path.read_text())
-    line, *points = collection["features"]
+    *points, line = collection["features"]
     assert line["geometry"]["type"] == "LineString"
     assert np.array(line["geometry"]["coordinates"])[:, ::-1] == pytest.approx(np.array(way.positions_deg))
     assert [point["geometry"]["coordinates"] for point in points] == line["geometry"]["coordinates"]
