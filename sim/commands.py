@@ -24,9 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     drive.add_argument("scenario", type=Path, help="TOML file; sim/world/scenario.py describes its keys")
     drive.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     pace = drive.add_mutually_exclusive_group()
-    pace.add_argument(
-        "--spacing-m", metavar="M", type=float, default=SPACING_M, help="a frame every M meters, default 2"
-    )
+    pace.add_argument("--spacing-m", metavar="M", type=float, default=SPACING_M, help="a frame every M m (default 2)")
     pace.add_argument("--fps", metavar="HZ", type=float, help="or HZ frames per second")
     drive.set_defaults(run=_record)
     autopilot_command.add_command(sim_commands)

@@ -42,9 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " folder. Stop the service first; leave the board in its housing, and cool it as on the vehicle. Times are CPU"
         " times of one thread, in milliseconds."
     )
-    parser.add_argument(
-        "--seconds", type=float, default=300.0, metavar="S", help="how long (default 300, since heat takes time)"
-    )
+    parser.add_argument("--seconds", type=float, default=300.0, metavar="S", help="default 300, since heat takes time")
     parser.add_argument("--places", type=int, default=PLACES, metavar="N", help=f"places of the map (default {PLACES})")
     parser.add_argument("--folder", type=Path, help="where to put the map meanwhile, 80 MB (default: temporary files)")
     parser.set_defaults(run=_run)

@@ -35,7 +35,7 @@ from sim.calibration.offset import (
 )
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
-from sim.evaluation.metrics import TOLERANCE_M
+from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import config_for_map
 from sim.output import refusing
 
@@ -57,20 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, required=True, help="the map's folder")
     parser.add_argument("--config", type=Path, help="settings of the recognizer")
-    parser.add_argument(
-        "--precision", type=_share, default=0.99, metavar="P", help='required precision: 0.99 or "99 %%" (default)'
-    )
-    parser.add_argument(
-        "--tolerance-m",
-        type=float,
-        default=TOLERANCE_M,
-        metavar="M",
-        help="a match within M meters is correct (default 40)",
-    )
+    parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='0.99 or "99 %%" (default)')
+    add_tolerance_option(parser)
     parser.add_argument("--curve", type=Path, metavar="CSV", help="write precision over threshold to this file")
-    parser.add_argument(
-        "--write", type=Path, metavar="CONFIG", help="write the result into this config file; comments are kept"
-    )
+    parser.add_argument("--write", type=Path, metavar="CONFIG", help="write the result into it; comments are kept")
     parser.set_defaults(run=_run)
 
 

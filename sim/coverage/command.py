@@ -39,32 +39,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " over its own descriptors; with journals of earlier drives, by these as well."
     )
     parser.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    parser.add_argument(
-        "journals", nargs="*", type=Path, metavar="JOURNAL",
-        help="of earlier drives: journals with journal_frames, or the output of `replay --all`",
-    )  # fmt: skip
-    parser.add_argument(
-        "--for", dest="way", choices=WAYS, default="home",
-        help="the next drive: home, against the map's direction (default), or the same way again",
-    )  # fmt: skip
+    about = "of earlier drives: journals with journal_frames, or the output of `replay --all`"
+    parser.add_argument("journals", nargs="*", type=Path, metavar="JOURNAL", help=about)
+    about = "the next drive: home, against the map's direction (default), or the same way again"
+    parser.add_argument("--for", dest="way", choices=WAYS, default="home", help=about)
     parser.add_argument("--light", choices=LIGHTS, default="night", help="of the next drive (default %(default)s)")
-    parser.add_argument(
-        "--view", choices=("front", "rear"), default="front", help="where its camera looks (default %(default)s)"
-    )
-    parser.add_argument(
-        "--rehearsals", type=int, default=8, metavar="N", help="rehearsed drives; 0: journals alone (default 8)"
-    )
-    parser.add_argument(
-        "--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default %(default)g)"
-    )
-    parser.add_argument(
-        "--within-m", type=float, default=20.0, metavar="M", help="drift that is still good enough (default 20)"
-    )
+    parser.add_argument("--view", choices=("front", "rear"), default="front", help="where it looks (default front)")
+    parser.add_argument("--rehearsals", type=int, default=8, metavar="N", help="rehearsed drives (8); 0: only journals")
+    parser.add_argument("--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default 100)")
+    parser.add_argument("--within-m", type=float, default=20.0, metavar="M", help="drift that is accepted (default 20)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
-    parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="write the sheet as one page of A4 (SVG, PDF, PNG)"
-    )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="write the sheet as a page of A4 (SVG, PDF, PNG)")
     parser.set_defaults(run=_run)
 
 

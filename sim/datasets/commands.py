@@ -25,13 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Convert a recording in another layout to a feed."
     parser.epilog = _kinds()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument(
-        "kind",
-        metavar="KIND",
-        nargs="?",
-        choices=sorted(KINDS),
-        help="the layout (default: what lies at PATH); see below",
-    )
+    about = "the layout (default: what lies at PATH); see below"
+    parser.add_argument("kind", metavar="KIND", nargs="?", choices=sorted(KINDS), help=about)
     parser.add_argument("path", metavar="PATH", type=Path, help="folder or file of the recording")
     parser.add_argument("-o", "--output", metavar="FEED", type=Path, required=True, help="folder for the new feed")
     _add_read_options(parser)
@@ -46,15 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_read_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--camera", help="camera or topic, such as stereo/left, mono_left, image_2")
     parser.add_argument("--positions", help="source of positions: a track, a log, a CSV file, a topic, or ins | gps")
-    parser.add_argument(
-        "--columns", metavar="KIND=COLUMN,...", help="columns of a CSV file: time=t,lat=y,lon=x,file=name"
-    )
+    parser.add_argument("--columns", metavar="KIND=COLUMN,...", help="columns of a CSV file: time=t,lat=y,lon=x,file=f")
     parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures in this list")
     parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, for layouts without times")
     start = parser.add_mutually_exclusive_group()
-    start.add_argument(
-        "--start-s", metavar="S", type=float, help="time from the log's first position to the video's first frame"
-    )
+    start.add_argument("--start-s", metavar="S", type=float, help="from the log's first position to the first frame")
     start.add_argument("--start-time", metavar="TIME", help="when the first frame was taken, 2026-05-04T12:30:00Z")
     parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="crop rows that show the vehicle itself")
     parser.add_argument("--view", choices=["front", "rear"], help="direction of the camera")

@@ -29,15 +29,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="recordings with positions")
     parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
     parser.add_argument("--config", type=Path, help="settings of the recognizer (default: those of the map)")
-    parser.add_argument(
-        "--tolerance-m",
-        type=float,
-        default=TOLERANCE_M,
-        metavar="M",
-        help="a place within M meters is right (default 40)",
-    )
+    add_tolerance_option(parser)
     parser.add_argument("-o", "--output", type=Path, metavar="FOLDER", help="write report.html, table and curves there")
     parser.set_defaults(run=_run)
+
+
+def add_tolerance_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for how far off a place may be."""
+    about = "a place within M meters is right (default 40)"
+    parser.add_argument("--tolerance-m", type=float, default=TOLERANCE_M, metavar="M", help=about)
 
 
 def _run(args: argparse.Namespace) -> int:

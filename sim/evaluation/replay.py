@@ -34,23 +34,15 @@ CHECK_BYTES = 64 << 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback replay`."""
-    parser.add_argument(
-        "feed",
-        type=Path,
-        metavar="FEED",
-        help="a feed, an MCAP file, a video, or an autopilot log (.tlog) with its video",
-    )
+    about = "a feed, an MCAP file, a video, or an autopilot log (.tlog) with its video"
+    parser.add_argument("feed", type=Path, metavar="FEED", help=about)
     parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
-    parser.add_argument(
-        "--model", type=Path, help="the model file that the map was made with (default: the shipped model)"
-    )
+    parser.add_argument("--model", type=Path, help="the network that the map was made with (default: the shipped one)")
     parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
     parser.add_argument("--confidence-from", type=float, metavar="P", help="probability from which a place is believed")
     parser.add_argument("--all", action="store_true", help="write a line for every used frame, not only for events")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="write to this file (default: standard output)"
-    )
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write to this file, not to standard output")
     add_spacing_options(parser)
     add_feed_options(parser)
     parser.set_defaults(run=run)

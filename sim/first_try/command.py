@@ -21,8 +21,8 @@ from sim.calibration.offset import Offset, rig_config
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
+from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from sim.evaluation.metrics import TOLERANCE_M
 from sim.evaluation.recognition import judge, recognize
 from sim.evaluation.replay import as_line, config_for_map
 from sim.first_try.verdict import Tried, verdict
@@ -42,23 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("reference", metavar="REFERENCE", type=Path, help="the recording to map")
     parser.add_argument("query", metavar="QUERY", type=Path, help="the recording to recognize it in")
-    parser.add_argument(
-        "-o", "--output", metavar="FOLDER", type=Path, default=Path("try"),
-        help="folder of the map, the page and all else (default try)",
-    )  # fmt: skip
+    about = "folder of the map, the page and all else (default try)"
+    parser.add_argument("-o", "--output", metavar="FOLDER", type=Path, default=Path("try"), help=about)
     for role in ROLES:
         parser.add_argument(f"--{role}-view", choices=("front", "rear"), help="where its camera looked (default front)")
         parser.add_argument(f"--{role}-positions", metavar="FILE", help="its track, log or CSV file, of another name")
-        parser.add_argument(
-            f"--{role}-start-s",
-            metavar="S",
-            type=float,
-            help="time from the track's first position to the video's start",
-        )
-    parser.add_argument(
-        "--tolerance-m", type=float, default=TOLERANCE_M, metavar="M",
-        help="a place within M meters is right (default 40)",
-    )  # fmt: skip
+        about = "seconds from the track's first position to the video's start"
+        parser.add_argument(f"--{role}-start-s", metavar="S", type=float, help=about)
+    add_tolerance_option(parser)
     add_spacing_options(parser)
     parser.set_defaults(run=_run)
 

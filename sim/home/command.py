@@ -41,26 +41,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("map", type=Path, nargs="?", metavar="MAP", help="a map, or a folder of maps")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints (QGC WPL 110), .plan or .geojson"
-    )
+    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints, .plan or .geojson")
     where.add_argument("--upload", metavar="CONNECTION", help="upload it while the daemon is not running")
     where.add_argument("--ask", type=Path, metavar="CONFIG", help="have the running daemon of this config upload it")
-    where.add_argument(
-        "--restore", type=Path, metavar="CONFIG", help="have the running daemon upload the mission that it replaced"
-    )
-    parser.add_argument(
-        "--from", dest="start", metavar="LAT,LON", help="where the vehicle is (default: end of the drive)"
-    )
+    where.add_argument("--restore", type=Path, metavar="CONFIG", help="have it upload the mission that it replaced")
+    parser.add_argument("--from", dest="start", metavar="LAT,LON", help="where it is (default: end of the drive)")
     parser.add_argument("--drive", type=int, metavar="N", help="number of the drive, from 1 (default: the newest)")
-    parser.add_argument(
-        "--left-m", type=float, default=0.0, metavar="M", help="drive M meters left of the drive, seen on the way home"
-    )
+    parser.add_argument("--left-m", type=float, default=0.0, metavar="M", help="how far left of the drive to go home")
     for key, about in LIMITS.items():
-        default = getattr(HomeConfig(), key)
-        parser.add_argument(
-            f"--{key.replace('_', '-')}", type=float, metavar="M", help=f"{about} (default {default:g})"
-        )
+        option, default = f"--{key.replace('_', '-')}", getattr(HomeConfig(), key)
+        parser.add_argument(option, type=float, metavar="M", help=f"{about} (default {default:g})")
     parser.set_defaults(run=_run)
 
 

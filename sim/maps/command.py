@@ -38,18 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
     build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
     build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
-    build.add_argument(
-        "--config",
-        type=Path,
-        help="read [descriptor] and [sampling] from this file, and flip, crop and mask of [camera]",
-    )
-    build.add_argument(
-        "--regions", choices=("left-right", "whole"), help="image regions to describe (default left-right)"
-    )
+    about = "read [descriptor] and [sampling] from this file, and flip, crop and mask of [camera]"
+    build.add_argument("--config", type=Path, help=about)
+    build.add_argument("--regions", choices=("left-right", "whole"), help="parts of it (default left-right)")
     add_spacing_options(build)
     add_feed_options(build)
     build.add_argument(
-        "--dimensions", type=int, metavar="D", help="reduce the descriptor of each region to D dimensions (PCA)"
+        "--dimensions", type=int, metavar="D", help="reduce descriptors of regions to D dimensions (PCA)"
     )
     build.add_argument("--cluster", metavar="ADDRESS", help="let the workers of a dask scheduler describe the feeds")
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
@@ -58,9 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend = actions.add_parser("extend", help="add feeds to a map and normalize all of its descriptors again")
     extend.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
     extend.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
-    extend.add_argument(
-        "--model", type=Path, help="the model file that the map was made with (default: the shipped model)"
-    )
+    extend.add_argument("--model", type=Path, help="the network that the map was made with (default: the shipped one)")
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
@@ -79,21 +72,11 @@ def add_spacing_options(parser: argparse.ArgumentParser) -> None:
 
 def add_feed_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for recordings that do not say all that a feed says."""
-    parser.add_argument(
-        "--video",
-        type=Path,
-        metavar="FILE",
-        help="video of a log (.tlog, .bin, .ulg); default: the video of the same name",
-    )
-    parser.add_argument(
-        "--video-start-s",
-        type=float,
-        metavar="S",
-        help="seconds from the log's first position to the video's first frame",
-    )
-    parser.add_argument(
-        "--view", choices=("front", "rear"), help="which way the camera of a video faced (default front)"
-    )
+    about = "video of a log (.tlog, .bin, .ulg); default: the video of the same name"
+    parser.add_argument("--video", type=Path, metavar="FILE", help=about)
+    about = "seconds from the log's first position to the video's first frame"
+    parser.add_argument("--video-start-s", type=float, metavar="S", help=about)
+    parser.add_argument("--view", choices=("front", "rear"), help="where the camera of a video looked (default front)")
 
 
 def feed_options(args: argparse.Namespace) -> FeedOptions:

@@ -19,16 +19,9 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     about = "choose which drives of a folder of maps are searched, at most so many of one road"
     learning = actions.add_parser("learn", help=about)
     learning.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
-    learning.add_argument(
-        "--layers", type=int, default=LAYERS, metavar="N", help=f"drives of one road, {LAYERS} by default"
-    )
-    learning.add_argument(
-        "--stale-after",
-        type=int,
-        default=STALE_AFTER,
-        metavar="N",
-        help=f"drives after which a stretch is no longer there, {STALE_AFTER} by default",
-    )
+    learning.add_argument("--layers", type=int, default=LAYERS, metavar="N", help=f"drives a road (default {LAYERS})")
+    about = f"drives after which a stretch is no longer there (default {STALE_AFTER})"
+    learning.add_argument("--stale-after", type=int, default=STALE_AFTER, metavar="N", help=about)
     learning.add_argument("--key", type=Path, metavar="NAME", help="secret key of signed maps that may be retired")
     learning.add_argument("--dry-run", action="store_true", help="print the table, and change nothing")
     learning.add_argument("--picture", type=Path, metavar="FILE", help="draw the layers (SVG, PDF, PNG)")
@@ -49,9 +42,7 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     applying = actions.add_parser("apply", help="add the drives of a delta to a folder of maps")
     applying.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
     applying.add_argument("delta", type=Path, metavar="FILE", help="that `map delta` wrote")
-    applying.add_argument(
-        "--require-signature-by", type=Path, metavar="NAME.pub", help="refuse drives not signed by it"
-    )
+    applying.add_argument("--require-signature-by", type=Path, metavar="NAME.pub", help="refuse what it did not sign")
     applying.set_defaults(run=_apply)
 
 

@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify = actions.add_parser("verify", help="compare an int8 network with its float one on a feed")
     verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
     verify.add_argument("feed", type=Path, metavar="FEED")
-    verify.add_argument(
-        "--weights", type=Path, required=True, help="the float network, as `model import --float` writes it"
-    )
+    verify.add_argument("--weights", type=Path, required=True, help="the float network, of `model import --float`")
     verify.set_defaults(run=_verify)
 
     help_text = "compare the installed providers of ONNX Runtime with the CPU: agreement and time, as a table"

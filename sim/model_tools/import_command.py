@@ -42,13 +42,8 @@ RECIPE_FLOAT_LAYERS = 12
 
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Add the options of `lookback model import`."""
-    parser.add_argument(
-        "weights",
-        type=Path,
-        metavar="MODEL",
-        help="an image network (.onnx, TorchScript .pt, exported program .pt2), or"
-        f" {efficientnet.NAME}, whose weights are in the extra efficientnet",
-    )
+    about = f"a network (.onnx, TorchScript .pt, exported .pt2), or {efficientnet.NAME}, of the extra efficientnet"
+    parser.add_argument("weights", type=Path, metavar="MODEL", help=about)
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
     ranges = parser.add_mutually_exclusive_group()
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
@@ -62,15 +57,10 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     image.add_argument("--size", metavar="HxW", help="height and width of the image, where the file leaves them open")
     image.add_argument("--layout", choices=("nchw", "nhwc"), help="order of the axes (default: by the axis of size 3)")
     image.add_argument("--channels", choices=("RGB", "BGR"), default="RGB", help="order of the colors (default RGB)")
-    image.add_argument(
-        "--mean", type=float, nargs=3, metavar=("R", "G", "B"), help="subtracted first (default: of ImageNet)"
-    )
-    image.add_argument(
-        "--std", type=float, nargs=3, metavar=("R", "G", "B"), help="divided by then (default: of ImageNet)"
-    )
-    image.add_argument(
-        "--white", type=float, default=1.0, help="value of a white pixel before --mean and --std: 1 (default) or 255"
-    )
+    rgb = ("R", "G", "B")
+    image.add_argument("--mean", type=float, nargs=3, metavar=rgb, help="subtracted first (default: of ImageNet)")
+    image.add_argument("--std", type=float, nargs=3, metavar=rgb, help="divided by then (default: of ImageNet)")
+    image.add_argument("--white", type=float, default=1.0, help="of a white pixel, before --mean: 1 (default) or 255")
     parser.set_defaults(run=run)
 
 

@@ -43,10 +43,8 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
-    parser.add_argument(
-        "--follow", metavar="FEED", type=Path,
-        help="drive as in this simulated recording, from the companion computer's first heartbeat on",
-    )  # fmt: skip
+    about = "drive as in this simulated recording, from the companion computer's first heartbeat on"
+    parser.add_argument("--follow", metavar="FEED", type=Path, help=about)
     parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
     parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after S seconds")
     parser.set_defaults(run=run)
