@@ -20,40 +20,31 @@ LENGTH = 40
 """Frames of a sequence, which warm up."""
 
 
-class Laps:
-    """CPU time of each stage of each frame."""
-
-    def __init__(self) -> None:
-        self.frames: list[dict[str, float]] = []
-        self._last_ns = 0
-
-    def begin(self) -> None:
-        """Start timing a frame."""
-        self.frames.append({})
-        self._last_ns = time.thread_time_ns()
-
-    def lap(self, stage: str) -> None:
-        """A stage has ended."""
-        now_ns = time.thread_time_ns()
-        self.frames[-1][stage] = (now_ns - self._last_ns) / 1e6
-        self._last_ns = now_ns
-
-
 def run_frames(
     map_path: Path, places: int, frames: int, network: Network, rig: RigConfig
 ) -> Iterator[dict[str, float]]:
     """CPU milliseconds of each stage of each frame of 640x480, after the warm-up, on a map with this many places."""
-    laps = Laps()
+    milliseconds: dict[str, float] = {}
+    last_ns = 0
+
+    def lap(stage: str) -> None:
+        """A stage has ended."""
+        nonlocal last_ns
+        now_ns = time.thread_time_ns()
+        milliseconds[stage] = (now_ns - last_ns) / 1e6
+        last_ns = now_ns
+
     config = Config(map=MapConfig(places_per_frame=max(100, places)), rig=rig)
-    recognizer = open_recognizer(config, network=network, map_set=open_map_set(map_path), stopwatch=laps.lap)
+    recognizer = open_recognizer(config, network=network, map_set=open_map_set(map_path), stopwatch=lap)
     rng = np.random.default_rng(1)
     for frame in range(LENGTH + frames):
         picture = smooth_picture(rng, SIZE_PX)
-        laps.begin()
+        milliseconds.clear()
+        last_ns = time.thread_time_ns()
         recognizer.observe(picture, frame * 200_000_000, Travel(frame * config.sampling.spacing_m))
-        laps.lap("answer")
+        lap("answer")
         if frame >= LENGTH:
-            yield laps.frames[-1]
+            yield dict(milliseconds)
 
 
 def smooth_picture(rng: np.random.Generator, size: tuple[int, int]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -54,53 +54,31 @@ class Firmware:
     noise: FilterNoise = EKF3
 
 
-def _ardupilot(name: str, version: tuple[int, int, int], *, aids_for_s: float, uses_filter_for_s: float) -> Firmware:
-    return Firmware(
-        name,
-        mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
-        version,
-        "aiding",
-        5.0,
-        10.0,
-        aids_for_s=aids_for_s,
-        uses_filter_for_s=uses_filter_for_s,
-        corrects_lag=True,
-        denies_height=True,
-        fuses_vision=True,
-        needs_origin=True,
-    )
-
-
-def _px4(name: str, version: tuple[int, int, int], accepts_fix: AcceptsFix, **differences: bool) -> Firmware:
-    return Firmware(
-        name,
-        mavlink.MAV_AUTOPILOT_PX4,
-        version,
-        accepts_fix,
-        15.0,
-        0.1,
-        fix_rejected=mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
-        accepts_fix_as_long=True,
-        reports_accuracy=True,
-        # It believes a velocity sensor of 0.1 m/s, whose scale is wrong, and so moves little with a position.
-        noise=FilterNoise(position=3.3e-4, gate_sigmas=3.0),
-        **differences,
-    )
-
-
+ARDUPILOT = Firmware(
+    "ardupilot", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, (4, 6, 3), "aiding", oldest_fix_s=5.0, timesync_s=10.0,
+    corrects_lag=True, denies_height=True, fuses_vision=True, needs_origin=True,
+)  # fmt: skip
+"""With wheel encoders, flow or airspeed the filter goes on as long as anybody tried."""
+PX4 = Firmware(
+    "px4", mavlink.MAV_AUTOPILOT_PX4, (1, 18, 0), "always", oldest_fix_s=15.0, timesync_s=0.1,
+    fix_rejected=mavlink.MAV_RESULT_TEMPORARILY_REJECTED, accepts_fix_as_long=True, fuses_sensor=True,
+    reports_accuracy=True, resets_softly=True,
+    # It believes a velocity sensor of 0.1 m/s, whose scale is wrong, and so moves little with a position.
+    noise=FilterNoise(position=3.3e-4, gate_sigmas=3.0),
+)  # fmt: skip
+OLDER_PX4 = replace(PX4, fuses_sensor=False, resets_softly=False)
 FIRMWARES: dict[str, Firmware] = {
     firmware.name: firmware
     for firmware in (
-        # With wheel encoders, flow or airspeed the filter goes on as long as anybody tried.
-        _ardupilot("ardupilot", (4, 6, 3), aids_for_s=math.inf, uses_filter_for_s=math.inf),
+        ARDUPILOT,
         # A plain rover: stops aiding after 15 s, and falls back to DCM after 7.
-        _ardupilot("ardupilot-plain", (4, 6, 3), aids_for_s=15.0, uses_filter_for_s=7.0),
-        _px4("px4", (1, 18, 0), "always", fuses_sensor=True, resets_softly=True),
+        replace(ARDUPILOT, name="ardupilot-plain", aids_for_s=15.0, uses_filter_for_s=7.0),
+        PX4,
         # EKF2_AGP0_ID and EKF2_AGP0_CTRL as they are shipped: positions are not used.
-        _px4("px4-without-agp", (1, 18, 0), "always", resets_softly=True),
-        _px4("px4-1.17", (1, 17, 0), "always"),
-        _px4("px4-1.16", (1, 16, 0), "dead reckoning"),
-        _px4("px4-1.15", (1, 15, 4), "dead reckoning", acknowledges=False),
+        replace(PX4, name="px4-without-agp", fuses_sensor=False),
+        replace(OLDER_PX4, name="px4-1.17", version=(1, 17, 0)),
+        replace(OLDER_PX4, name="px4-1.16", version=(1, 16, 0), accepts_fix="dead reckoning"),
+        replace(OLDER_PX4, name="px4-1.15", version=(1, 15, 4), accepts_fix="dead reckoning", acknowledges=False),
     )
 }
 

@@ -22,7 +22,8 @@ from sim.world.solids import (
     house,
     pitched_roof,
     plane,
-)  # fmt: skip
+    rect_uv,
+)
 from sim.world.walls import (
     SIGN_COLORS,
     Wall,
@@ -36,7 +37,7 @@ from sim.world.walls import (
     add_window,
     add_window_grid,
     bare_wall,
-)  # fmt: skip
+)
 
 FACE_HIGH_PX = 128
 FACE_WIDE_PX = (112, 56, 32, 56)  # front, end, back, end: 256 columns together
@@ -96,10 +97,7 @@ def building(
     """A house of width, depth and stories; kind is "home", "shop" or "block". Each face has a picture of its own."""
     wide, deep, stories = size
     high = stories * style.story_m + (0.9 if kind != "home" else 0.3)
-    walls = [
-        bare_wall(rng, style, width, high, (columns, FACE_HIGH_PX))
-        for width, columns in zip((wide, deep, wide, deep), FACE_WIDE_PX, strict=True)
-    ]
+    walls = _bare_walls(rng, style, wide, deep, high)
     _paint_front(walls[0], style, kind)
     add_window_grid(walls[2], style, 0, keep=0.6)
     for wall in (walls[1], walls[3]):
@@ -118,6 +116,14 @@ def building(
         low, top = (x, y, high), (x + 0.8, y + 0.8, high + rise + 1.0)
         things.append(box(plot, low, top, pictures.plain, style.color))
     return things
+
+
+def _bare_walls(rng: np.random.Generator, style: WallStyle, wide: float, deep: float, high: float) -> list[Wall]:
+    """Of the four faces of a building, see `house`."""
+    return [
+        bare_wall(rng, style, width, high, (columns, FACE_HIGH_PX))
+        for width, columns in zip((wide, deep, wide, deep), FACE_WIDE_PX, strict=True)
+    ]
 
 
 def _paint_front(wall: Wall, style: WallStyle, kind: str) -> None:
@@ -166,9 +172,8 @@ def hanging_sign(rng: np.random.Generator, plot: Plot) -> Thing:
     picture, rects = atlas(boards)
     sides = [((0.0, -1.6), (0.0, -0.2)), ((0.0, -0.2), (0.0, -1.6))]
     surfaces = []
-    for (u0, v0, u1, v1), (start, end) in zip(rects, sides, strict=True):
-        uv = np.array([(u0, v0), (u1, v0), (u1, v1), (u0, v1)])
-        surfaces.append(Surface(plane(plot, start, end, (3.2, 4.6)), uv))
+    for rect, (start, end) in zip(rects, sides, strict=True):
+        surfaces.append(Surface(plane(plot, start, end, (3.2, 4.6)), rect_uv(rect)))
     return Thing(picture, tuple(surfaces))
 
 
@@ -180,9 +185,8 @@ def billboard(rng: np.random.Generator, pictures: Pictures, plot: Plot) -> list[
         add_mural(board)
     picture, rects = atlas(boards)
     surfaces = []
-    for (u0, v0, u1, v1), y in zip(rects, ((0.0, wide), (wide, 0.0)), strict=True):
-        uv = np.array([(u0, v0), (u1, v0), (u1, v1), (u0, v1)])
-        surfaces.append(Surface(plane(plot, (0, y[0]), (0, y[1]), (1.8, 1.8 + high)), uv))
+    for rect, (y0, y1) in zip(rects, ((0.0, wide), (wide, 0.0)), strict=True):
+        surfaces.append(Surface(plane(plot, (0, y0), (0, y1), (1.8, 1.8 + high)), rect_uv(rect)))
     posts = [box(plot, (-0.1, y, 0), (0.1, y + 0.2, 1.8), pictures.plain, (0.3, 0.25, 0.2)) for y in (0.5, wide - 0.7)]
     return [Thing(picture, tuple(surfaces)), *posts]
 
@@ -190,10 +194,7 @@ def billboard(rng: np.random.Generator, pictures: Pictures, plot: Plot) -> list[
 def barn(rng: np.random.Generator, pictures: Pictures, plot: Plot, style: WallStyle) -> list[Thing]:
     """A farm building, far from the road, with a large door."""
     wide, deep, high = rng.uniform(10, 20), rng.uniform(8, 12), rng.uniform(3.5, 5.5)
-    walls = [
-        bare_wall(rng, style, width, high, (columns, FACE_HIGH_PX))
-        for width, columns in zip((wide, deep, wide, deep), FACE_WIDE_PX, strict=True)
-    ]
+    walls = _bare_walls(rng, style, wide, deep, high)
     add_garage(walls[int(rng.integers(2))], rng.uniform(1, 4), 3.4)
     add_window_grid(walls[1], style, 0, keep=0.5)
     tiles = pictures.tiles[rng.integers(len(pictures.tiles))]

@@ -80,18 +80,18 @@ def rect_uv(rect: Rect) -> NDArray[np.float64]:
     return np.array([(u0, v0), (u1, v0), (u1, v1), (u0, v1)])
 
 
+def _sides(x0: float, y0: float, x1: float, y1: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    """Start and end of the front, the end at x1, the back and the end at x0, as seen from outside."""
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    return list(zip(corners, [*corners[1:], corners[0]], strict=True))
+
+
 def house(plot: Plot, walls: list[Wall], *, base_m: float = 0.0) -> Thing:
     """Four upright walls: front, the end at x = width, back, the end at x = 0; sizes are those of the faces."""
     picture, rects = atlas(walls)
-    wide, deep = walls[0].width_m, walls[1].width_m
-    ends = [
-        ((0.0, 0.0), (wide, 0.0)),
-        ((wide, 0.0), (wide, deep)),
-        ((wide, deep), (0.0, deep)),
-        ((0.0, deep), (0.0, 0.0)),
-    ]
+    sides = _sides(0.0, 0.0, walls[0].width_m, walls[1].width_m)
     surfaces, windows = [], []
-    for wall, rect, (start, end) in zip(walls, rects, ends, strict=True):
+    for wall, rect, (start, end) in zip(walls, rects, sides, strict=True):
         corners = plane(plot, start, end, (base_m, base_m + wall.height_m))
         surfaces.append(Surface(corners, rect_uv(rect)))
         windows += [_window(corners, rect, wall, window) for window in wall.windows]
@@ -134,12 +134,8 @@ def gable_ends(plot: Plot, size: tuple[float, float, float, float], picture: Pic
     """The triangles of wall under a pitched roof; `picture` is a bare piece of the same wall."""
     wide, deep, eaves, rise = size
     top = eaves + rise
-    if across:
-        ends = [((0.0, 0.0), (wide, 0.0)), ((wide, deep), (0.0, deep))]
-    else:
-        ends = [((wide, 0.0), (wide, deep)), ((0.0, deep), (0.0, 0.0))]
     surfaces = []
-    for (x0, y0), (x1, y1) in ends:
+    for (x0, y0), (x1, y1) in _sides(0.0, 0.0, wide, deep)[0 if across else 1 :: 2]:
         tip = ((x0 + x1) / 2, (y0 + y1) / 2, top)
         corners = plot.place(np.array([(x0, y0, eaves), (x1, y1, eaves), tip, tip]))
         surfaces.append(Surface(corners, np.array([(0, 0), (1, 0), (0.5, 1), (0.5, 1)], float)))
@@ -171,7 +167,6 @@ def box(
 ) -> Thing:
     """An upright box of one color between two local corners: posts, chimneys, bins; no underside."""
     (x0, y0, z0), (x1, y1, z1) = low, high
-    ends = [((x0, y0), (x1, y0)), ((x1, y0), (x1, y1)), ((x1, y1), (x0, y1)), ((x0, y1), (x0, y0))]
-    surfaces = [Surface(plane(plot, start, end, (z0, z1)), UNIT_UV, color) for start, end in ends]
+    surfaces = [Surface(plane(plot, *side, (z0, z1)), UNIT_UV, color) for side in _sides(x0, y0, x1, y1)]
     lid = plot.place(np.array([(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)]))
     return Thing(picture, (*surfaces, Surface(lid, UNIT_UV, color)))
