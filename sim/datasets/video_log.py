@@ -11,6 +11,7 @@ A log is also accepted in place of a feed (`lookback replay flight.tlog`), with 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -55,8 +56,7 @@ def open_feed(log: Path, options: FeedOptions) -> Feed:
 
 def log_beside(video: Path) -> Path | None:
     """The log or track of the same name as a video; None if there is none. FeedError if there are several."""
-    logs = [file for file in sorted(video.parent.glob("*")) if file.stem == video.stem]
-    logs = [file for file in logs if file.suffix.lower() in LOG_SUFFIXES]
+    logs = _beside(video, LOG_SUFFIXES)
     if len(logs) > 1:
         raise FeedError(f"--positions: name one of {', '.join(file.name for file in logs)} for {video}")
     return logs[0] if logs else None
@@ -74,9 +74,14 @@ def parse_time_ns(text: str) -> int:
 
 
 def _video_beside(log: Path) -> Path:
-    videos = [file for file in sorted(log.parent.glob("*")) if file.stem == log.stem]
-    videos = [file for file in videos if file.suffix.lower() in VIDEO_SUFFIXES]
+    videos = _beside(log, VIDEO_SUFFIXES)
     if len(videos) != 1:
         found = ", ".join(file.name for file in videos) or "none"
         raise FeedError(f"{log}: name its video with --video; videos of the same name beside it: {found}")
     return videos[0]
+
+
+def _beside(one: Path, suffixes: Collection[str]) -> list[Path]:
+    """Files of the same name but for the suffix."""
+    files = [file for file in sorted(one.parent.glob("*")) if file.stem == one.stem]
+    return [file for file in files if file.suffix.lower() in suffixes]

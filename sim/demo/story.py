@@ -130,9 +130,8 @@ def picture(run: Run) -> Figure:
 
 def recognized(run: Run, folder: Path) -> list[tuple[float, NDArray[np.float64]]]:
     """Places of the way home, from the journal in `folder`: seconds since it set off; meters east and north (2,)."""
-    shift_deg = laid().lon_shift_deg
     return [
-        (one.stamp_ns / 1e9 - STARTS_S, np.array(east_north_m(one.lat_deg, one.lon_deg, shift_deg)))
+        (one.stamp_ns / 1e9 - STARTS_S, np.array(east_north_m(one.lat_deg, one.lon_deg)))
         for one in records_of(folder / JOURNAL, PlaceFix)
         if one.lat_deg is not None and one.lon_deg is not None and one.direction == "reverse"
     ]

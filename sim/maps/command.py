@@ -23,12 +23,9 @@ from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from sim.maps import export, layers
 from sim.maps import files as map_files
-from sim.maps.describing import Work, add_by_cluster, add_feed
+from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.shrinking import shrink_to
 from sim.traverse import driven_m
-
-KEPT = ("row", "lat_deg", "lon_deg", "alt_m", "heading_deg", "route_m", "position_sigma_m")
-"""What records of places have as `Place` has it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -140,7 +137,7 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
     for segment in other.header.segments:
         builder.begin_segment(segment.source, segment.view, has_odometer=segment.moved_as_driven)
         for index in range(segment.start, segment.end):
-            known = {name: records[name][index].item() for name in KEPT}
+            known = {name: records[name][index].item() for name in ("row", "route_m", *MEASURED)}
             source = POSITION_SOURCES[records["position_source"][index]]
             place = Place(**known, thumbnail=other.thumbnail(index), position_source=source)
             builder.add(raw[index].astype(np.float32), place)
@@ -158,28 +155,19 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
             "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
     feeds = [preprocessed_feed(read_feed(path, feed_options(args)), config.camera) for path in args.feeds]
-    if sampling.by == "distance" and args.spacing_m is None:
+    is_metric = args.spacing_m is not None
+    if sampling.by == "distance" and not is_metric:
+        every = f"no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
         for feed in feeds:
             if driven_m(feed) is None:
-                print(
-                    f"{feed.path}: no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
-                )
+                print(f"{feed.path}: {every}")
     describe = None
     if args.cluster:
         settings = msgspec.structs.replace(config, descriptor=descriptor)
-        work = Work(settings, feed_options(args), sampling, args.spacing_m is not None)
+        work = Work(settings, feed_options(args), sampling, is_metric)
         describe = partial(add_by_cluster, paths=args.feeds, work=work, address=args.cluster)
-    header = build_map(
-        feeds,
-        args.output,
-        descriptor,
-        sampling,
-        must_have_distance=args.spacing_m is not None,
-        dimensions=args.dimensions,
-        replace=args.replace,
-        network=network,
-        describe=describe,
-    )
+    options = {"must_have_distance": is_metric, "dimensions": args.dimensions, "replace": args.replace}
+    header = build_map(feeds, args.output, descriptor, sampling, **options, network=network, describe=describe)
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     return 0
 

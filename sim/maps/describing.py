@@ -30,10 +30,12 @@ from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
 from edge.feed import Feed, FeedOptions, read_feed
-from edge.reference_map.builder import NAN, MapBuilder, Place, thumbnail
+from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.store import RegionsKey
 from sim.traverse import TraverseFrame, has_odometer, traverse
 
+MEASURED = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "position_sigma_m")
+"""What places have as rows of a feed have it."""
 TEST_PICTURE = 240, 320, 3
 AHEAD = 2
 """Recordings for each worker that are described before the map needs them: one that it works on, one that waits."""
@@ -106,9 +108,8 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                 try:
                     drive: Described = waiting.popleft().result()
                 except distributed.KilledWorker as error:
-                    raise MapError(
-                        f"--cluster: workers died of a recording, for want of memory perhaps: {error}"
-                    ) from None
+                    why = f"--cluster: workers died of a recording, for want of memory perhaps: {error}"
+                    raise MapError(why) from None
                 if drive.made_by != here:
                     raise MapError(
                         f"--cluster: a worker described the test picture of {drive.name} otherwise than this computer:"
@@ -154,18 +155,7 @@ def _described(
 
 def _place(item: TraverseFrame) -> Place:
     row = item.row
-
-    def known(value: float | None) -> float:
-        return NAN if value is None else value
-
-    return Place(
-        row=item.frame.index,
-        lat_deg=known(row.lat_deg),
-        lon_deg=known(row.lon_deg),
-        alt_m=known(row.alt_m),
-        heading_deg=known(row.heading_deg),
-        route_m=known(item.distance_m),
-        thumbnail=thumbnail(item.frame.image),
-        position_sigma_m=known(row.position_sigma_m),
-        position_source=row.position_source,
-    )
+    measured = {name: getattr(row, name) for name in MEASURED} | {"route_m": item.distance_m}
+    known = {name: value for name, value in measured.items() if value is not None}
+    picture = thumbnail(item.frame.image)
+    return Place(item.frame.index, **known, thumbnail=picture, position_source=row.position_source)

@@ -95,19 +95,10 @@ class Simulation:
 
     def _expose(self) -> None:
         driver, way = self.driver, self._draft.way
-        estimate = self.autopilot.estimate
         self._driven(driver.along_m - (self.rows[-1][1] if self.rows else 0.0))
-        self.rows.append(
-            (
-                self.time_s(),
-                driver.along_m,
-                driver.left_m,
-                driver.pose.east_m,
-                driver.pose.north_m,
-                estimate.error_m,
-                self.gps(self.time_s()).usable,
-            )
-        )
+        pose, error_m, has_gps = driver.pose, self.autopilot.estimate.error_m, self.gps(self.time_s()).usable
+        at_m = driver.along_m, driver.left_m, pose.east_m, pose.north_m
+        self.rows.append((self.time_s(), *at_m, error_m, has_gps))
         # One whose odometer is wrong may go past the end of its way, where it sees what is to be seen there.
         last_m = len(way.route_m) - 1
         row = min(int(driver.along_m), last_m)

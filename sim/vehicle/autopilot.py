@@ -131,7 +131,8 @@ class SimulatedAutopilot:
         self._report = NO_FIX
         self._started_m = self.estimate.east_m, self.estimate.north_m
         self._gps_lost_s = -math.inf
-        self._origin_m = (0.0, 0.0) if self._has_origin or not self._firmware.needs_origin else None
+        self.origin_m = (0.0, 0.0) if self._has_origin or not self._firmware.needs_origin else None
+        """Its filter's local zero, meters east and north of the simulation's; None while it has none."""
         self._period_s = {
             mavlink.MAVLINK_MSG_ID_HEARTBEAT: HEARTBEAT_S,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._firmware.timesync_s,
@@ -158,7 +159,7 @@ class SimulatedAutopilot:
         self._attitude.update(self._pose, now_s)
         if self._uses_gps:
             self._gps_lost_s = now_s
-            self._origin_m = self._origin_m or (0.0, 0.0)
+            self.origin_m = self.origin_m or (0.0, 0.0)
         received = self._codec.decode(self._link.receive())
         if now_s < self._deaf_until_s:
             return
@@ -179,11 +180,6 @@ class SimulatedAutopilot:
     def _uses_gps(self) -> bool:
         """GPS is in the first set of sources only."""
         return self._report.usable and self.inputs.source_set != VISION_SET
-
-    @property
-    def origin_m(self) -> tuple[float, float] | None:
-        """Its filter's local zero, meters east and north of the simulation's; None while it has none."""
-        return self._origin_m
 
     @property
     def boot_s(self) -> float:
@@ -282,15 +278,15 @@ class SimulatedAutopilot:
 
     def set_origin(self, east_m: float, north_m: float) -> None:
         """Only the first origin is used: it is where the filter started to count from. It is sent to all."""
-        if self._origin_m is not None:
+        if self.origin_m is not None:
             return
-        self._origin_m = east_m, north_m
-        self.estimate.shift(self._origin_m[0] - self._started_m[0], self._origin_m[1] - self._started_m[1])
+        self.origin_m = east_m, north_m
+        self.estimate.shift(self.origin_m[0] - self._started_m[0], self.origin_m[1] - self._started_m[1])
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
     def _moment(self) -> Moment:
         gps_lost_s = math.inf if self._uses_gps else self._gps_lost_s
-        return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self._origin_m)
+        return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self.origin_m)
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(
@@ -301,7 +297,7 @@ class SimulatedAutopilot:
             uses_gps=self._uses_gps,
             estimate=self.estimate,
             attitude=self._attitude,
-            origin_m=self._origin_m,
+            origin_m=self.origin_m,
             has_wheels=self._errors.source == "wheels",
             lon_shift_deg=self._lon_shift_deg,
             base_mode=self.base_mode,

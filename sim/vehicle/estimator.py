@@ -93,7 +93,8 @@ class Estimator:
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
         self._felt_mps2 = np.zeros(2)  # the bias of the accelerometers, as found
         self._rng = np.random.default_rng(errors.seed)
-        self._wheels_m = pose.distance_m * errors.scale
+        self.driven_m = pose.distance_m * errors.scale
+        """Distance by the wheel encoders."""
         self._covariance_s = time_s
         self._covariance: NDArray[np.float64] = np.zeros((5, 5))
         self._gps = False
@@ -149,11 +150,6 @@ class Estimator:
         )
 
     @property
-    def driven_m(self) -> float:
-        """Distance by the wheel encoders."""
-        return self._wheels_m
-
-    @property
     def _scale(self) -> float:
         errors = self._errors
         slips = errors.slips if self._pose.distance_m >= errors.slips_from_m else 1.0
@@ -161,7 +157,7 @@ class Estimator:
 
     def boot(self) -> None:
         """Begin anew: how far it is from its origin is not known, and what it drove before counts no more."""
-        self._wheels_m = 0.0
+        self.driven_m = 0.0
         self._heading_rad = math.radians(self._errors.heading_deg)
         self._bias_mps = (0.0, 0.0)
         self._felt_mps2 = np.zeros(2)
@@ -172,7 +168,7 @@ class Estimator:
         elapsed_s, self._time_s = time_s - self._time_s, time_s
         unsettled_rad = math.radians(self._errors.settled_deg) - self._reported_rad
         self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
-        self._wheels_m += (pose.distance_m - self._pose.distance_m) * self._scale
+        self.driven_m += (pose.distance_m - self._pose.distance_m) * self._scale
         self._pose, self._gps = pose, gps is not None
         self._motions.append((time_s, math.radians(pose.heading_deg), pose.speed_mps))
         if gps is not None:

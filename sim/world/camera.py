@@ -80,12 +80,9 @@ class SimCamera:
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         self.differences = tuple(
-            f"{key}: asked for {asked}, the scenario gives {given}"
-            for key, asked, given in (
-                ("width", config.width, scenario.width),
-                ("height", config.height, scenario.height),
-            )
-            if asked != given
+            f"{key}: asked for {getattr(config, key)}, the scenario gives {getattr(scenario, key)}"
+            for key in ("width", "height")
+            if getattr(config, key) != getattr(scenario, key)
         )
         self.read_timeout_s = RENDER_S + 1 / config.fps
         self._drive = scenario.drive()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -57,14 +58,13 @@ def record_drive(
     )
     # The feed first: a folder that cannot be written to is known before the world is built.
     stamps_ns = [(scenario.epoch_ns or 0) + round(time_s * 1e9) for time_s in times_s]
-    with FeedWriter(path, header, extra_columns=("route_m",), begins=stamps_ns) as writer:
-        renderer = open_renderer(scenario, drive)
-        try:
-            for time_s in progress(times_s[writer.count :]):
-                row = row_of(drive, time_s, scenario.epoch_ns or 0)
-                writer.write(picture(renderer, scenario, drive, time_s), row)
-        finally:
-            renderer.close()
+    with (
+        FeedWriter(path, header, extra_columns=("route_m",), begins=stamps_ns) as writer,
+        closing(open_renderer(scenario, drive)) as renderer,
+    ):
+        for time_s in progress(times_s[writer.count :]):
+            row = row_of(drive, time_s, scenario.epoch_ns or 0)
+            writer.write(picture(renderer, scenario, drive, time_s), row)
     return len(times_s)
 
 
