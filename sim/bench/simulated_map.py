@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
@@ -41,19 +42,8 @@ def write_simulated_map(path: Path, places: int, model: ModelKey, first: int = 0
     a_street = round(STREET_M / SPACING_M)
     borders = [0, *range(a_street - first % a_street, places, a_street), places]
     segments = tuple(Segment(start, end, "front", "simulated") for start, end in pairwise(borders))
-    header = MapHeader(
-        format=store.FORMAT,
-        version=store.VERSION,
-        lookback="bench",
-        model=model,
-        regions=REGIONS,
-        dimensions=model.dimensions,
-        sampling=SamplingConfig(),
-        places=places,
-        segments=segments,
-        bounds=bounds_of(records),
-        files=files,
-    )
+    header = MapHeader.begun(model, REGIONS, SamplingConfig())
+    header = replace(header, places=places, segments=segments, bounds=bounds_of(records), files=files)
     (path / store.HEADER).write_bytes(store.encode_header(header))
 
 

@@ -109,10 +109,8 @@ def tlog_frames(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         start = at + STAMP_BYTES
         if data[start] == MAVLINK_2:
             signature = 13 if data[start + 2] & mavlink.MAVLINK_IFLAG_SIGNED else 0
-            end, message_id = (
-                start + data[start + 1] + 12 + signature,
-                int.from_bytes(data[start + 7 : start + 10], "little"),
-            )
+            end = start + data[start + 1] + 12 + signature
+            message_id = int.from_bytes(data[start + 7 : start + 10], "little")
         elif data[start] == MAVLINK_1:
             end, message_id = start + data[start + 1] + 8, data[start + 5]
         else:

@@ -21,6 +21,7 @@ from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
+from edge.toml_file import read_text
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import regions_of
@@ -249,10 +250,5 @@ def write(model: onnx.ModelProto, file: Path) -> str:
 
 def read_label_lines(path: Path) -> tuple[str, ...]:
     """Names of categories, one a line; those of Places365 ("/a/arena/hockey 1") lose path and number. ModelError."""
-    try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the labels: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ModelError(f"{path}: not UTF-8 text") from None
+    lines = [line.strip() for line in read_text(path, ModelError).splitlines()]
     return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

@@ -110,6 +110,8 @@ def _load(data: bytes) -> onnx.ModelProto:
 
 def _image_input(model: onnx.ModelProto, wanted: ImageInput) -> tuple[str, tuple[int, int], Layout]:
     """Name, height and width, and layout of the one input."""
+    import onnx
+
     constants = {tensor.name for tensor in model.graph.initializer}
     inputs = [one for one in model.graph.input if one.name not in constants]
     if len(inputs) != 1:
@@ -118,8 +120,9 @@ def _image_input(model: onnx.ModelProto, wanted: ImageInput) -> tuple[str, tuple
     name, tensor = inputs[0].name, inputs[0].type.tensor_type
     shape = [one.dim_value if one.dim_value > 0 else None for one in tensor.shape.dim]
     spelled = f"({', '.join('?' if one is None else str(one) for one in shape)})"
-    if tensor.elem_type != 1 or len(shape) != 4:
-        raise ModelError(f"input {name!r} is {_type_name(tensor.elem_type)} {spelled}; float of 4 dimensions is needed")
+    if tensor.elem_type != onnx.TensorProto.FLOAT or len(shape) != 4:
+        kind = str(onnx.TensorProto.DataType.Name(tensor.elem_type)).lower()
+        raise ModelError(f"input {name!r} is {kind} {spelled}; float of 4 dimensions is needed")
     found: Layout | None = "nchw" if shape[1] == 3 else "nhwc" if shape[3] == 3 else None
     layout = wanted.layout or found
     if layout is None:
@@ -132,12 +135,6 @@ def _image_input(model: onnx.ModelProto, wanted: ImageInput) -> tuple[str, tuple
     if wanted.size and size != wanted.size:
         raise ModelError(f"input {name!r} has the fixed shape {spelled}, which is not --size {spell(wanted.size)}")
     return name, (size[0], size[1]), layout
-
-
-def _type_name(number: int) -> str:
-    import onnx
-
-    return str(onnx.TensorProto.DataType.Name(number)).lower()
 
 
 def spell(size: Iterable[int]) -> str:
@@ -157,7 +154,8 @@ def _fold(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Lay
     import onnx
     import onnxruntime  # by now with its telemetry disabled
 
-    _set_shape(_input_of(model, image), [1, *([3, *size] if layout == "nchw" else [*size, 3])])
+    given = next(one for one in model.graph.input if one.name == image)
+    _set_shape(given, [1, *([3, *size] if layout == "nchw" else [*size, 3])])
     del model.graph.output[:]
     del model.graph.value_info[:]
     model.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
@@ -297,12 +295,12 @@ def _add_pixels(model: onnx.ModelProto, image: str, size: tuple[int, int], layou
             _prepare(graph, node, weights, wanted)
             node.input[0] = INPUT
     else:
-        graph.initializer.append(array(np.eye(3, dtype=np.float32)[:, :, None, None], f"{NORMALIZE}.eye"))
+        eye = np.eye(3, dtype=np.float32)[:, :, None, None]
+        graph.initializer.append(array(eye, f"{NORMALIZE}.eye"))
         channels = make("Conv", [INPUT, f"{NORMALIZE}.eye"], [f"{NORMALIZE}.nchw"], NORMALIZE, kernel_shape=[1, 1])
         perm = [0, 1, 2, 3] if layout == "nchw" else [0, 2, 3, 1]
         front += [channels, make("Transpose", [f"{NORMALIZE}.nchw"], [image], f"{NORMALIZE}.layout", perm=perm)]
-        _prepare(graph, channels, {f"{NORMALIZE}.eye": np.eye(3, dtype=np.float32)[:, :, None, None]}, wanted)
-        front[-2] = channels
+        _prepare(graph, channels, {f"{NORMALIZE}.eye": eye}, wanted)
     nodes = [*front, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
@@ -374,10 +372,6 @@ def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, dime
 def _describe(model: onnx.ModelProto, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     found: NDArray[np.float32] = open_session(model.SerializeToString()).run(None, {IMAGE: pixels})[0]
     return found
-
-
-def _input_of(model: onnx.ModelProto, name: str) -> Any:
-    return next(one for one in model.graph.input if one.name == name)
 
 
 def _set_shape(value: Any, shape: list[int | str]) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sim.world.plants import ground_picture, road_picture
 from sim.world.route import KINDS, LEAD_M, Route
-from sim.world.solids import Surface, Thing
+from sim.world.solids import UNIT_UV, Surface, Thing
 
 ROAD_HALF_M = 4.5
 SIDEWALK_M = 6.2
@@ -47,15 +47,9 @@ def _strip(
 
     repeat: pictures across the strip, and meters of road for one picture.
     """
-    corners = [
-        (*route.at(s, left)[:2], high_m)
-        for s, left in (
-            (start_m, span_m[0]),
-            (start_m, span_m[1]),
-            (start_m + STEP_M, span_m[1]),
-            (start_m + STEP_M, span_m[0]),
-        )
-    ]
+    (left, right), end_m = span_m, start_m + STEP_M
+    ends = (start_m, left), (start_m, right), (end_m, right), (end_m, left)
+    corners = [(*route.at(along_m, aside_m)[:2], high_m) for along_m, aside_m in ends]
     v0 = (start_m + LEAD_M) / repeat[1] % 1.0
     v1 = v0 + STEP_M / repeat[1]
     uv: NDArray[np.float64] = np.array([(0, v0), (repeat[0], v0), (repeat[0], v1), (0, v1)])
@@ -69,6 +63,5 @@ def _far_plain(route: Route, picture: NDArray[np.uint8], snow: NDArray[np.uint8]
     for east in np.arange(low[0], high[0], 60.0):
         for north in np.arange(low[1], high[1], 60.0):
             corners = [(east, north), (east + 60, north), (east + 60, north + 60), (east, north + 60)]
-            uv = np.array([(0, 0), (8, 0), (8, 8), (0, 8)], float)
-            tiles.append(Surface(np.array([(*corner, -0.25) for corner in corners]), uv))
+            tiles.append(Surface(np.array([(*corner, -0.25) for corner in corners]), 8 * UNIT_UV))
     return Thing(picture, tuple(tiles), snow=snow)

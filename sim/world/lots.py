@@ -200,21 +200,16 @@ def barn(rng: np.random.Generator, pictures: Pictures, plot: Plot, style: WallSt
     tiles = pictures.tiles[rng.integers(len(pictures.tiles))]
     bare, _ = atlas([bare_wall(rng, style, 6, 4, (32, 32))])
     size = (wide, deep, high, deep * 0.35)
-    return [
-        house(plot, walls),
-        pitched_roof(plot, size, tiles, across=False),
-        gable_ends(plot, size, bare, across=False),
-    ]
+    roof = pitched_roof(plot, size, tiles, across=False)
+    return [house(plot, walls), roof, gable_ends(plot, size, bare, across=False)]
 
 
 def post(rng: np.random.Generator, pictures: Pictures, plot: Plot, high_m: float) -> list[Thing]:
     """A wooden pole with a cross-arm, or a road sign of another color on its back."""
     pole = box(plot, (-0.1, -0.1, 0), (0.1, 0.1, high_m), pictures.plain, (0.33, 0.28, 0.22))
     if high_m > 5:
-        return [
-            pole,
-            box(plot, (-0.08, -1.1, high_m - 0.9), (0.08, 1.1, high_m - 0.7), pictures.plain, (0.33, 0.28, 0.22)),
-        ]
+        low, high = (-0.08, -1.1, high_m - 0.9), (0.08, 1.1, high_m - 0.7)
+        return [pole, box(plot, low, high, pictures.plain, (0.33, 0.28, 0.22))]
     color = SIGN_COLORS[rng.integers(len(SIGN_COLORS))]
     face = Surface(plane(plot, (-0.12, 0.45), (-0.12, -0.45), (high_m - 0.8, high_m)), UNIT_UV, color)
     back = Surface(plane(plot, (0.12, -0.45), (0.12, 0.45), (high_m - 0.8, high_m)), UNIT_UV, (0.6, 0.6, 0.6))

@@ -76,10 +76,8 @@ def strip_picture(rng: np.random.Generator, kind: str) -> Picture:
             canvas[y : y + 5] = paint
         return _to_picture(canvas)
     color, edge = {
-        "hedge": ((0.18, 0.32, 0.12), 5),
-        "bush": ((0.30, 0.36, 0.16), 30),
-        "depth": ((0.13, 0.18, 0.09), 16),
-    }[kind]
+        "hedge": ((0.18, 0.32, 0.12), 5), "bush": ((0.30, 0.36, 0.16), 30), "depth": ((0.13, 0.18, 0.09), 16),
+    }[kind]  # fmt: skip
     top = cv2.resize(rng.uniform(0, edge, (1, 9)).astype(np.float32), (64, 1), interpolation=cv2.INTER_CUBIC)
     canvas[...] = (*color, 1.0)
     canvas[..., :3] *= rng.uniform(0.6, 1.25, (64, 64, 1))

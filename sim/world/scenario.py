@@ -62,15 +62,9 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
 
     def drive(self) -> Drive:
         """The motion that this scenario describes."""
-        return plan_drive(
-            generate_route(self.seed, self.length_m),
-            self.direction,
-            seed=self.drive_seed,
-            lane_m=self.lane_m,
-            speed_mps=self.speed_mps,
-            stops=self.stops,
-            shaking=self.shaking,
-        )
+        route = generate_route(self.seed, self.length_m)
+        motion = {"lane_m": self.lane_m, "speed_mps": self.speed_mps, "shaking": self.shaking}
+        return plan_drive(route, self.direction, seed=self.drive_seed, stops=self.stops, **motion)
 
 
 def load_scenario(path: Path) -> Scenario:

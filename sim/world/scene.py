@@ -46,7 +46,7 @@ def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.floa
     root = NodePath("street")
     _draw_in_order(root)
     groups: dict[tuple[int, int, int], list[tuple[Thing, Surface]]] = defaultdict(list)
-    lit: list[tuple[Thing, Surface]] = []
+    glowing: dict[int, list[tuple[Thing, Surface]]] = defaultdict(list)
     pictures: dict[int, Picture] = {}
     for thing in things:
         picture = _picture(thing, light)
@@ -54,13 +54,12 @@ def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.floa
         for surface in thing.surfaces:
             east, north, _ = surface.corners_m.mean(axis=0)
             groups[id(picture), int(east // GROUP_M), int(north // GROUP_M)].append((thing, surface))
-        lit += [(thing, window) for window in thing.windows if rng.random() < light.lit_share]
+        lit = [(thing, window) for window in thing.windows if rng.random() < light.lit_share]
+        if lit:
+            glowing[id(picture)] += lit
     textures = {key: upload(picture) for key, picture in pictures.items()}
     for (key, *_), members in groups.items():
         _attach(root, members, textures[key], light, lamps_m)
-    glowing: dict[int, list[tuple[Thing, Surface]]] = defaultdict(list)
-    for thing, window in lit:
-        glowing[id(_picture(thing, light))].append((thing, window))
     for key, members in glowing.items():
         _attach_glowing(root, members, textures[key])
     return root

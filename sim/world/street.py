@@ -48,12 +48,9 @@ def _lamps(route: Route, pictures: Pictures) -> tuple[NDArray[np.float64], list[
         if step_m:
             plot = plot_at(route, route_m, side, SIDEWALK_M - 0.4)
             lights.append(plot.place(np.array((0, -1.5, LAMP_HIGH_M))))
-            masts.append(
-                box(plot, (-0.08, -0.08, 0), (0.08, 0.08, LAMP_HIGH_M + 0.1), pictures.plain, (0.4, 0.42, 0.42))
-            )
-            masts.append(
-                box(plot, (-0.1, -1.7, LAMP_HIGH_M), (0.1, 0, LAMP_HIGH_M + 0.14), pictures.plain, (0.4, 0.42, 0.42))
-            )
+            mast = (-0.08, -0.08, 0.0), (0.08, 0.08, LAMP_HIGH_M + 0.1)
+            arm = (-0.1, -1.7, LAMP_HIGH_M), (0.1, 0.0, LAMP_HIGH_M + 0.14)
+            masts += [box(plot, *corners, pictures.plain, (0.4, 0.42, 0.42)) for corners in (mast, arm)]
             side = -side
         route_m += step_m or 20.0
     return np.array(lights).reshape(-1, 3), masts
