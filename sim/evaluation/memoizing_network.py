@@ -31,7 +31,3 @@ class MemoizingNetwork(Network):
             self._known[key] = super().describe(images)
             self._known[key].flags.writeable = False
         return self._known[key]
-
-    def clear(self) -> None:
-        """Release the memory."""
-        self._known.clear()

@@ -71,17 +71,6 @@ def record_drive(
 def row_of(drive: Drive, time_s: float, epoch_ns: int = 0) -> FeedRow:
     """What a recording says of a moment of a drive."""
     pose = drive.pose(time_s)
-    lat_deg, lon_deg = pose.geodetic()
-    return FeedRow(
-        "",
-        epoch_ns + round(time_s * 1e9),
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        alt_m=ORIGIN_ALT_M,
-        heading_deg=pose.heading_deg,
-        speed_mps=pose.speed_mps,
-        distance_m=pose.distance_m,
-        position_sigma_m=TRUE_SIGMA_M,
-        position_source="survey",
-        extra={"route_m": f"{drive.route_m(time_s):.3f}"},
-    )
+    at = *pose.geodetic(), ORIGIN_ALT_M, pose.heading_deg, pose.speed_mps, pose.distance_m
+    stamp_ns, extra = epoch_ns + round(time_s * 1e9), {"route_m": f"{drive.route_m(time_s):.3f}"}
+    return FeedRow("", stamp_ns, *at, position_sigma_m=TRUE_SIGMA_M, position_source="survey", extra=extra)
