@@ -106,9 +106,7 @@ def _run(args: argparse.Namespace) -> int:
         print("(the share of matches off the map that a threshold rejects; it does not show how many right matches")
         print("remain accepted in other light: that needs a drive):")
     if not curve.answers:
-        raise LookbackError(
-            f"{args.map}: no whole sequence of {config.sequence_frames} places, so there is nothing to measure"
-        )
+        raise LookbackError(f"{args.map}: no whole sequence of {config.sequence_frames} places, so nothing is measured")
     chosen = choose(curve, off_map, args.precision)
     threshold = min(float(np.ceil(chosen * 1e6) / 1e6), 1 - 1e-6)
     lines["acceptance", "confidence_from"] = threshold
@@ -145,9 +143,7 @@ def _parallax_lines(seen: Sequence[Sighting]) -> Lines:
     """The parallax, where these drives show it."""
     ratio = measure_parallax(seen)
     if ratio is None:
-        print(
-            f"parallax: not measured; it needs a drive at least {BESIDE_M:g} m beside the map's, such as the other lane"
-        )
+        print(f"parallax: not measured; it needs a drive at least {BESIDE_M:g} m beside the map's, as the other lane")
         return {}
     print(f"parallax: {ratio:.2f} m between the regions for each meter beside the map's drive")
     return {("rig", "parallax"): round(ratio, 2)}

@@ -150,8 +150,7 @@ class Rehearsal:
     def raw(self, unit: Floats, shift: Floats) -> Floats:
         """Raw descriptors (n, R, D) of normalized ones of length 1; shift (D,) in deviations."""
         values = unit * math.sqrt(unit[0].size) + shift
-        found: Floats = (values * self._deviation + self._mean).astype(np.float32)
-        return found
+        return (values * self._deviation + self._mean).astype(np.float32)
 
     def places(self, rng: np.random.Generator, count: int) -> Floats:
         """So many places at random."""
@@ -234,8 +233,7 @@ class _Noise:
             self._weights = weights[row] = kept * self._weights + np.sqrt(1 - kept**2) * new
         mixed = np.tensordot(weights.astype(np.float32), self._sources, axes=1)
         strange: Floats = np.asarray(self._rng.normal(size=mixed.shape), dtype=np.float32)
-        found: Floats = (math.sqrt(1 - unlike) * _unit(mixed) + math.sqrt(unlike) * _unit(strange)).astype(np.float32)
-        return found
+        return (math.sqrt(1 - unlike) * _unit(mixed) + math.sqrt(unlike) * _unit(strange)).astype(np.float32)
 
 
 def _unit(rows: NDArray[np.floating]) -> Floats:
@@ -248,8 +246,7 @@ def _unit(rows: NDArray[np.floating]) -> Floats:
 def _flipped(places: Floats, rng: np.random.Generator) -> Floats:
     """Half of them with left and right exchanged."""
     flip = rng.random(len(places)) < 0.5
-    found: Floats = np.where(flip[:, np.newaxis, np.newaxis], places[:, ::-1], places)
-    return found
+    return np.where(flip[:, np.newaxis, np.newaxis], places[:, ::-1], places)
 
 
 def _wandering(
@@ -262,5 +259,4 @@ def _wandering(
     for row in range(count):
         values[row] = value
         value = kept * value + np.sqrt(1 - kept**2) * rng.normal(size=2)
-    wandering: NDArray[np.float64] = values @ np.sqrt([WANDERS_FASTER, 1 - WANDERS_FASTER])
-    return wandering
+    return values @ np.sqrt([WANDERS_FASTER, 1 - WANDERS_FASTER])

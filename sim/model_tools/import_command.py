@@ -90,9 +90,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the network file."""
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
-        raise ConfigError(
-            f"{args.weights}: not an .onnx, .pt or .pt2 file; weights of AlexNet are for `lookback dev alexnet`"
-        )
+        raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file; AlexNet's weights: `lookback dev alexnet`")
     if not (args.ranges or args.calibrate or args.float_only or is_recipe):
         raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
     source = _recipe(args) if is_recipe else _file(args)

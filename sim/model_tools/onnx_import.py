@@ -216,9 +216,7 @@ def _run(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layo
         raise ModelError(f"ONNX Runtime rejects it: {_line(error)}") from None
     if found.dtype != np.float32 or found.shape[:1] != (1,) or found.ndim < 2:
         tap = model.graph.output[0].name
-        raise ModelError(
-            f"tensor {tap!r} is {found.dtype} {found.shape}; float32 with a first axis for the batch is needed"
-        )
+        raise ModelError(f"tensor {tap!r} is {found.dtype} {found.shape}; float32 with an axis for the batch is needed")
     return tuple(found.shape)
 
 
