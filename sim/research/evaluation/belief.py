@@ -87,8 +87,8 @@ def _network() -> Network:
 
 def described(scenario: Scenario, folder: Path, spacing_m: float = SPACING_M) -> Described:
     """Render a drive at each spacing_m and describe it, unless `folder` has it."""
-    name = f"{scenario.seed}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}"
-    name += ".npz" if spacing_m == SPACING_M else f"_{spacing_m:g}m.npz"
+    road = f"{scenario.seed}_{scenario.length_m:g}m_{spacing_m:g}m"
+    name = f"{road}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
     if not (folder / name).exists():
         drive, network = scenario.drive(), _network()
         times_s = times_by_distance(drive, spacing_m)
