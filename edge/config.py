@@ -45,7 +45,9 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("gates", "near_matches", None): None,
     ("gates", "near_sigmas", None): None,
     ("mapping", "recognize", None): None,
+    ("telemetry", "emit", "vision_position"): "auto",
     ("telemetry", "sigma_m", None): None,
+    ("telemetry", "switch_sources", None): None,
     ("tracking", "drift_percent", None): "scale_error_percent",
     ("tracking", "matches", None): None,
 }
@@ -226,11 +228,10 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[telemetry]: the MAVLink connections, what is sent on them, and the journal."""
 
     connection: str = "serial:/dev/serial0:921600"
-    emit: Literal["report", "external_position", "global_position_sensor", "vision_position", "auto"] = "report"
+    emit: Literal["report", "external_position", "global_position_sensor", "auto"] = "report"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1
-    switch_sources: bool = True
     origin: tuple[float, ...] = ()
     signing_key: FilePath = ""
     signing_clock: FilePath = "/var/lib/lookback/signing"
@@ -374,7 +375,7 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
             continue
         old = f'"{value}"' if value else "this key"
         keys[key if value else now] = now if value else keys.pop(key)
-        notes.append(f'[{section}] {key}: {old} is called "{now}" now; the old name is accepted until 0.3')
+        notes.append(f'[{section}] {key}: {old} is replaced by "{now}"; the old one is accepted until 0.3')
     return values, notes
 
 

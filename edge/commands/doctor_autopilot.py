@@ -19,6 +19,7 @@ from edge.errors import LookbackError
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocity_aid
 from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopilot_name, suitable_message
+from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.vehicle import DOUBLED, Vehicle
 
 TURN_S = 0.01
@@ -42,24 +43,22 @@ NETWORK = (
 GPS_MODE = "EKF2_GPS_MODE"
 MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param"
 WHEEL_PARAMETERS = ("WENC_TYPE", "WENC_POS_Y", "WENC_RADIUS", "WENC_CPR")
-VISUAL_ODOMETRY = 1 << 0 | 1 << 18  # of ARMING_CHECK: all checks, and that one
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """What a parameter must be: with `bits` set, those of `clear` not, not 0, or one of `values`."""
+    """What a parameter must be: with `bits` set, not 0, or one of `values`."""
 
     parameter: str
     why: str
     remedy: str
     values: tuple[int, ...] = ()
     bits: int = 0
-    clear: int = 0
 
     def is_met(self, value: float) -> bool:
         """Whether the parameter may have this value."""
-        if self.bits or self.clear:
-            return round(value) & (self.bits | self.clear) == self.bits
+        if self.bits:
+            return round(value) & self.bits == self.bits
         return round(value) in self.values if self.values else value != 0
 
     def judge(self, vehicle: Vehicle) -> Found:
@@ -72,18 +71,10 @@ class Requirement:
 
 
 DCM = "else a rover or plane without GPS falls back to DCM: it answers ACCEPTED, and its position does not move"
-ARMABLE = 'the vehicle can be armed only at a recognized place, else "VisOdom: not healthy"'
 REQUIREMENTS = {
     (ARDUPILOT, "external_position"): (
         Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
         Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
-    ),
-    (ARDUPILOT, "vision_position"): (
-        Requirement("VISO_TYPE", "else vision positions are ignored", "set it to 1", (1,)),
-        Requirement("EK3_SRC2_POSXY", "the second source set must use vision positions", "set it to 6", (6,)),
-        Requirement(
-            "ARMING_CHECK", ARMABLE, "set it to 785918: all checks of a rover but VisualOdometry", clear=VISUAL_ODOMETRY
-        ),
     ),
     (PX4, "global_position_sensor"): (
         Requirement(CONTROL, "else message 296 is not fused", "set its bits 1", bits=FUSES_POSITION),
@@ -167,11 +158,9 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
 
 def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
     """What measures velocity without GPS; without it, nothing replaces a GPS that the places contradict."""
-    config, doubted_gps = examined.settings.telemetry, examined.settings.gates.doubted_gps
-    aid, remedy = (
-        velocity_aid(vehicle, 2 if config.emit == "vision_position" else 1),
-        AIDS.get(vehicle.session.autopilot or 0),
-    )
+    doubted_gps, remedy = examined.settings.gates.doubted_gps, AIDS.get(vehicle.session.autopilot or 0)
+    aid = velocity_aid(vehicle, GPS_SET)
+    aid_of_doubted = velocity_aid(vehicle, SET_WITHOUT_GPS) if doubted_gps == "switch" else aid
     if aid is None:
         words = "whether anything measures velocity without GPS is not known: the daemon assumes that nothing does"
         yield note(words, "see firmware_config/")
@@ -183,7 +172,7 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
     if examined.settings.motion.use == "send" and aid != VISION:
         words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
         yield bad(words, CAMERA_AIDS.get(vehicle.session.autopilot or 0, 'use = "odometer"'))
-    if doubted_gps != "report" and aid in (None, NO_AID):
+    if doubted_gps != "report" and aid_of_doubted in (None, NO_AID):
         words = f'[gates] doubted_gps = "{doubted_gps}" sends no position: only GPS is known to measure velocity'
         yield bad(words, remedy or "")
 
@@ -201,7 +190,7 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
             words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"
             yield bad(words, "set it to 3, as firmware_config/ardupilot_rover_gps.param does")
         elif position is not None:
-            meaning = {0: ", no GPS", 3: ", GPS", 6: ", vision"}.get(round(position), "")
+            meaning = {0: ", no GPS", 3: ", GPS"}.get(round(position), "")
             yield good(f"EK3_SRC1_POSXY = {position:g}{meaning}")
         if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
             for name in WHEEL_PARAMETERS:

@@ -187,9 +187,7 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
 class PositionMessageChosen(_Tagged, frozen=True, tag="way"):
     """Which message will carry positions from now on."""
 
-    way: Annotated[
-        str, unit("", "external_position, global_position_sensor or vision_position; report: no position is sent")
-    ]
+    way: Annotated[str, unit("", "external_position or global_position_sensor; report: no position is sent")]
     why: Annotated[str, unit("", "the setting, or the firmware and version that it suits")]
 
 

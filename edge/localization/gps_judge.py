@@ -51,6 +51,8 @@ class GpsJudge:
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_wrong = False
         """Whether GPS was called wrong, and has not agreed since."""
+        self.agrees = False
+        """Whether the newest verdict is that it does; False where nothing can be said."""
 
     def use_route(self, route: Route) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
@@ -110,7 +112,8 @@ class GpsJudge:
 
     def use(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
         """Go by a verdict from now on; it stays "wrong" until GPS agrees again."""
-        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and verdict.state != "agrees")
+        self.agrees = verdict.state == "agrees"
+        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and not self.agrees)
         if not self.is_wrong:
             self._error_m = None
             return verdict

@@ -115,6 +115,11 @@ class PositionEstimator:
         return self._gps.is_wrong
 
     @property
+    def gps_agrees(self) -> bool:
+        """Whether the newest places agree with GPS; False where they cannot say."""
+        return self._gps.agrees
+
+    @property
     def ignores_gps(self) -> bool:
         """Whether positions are published as if GPS were lost."""
         return self._gps.is_ignored

@@ -162,8 +162,6 @@ class PositionUse:
     def __init__(self, vehicle: Vehicle, estimator: PositionEstimator, publisher: Publisher) -> None:
         """estimator: bound by each position that was used."""
         self._vehicle, self._estimator, self._publisher = vehicle, estimator, publisher
-        self.reset_counter = 0
-        """Of the positions of a stream: another number where they jump."""
         self.new_session()
 
     def new_session(self) -> None:
@@ -206,8 +204,6 @@ class PositionUse:
         # So near, an autopilot follows the stream.
         if distance_m <= AGREE_SIGMAS * sigma_m:
             self.bind(max(sigma_m, distance_m), sent.at_ns)
-        elif is_new:
-            self.reset_counter = (self.reset_counter + 1) % 256
 
     def bind(self, sigma_m: float, now_ns: int) -> None:
         """The autopilot has used a position: its own is as good as that."""

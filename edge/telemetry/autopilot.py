@@ -213,10 +213,8 @@ class AutopilotConnection:
     def restore_sources(self) -> None:
         """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer.
 
-        Not while GPS is ignored: the vehicle would follow it as soon as this program ends.
+        Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
-        if self._estimator.ignores_gps:
-            return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self._clock_ns()) if self.state == "up" else []
             if not messages:
@@ -281,7 +279,7 @@ class AutopilotConnection:
     def _update_aid(self, now_ns: int) -> None:
         is_by_gps = self.vehicle.session.gps.state(now_ns) == "healthy" and not self._estimator.ignores_gps
         positions = self.positions
-        self._aid.update(positions.set_without_gps, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
+        self._aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
     def send_velocity(self, speed: CameraSpeed) -> None:
         """Send the autopilot what the camera measured, if nothing speaks against it."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from msgspec import UNSET
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.geodesy import east_north_of
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.motion import CameraSpeed
 from edge.telemetry.codec import Message
@@ -26,17 +25,13 @@ GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
 class Sending:
     """What a position message carries besides the fix.
 
-    boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix. down_m: height below
-    the filter's origin, by the autopilot's own estimate. reset_counter: changed at each deliberate jump.
+    boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix.
     """
 
     system_id: int
     boot_s: float
     age_s: float
     sensor_id: int = 1
-    origin: Origin | None = None
-    down_m: float = 0.0
-    reset_counter: int = 0
 
 
 def heartbeat(system_status: int) -> Message:
@@ -93,40 +88,11 @@ def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
     )
 
 
-def vision_position(fix: PlaceFix, sending: Sending) -> Message:
-    """VISION_POSITION_ESTIMATE 102: meters north, east and down of the filter's origin, now, for ArduPilot.
-
-    The time is on its boot clock, as it must be in 43003, whose lag corrector it shares. Down is the autopilot's own:
-    NaN would spread to north and east. The heading is that of the route, with a variance that says not to use it.
-    ValueError as above, and without an origin.
-    """
-    lat_deg, lon_deg = _position(fix, sending)
-    if sending.origin is None:
-        raise ValueError("a local position needs the origin of the autopilot's filter")
-    origin = sending.origin
-    east_m, north_m = east_north_of(lat_deg, lon_deg, (origin.lat_deg, origin.lon_deg), origin.alt_m)
-    covariance = [0.0] * 21  # the upper triangle, row by row
-    # ArduPilot uses the cube root of the sum of the squares of these three as its standard deviation.
-    covariance[0] = covariance[6] = covariance[11] = math.sqrt(fix.sigma_m**3 / 3)
-    covariance[15] = covariance[18] = covariance[20] = math.pi**2
-    return mavlink.MAVLink_vision_position_estimate_message(
-        usec=round(sending.boot_s * 1e6),
-        x=north_m,
-        y=east_m,
-        z=sending.down_m,
-        roll=0.0,
-        pitch=0.0,
-        yaw=math.remainder(math.radians(fix.heading_deg or 0.0), math.tau),
-        covariance=covariance,
-        reset_counter=sending.reset_counter,
-    )
-
-
 def _position(fix: PlaceFix, sending: Sending) -> tuple[float, float]:
     if not fix.is_position or fix.lat_deg is None or fix.lon_deg is None:
         raise ValueError("a position estimate needs a latitude, a longitude and a finite sigma")
-    if not all(map(math.isfinite, (sending.boot_s, sending.age_s, sending.down_m))):
-        raise ValueError("a position estimate needs finite times and a finite height")
+    if not (math.isfinite(sending.boot_s) and math.isfinite(sending.age_s)):
+        raise ValueError("a position estimate needs finite times")
     return fix.lat_deg, fix.lon_deg
 
 

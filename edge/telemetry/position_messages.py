@@ -28,8 +28,6 @@ class PositionMessage:
     time_base: "exposure" where the message has an age that the autopilot uses; with "now" the fix must be moved on to
     the moment of sending. period_s: between messages while the vehicle is on the map; None where each is a hard reset,
     whose interval [gates] sets. max_age_s: the greatest age of an exposure. acknowledged: COMMAND_ACK follows.
-    needs_origin: carries meters from the origin of the autopilot's filter. shares_information: each message gets a
-    larger standard deviation, as one of many with the same error, also where something measures the velocity.
     """
 
     name: str
@@ -38,8 +36,6 @@ class PositionMessage:
     period_s: float | None
     max_age_s: float
     acknowledged: bool = False
-    needs_origin: bool = False
-    shares_information: bool = False
 
 
 POSITION_MESSAGES: dict[str, PositionMessage] = {
@@ -49,11 +45,6 @@ POSITION_MESSAGES: dict[str, PositionMessage] = {
         PositionMessage("external_position", encoders.external_position, "exposure", None, 5.0, acknowledged=True),
         # Where its velocity is measured, a larger standard deviation let PX4 go 17 m off, its own 4.5 m (recorded).
         PositionMessage("global_position_sensor", encoders.global_position_sensor, "now", 0.2, 1.0),
-        # Arming wants one every 300 ms. By their own standard deviation, the error that they share turns the heading of
-        # ArduPilot's filter: 8.5 m beside the lane becomes 13.8 m (95 % of simulated drives), 6.4 m with a larger one.
-        PositionMessage(
-            "vision_position", encoders.vision_position, "now", 0.2, 1.0, needs_origin=True, shares_information=True
-        ),
     )
 }
 

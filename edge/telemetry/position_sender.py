@@ -36,7 +36,7 @@ from edge.telemetry.position_messages import (
     suitable_message,
     unused_because,
 )
-from edge.telemetry.source_selection import GPS_SET, VISION_SET, SourceSelection
+from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
@@ -87,11 +87,6 @@ class PositionSender:
                 self._publisher.warn(f"Lookback: {why}")
 
     @property
-    def set_without_gps(self) -> int:
-        """Which of ArduPilot's sets of sources is used without GPS."""
-        return VISION_SET if self.message is not None and self.message.name == "vision_position" else GPS_SET
-
-    @property
     def enabled(self) -> bool:
         """Whether positions are sent at all, when the gates allow."""
         return self.message is not None and not self.use.command.is_refused
@@ -112,11 +107,7 @@ class PositionSender:
             self._withhold(fix, decision.refusal, now_ns)
             return []
         self._withheld = None
-        messages = self._encode(fix, now_ns, self.message, decision)
-        if not messages or not self._has_sources:
-            return messages
-        self.sources.wanted = VISION_SET
-        return [*self.sources.due(now_ns), *messages]
+        return self._encode(fix, now_ns, self.message, decision)
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -160,9 +151,9 @@ class PositionSender:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
         vehicle = self._vehicle
         boot_s = vehicle.boot_time_s(now_ns)
-        if boot_s is None or (message.needs_origin and vehicle.session.origins.known is None):
+        if boot_s is None:
             return []
-        own, origin, newest = vehicle.position(now_ns), vehicle.session.origins.known, self.use.newest
+        own, newest = vehicle.position(now_ns), self.use.newest
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
         sent = Sent(fix, now_ns, own, decision, again, now_ns if is_recorded else recorded_ns)
@@ -170,21 +161,13 @@ class PositionSender:
         if not message.acknowledged:
             unused = unused_because(session.autopilot, session.parameters, message.name, sensor_id)
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
-        sending = Sending(
-            vehicle.target_id,
-            boot_s,
-            age_s=(now_ns - fix.stamp_ns) / 1e9,
-            sensor_id=sensor_id,
-            origin=origin,
-            down_m=origin.alt_m - own.alt_m if own and origin else 0.0,
-            reset_counter=self.use.reset_counter,
-        )
+        sending = Sending(vehicle.target_id, boot_s, age_s=(now_ns - fix.stamp_ns) / 1e9, sensor_id=sensor_id)
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
             values = encoders.protection_values(decision.level, round(1000 * boot_s))
         vehicle.velocity.has_our_position = True
-        if message.shares_information or not (message.acknowledged or vehicle.velocity.is_aided):
+        if not (message.acknowledged or vehicle.velocity.is_aided):
             fix = self._one_of_many(fix, now_ns, self._period_s(message))
         return [message.encode(fix, sending), *values]
 
@@ -212,11 +195,6 @@ class PositionSender:
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
         return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
 
-    @property
-    def _has_sources(self) -> bool:
-        """Whether ArduPilot's second set of sources is used without GPS, the first one with it."""
-        return self.set_without_gps == VISION_SET and self._telemetry.switch_sources
-
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
         if command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
@@ -234,13 +212,15 @@ class PositionSender:
         return messages + self._send_again(now_ns)
 
     def _choose_sources(self, *, works: bool) -> None:
-        """The second set where GPS is ignored and positions are sent in its place, the first one where GPS works."""
+        """The second set where GPS is ignored and positions are sent in its place; the first once GPS agrees again.
+
+        Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
+        """
         if self._estimator.ignores_gps:
             is_ardupilot = self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
             if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
-                self.sources.wanted = VISION_SET
-        # Whether or not the filter uses GPS: with the second set it does not.
-        elif works and not self._gates.with_gps and (self._has_sources or self.sources.wanted == VISION_SET):
+                self.sources.wanted = SET_WITHOUT_GPS
+        elif works and self._estimator.gps_agrees:
             self.sources.wanted = GPS_SET
 
     def _send_again(self, now_ns: int) -> list[Message]:

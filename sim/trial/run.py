@@ -7,7 +7,7 @@ so are the messages; only its pictures come as descriptors (`sim.trial.views`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -145,7 +145,7 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
     known_s, known_m = _known_sigmas(journal, simulation)
     found = []
     for item in simulation.autopilot.received:
-        position = read_position(item.message, simulation.autopilot.origin_m or (0.0, 0.0), draft.lon_shift_deg)
+        position = read_position(item.message, draft.lon_shift_deg)
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             at_s = simulation.time_s(item.time_s) - age_s
@@ -168,23 +168,14 @@ def _known_sigmas(journal: Path, simulation: Simulation) -> Array:
     return np.array(found).reshape(-1, 2).T
 
 
-def read_position(
-    message: Message, origin_m: tuple[float, float] = (0.0, 0.0), shift_deg: float = 0.0
-) -> tuple[float, float, float, float] | None:
+def read_position(message: Message, shift_deg: float = 0.0) -> tuple[float, float, float, float] | None:
     """East, north, sigma (m) and age (s) of a position message, None for others.
 
-    origin_m: of the autopilot's local frame. shift_deg: by which the simulation's origin was moved east.
+    shift_deg: by which the simulation's origin was moved east.
     """
     kind = message.get_msgId()
     if kind == mavlink.MAVLINK_MSG_ID_COMMAND_INT and message.command == EXTERNAL_POSITION_ESTIMATE:
         return *east_north_m(message.x / 1e7, message.y / 1e7, shift_deg), message.param3, message.param2
     if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
         return *east_north_m(message.lat / 1e7, message.lon / 1e7, shift_deg), message.eph, 0.0
-    if kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
-        return message.y + origin_m[0], message.x + origin_m[1], _ardupilot_sigma_m(message.covariance), 0.0
     return None
-
-
-def _ardupilot_sigma_m(covariance: Sequence[float]) -> float:
-    """As its filter reads a VISION_POSITION_ESTIMATE (`cbrtf` in GCS_MAVLINK::handle_vision_position_estimate)."""
-    return float(np.cbrt(sum(covariance[axis] ** 2 for axis in (0, 6, 11))))

@@ -27,7 +27,7 @@ from sim.vehicle.estimator import Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES, parameters_of
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.mission_store import KINDS, MissionStore
-from sim.vehicle.position_inputs import VISION_SET, Moment, PositionInputs, Reset, east_north_m
+from sim.vehicle.position_inputs import SET_WITHOUT_GPS, Moment, PositionInputs, Reset, east_north_m
 
 __all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
 
@@ -122,7 +122,7 @@ class SimulatedAutopilot:
         """
         self._has_origin = self._uses_gps
         self.estimate.boot()
-        self.inputs.boot()
+        self.inputs.source_set = 1
         self._boot()
         self._deaf_until_s = self._clock_ns() / 1e9 + silent_s
 
@@ -179,7 +179,7 @@ class SimulatedAutopilot:
     @property
     def _uses_gps(self) -> bool:
         """GPS is in the first set of sources only."""
-        return self._report.usable and self.inputs.source_set != VISION_SET
+        return self._report.usable and self.inputs.source_set != SET_WITHOUT_GPS
 
     @property
     def boot_s(self) -> float:
@@ -216,15 +216,13 @@ class SimulatedAutopilot:
             self.inputs.sensor(message, self._moment())
         elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, mavlink.MAVLINK_MSG_ID_VISION_POSITION_DELTA):
             self.inputs.velocity(message, self._moment())
-        elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
-            self.inputs.vision(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
             self.set_origin(*east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg))
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ and message.param_id in self.parameters:
             self._say_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and self.has_script:
             if message.name == GPS_DOUBT_NAME.decode() and message.value >= 1.0:
-                self.inputs.source_set = VISION_SET
+                self.inputs.source_set = SET_WITHOUT_GPS
         elif kind in COMMANDS and message.target_system in (0, self._codec.system_id):
             self._acknowledge(message, self._execute(message))
         elif kind in KINDS and (message.target_system, message.target_component) == (self._codec.system_id, 1):

@@ -20,15 +20,15 @@ class Firmware:
     """One firmware on one kind of vehicle.
 
     accepts_fix: when MAV_CMD_EXTERNAL_POSITION_ESTIMATE is accepted: "aiding" is ArduPilot's rule (it has an origin,
-    and had neither GPS nor a vision position for a second), "dead reckoning" means not while GPS is used. acknowledges:
+    and had no GPS for a second), "dead reckoning" means not while GPS is used. acknowledges:
     whether commands are answered; PX4 1.15 does not. fix_rejected: the answer to a fix that is not accepted.
     oldest_fix_s: a larger age is taken for this one. aids_for_s: how long after the loss of GPS the filter goes on
     aiding; without wheel encoders, flow or airspeed it then stops, and answers FAILED for ever. uses_filter_for_s:
     after that time the vehicle uses another estimate, and an accepted fix moves nothing. corrects_lag: the time of a
     fix is computed from its send time on the boot clock, or set half a second back if that is wrong.
     accepts_fix_as_long: also as COMMAND_LONG, with float32 degrees. denies_height: a fix with a height is denied.
-    fuses_sensor: GLOBAL_POSITION_SENSOR is fused. fuses_vision: VISION_POSITION_ESTIMATE is fused, on the second set of
-    sources. resets_softly: a fix within 5 sigma is fused; one beyond, or of below 1 m, resets. noise: of its filter.
+    fuses_sensor: GLOBAL_POSITION_SENSOR is fused. has_source_sets: command 42007 selects one, and the first alone has
+    GPS. resets_softly: a fix within 5 sigma is fused; one beyond, or of below 1 m, resets. noise: of its filter.
     needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period of its
     own TIMESYNC requests.
     """
@@ -47,7 +47,7 @@ class Firmware:
     accepts_fix_as_long: bool = False
     denies_height: bool = False
     fuses_sensor: bool = False
-    fuses_vision: bool = False
+    has_source_sets: bool = False
     needs_origin: bool = False
     reports_accuracy: bool = False
     resets_softly: bool = False
@@ -56,7 +56,7 @@ class Firmware:
 
 ARDUPILOT = Firmware(
     "ardupilot", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, (4, 6, 3), "aiding", oldest_fix_s=5.0, timesync_s=10.0,
-    corrects_lag=True, denies_height=True, fuses_vision=True, needs_origin=True,
+    corrects_lag=True, denies_height=True, has_source_sets=True, needs_origin=True,
 )  # fmt: skip
 """With wheel encoders, flow or airspeed the filter goes on as long as anybody tried."""
 PX4 = Firmware(

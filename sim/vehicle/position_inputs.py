@@ -16,7 +16,7 @@ from sim.vehicle.firmware import Firmware
 
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
-VISION_SET = 2
+SET_WITHOUT_GPS = 2
 SOFT_GATE, ALWAYS_RESETS_M = 5.0, 1.0  # Ekf::resetGlobalPosToExternalObservation
 EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.5, 0.1, 0.9, 0.15
 """EKF2_EVV_NOISE and VISO_DELAY_MS as in firmware_config, EK3_VIS_VERR_MIN and _MAX as shipped."""
@@ -53,7 +53,7 @@ class PositionInputs:
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
-        """Hard resets: by MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003), and by a changed reset_counter of vision."""
+        """Hard resets, by MAV_CMD_EXTERNAL_POSITION_ESTIMATE (43003)."""
         self.fused: list[Reset] = []
         """Corrections by a stream of positions, which passed the gate."""
         self.source_set = 1
@@ -61,17 +61,12 @@ class PositionInputs:
         """By its parameters: a velocity that a camera measured is fused."""
         self.velocities_fused: list[bool] = []
         """Whether the gate let each one pass."""
-        self._jump_counter: int | None = None
-
-    def boot(self) -> None:
-        """Begin anew, on the first set of sources."""
-        self.source_set, self._jump_counter = 1, None
 
     def command(self, command: Message, moment: Moment) -> int:
         """The MAV_RESULT of 43003 (a fix) or 42007 (set of EKF sources)."""
         firmware = self._firmware
         if command.command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
-            if not firmware.fuses_vision:
+            if not firmware.has_source_sets:
                 return int(mavlink.MAV_RESULT_UNSUPPORTED)
             self.source_set = int(command.param1)
             return int(mavlink.MAV_RESULT_ACCEPTED)
@@ -108,20 +103,6 @@ class PositionInputs:
         if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
             east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7, self._lon_shift_deg)
             self._fuse(east_m, north_m, moment, message.eph)
-
-    def vision(self, message: Message, moment: Moment) -> None:
-        """VISION_POSITION_ESTIMATE: meters from the origin; gated, except after a changed reset_counter."""
-        if not self._firmware.fuses_vision or self.source_set != VISION_SET or moment.origin_m is None:
-            return
-        east_m, north_m = message.y + moment.origin_m[0], message.x + moment.origin_m[1]
-        # As ArduPilot reads the covariance.
-        sigma_m = sum(message.covariance[index] ** 2 for index in (0, 6, 11)) ** (1 / 3)
-        jumped = self._jump_counter not in (None, message.reset_counter)
-        self._jump_counter = message.reset_counter
-        if jumped:
-            self._reset(east_m, north_m, moment, 0.0, sigma_m)
-        else:
-            self._fuse(east_m, north_m, moment, sigma_m)
 
     def velocity(self, message: Message, moment: Moment) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives): of the body, gated."""

@@ -141,12 +141,6 @@ def test_a_wrong_parameter_says_why_and_what_to_set(
             {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 0.0},
             "no velocity aid: without GPS the autopilot cannot hold its position between fixes",
         ),
-        ("vision_position", {"EK3_SRC2_VELXY": 0.0}, "no velocity aid"),
-        (
-            "vision_position",
-            {"ARMING_CHECK": 1.0},
-            'the vehicle can be armed only at a recognized place, else "VisOdom: not healthy" -> set it to 785918',
-        ),
     ],
 )
 def test_sources_that_do_not_fit_are_named(

@@ -19,7 +19,6 @@ FILES = Path(__file__).parents[2] / "firmware_config"
 ARDUPILOT = sorted(FILES.glob("*.param"))
 PX4 = sorted(FILES.glob("*.params"))
 LISTS = {
-    "ardupilot_vision_position": ["ardupilot_rover", "ardupilot_copter"],
     "ardupilot_rover_gps": ["ardupilot_rover"],
     "ardupilot_camera_velocity": ["ardupilot_rover"],
     "px4_global_position_sensor": ["px4"],
@@ -90,7 +89,6 @@ def test_every_firmware_has_its_file() -> None:
         "ardupilot_plane.param",
         "ardupilot_rover.param",
         "ardupilot_rover_gps.param",
-        "ardupilot_vision_position.param",
         "px4.params",
         "px4_global_position_sensor.params",
         "px4_velocity_aid.params",
@@ -171,15 +169,6 @@ def test_a_rover_with_gps_uses_it_and_has_a_speed_without_it() -> None:
     assert with_gps["EK3_SRC1_POSXY"] == 3
     assert with_gps["EK3_SRC1_VELXY"] == 7
     assert {name for name in with_gps if with_gps[name] != without.get(name)} == {"EK3_SRC1_POSXY"}
-
-
-def test_a_vehicle_with_vision_positions_can_be_armed() -> None:
-    """Bit 0 is all checks, bit 18 that of visual odometry, which fails while no position is sent."""
-    checks = int(by_name(FILES / "ardupilot_vision_position.param")["ARMING_CHECK"])
-    assert not checks & (1 << 0 | 1 << 18)
-    rover = read_listing("ardupilot_rover").parameters["ARMING_CHECK"].bits
-    assert rover is not None
-    assert checks == sum(1 << bit for bit in rover if bit not in (0, 18))
 
 
 def test_px4_does_not_trust_an_external_velocity_too_much() -> None:

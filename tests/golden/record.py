@@ -52,7 +52,6 @@ AGAIN = _scenario(light="dusk", drive_seed=3, stops=1)
 GPS_FAILS_S = START_NS / 1e9 + 8.0
 AUTOPILOTS: dict[str, dict[str, Any]] = {
     "home_with_resets": {"firmware": "ardupilot", "gps_fails_s": GPS_FAILS_S},
-    "home_by_vision": {"firmware": "ardupilot", "gps_fails_s": GPS_FAILS_S},
     "home_without_gps": {"firmware": "ardupilot", "gps": False, "has_origin": False},
     "again_with_sensor": {"firmware": "px4", "gps_fails_s": GPS_FAILS_S},
 }

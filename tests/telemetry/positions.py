@@ -1,13 +1,29 @@
-"""Fixes that are offered to our connection, and what a simulated autopilot gets of them."""
+"""Fixes that are offered to our connection, GPS that is wrong, and what a simulated autopilot gets of them."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from edge.config import GatesConfig
-from tests.telemetry.rig import Rig
+from edge.localization import GpsVerdict
+from sim.vehicle.gps import GpsReport
+from tests.telemetry.rig import OpenRig, Rig
 
 OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
+OFF_M = 60.0
+AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
+
+
+def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
+    """GPS has been healthy for 10 s, and is 60 m too far to the east from then on."""
+    gates = GatesConfig(doubted_gps=doubted_gps, **options.pop("gates", {}))
+    rig = open_rig(gates=gates, **{"emit": "external_position", **options})
+    rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
+    rig.run(8.0)
+    rig.judge_gps(AGREES)
+    rig.off_m = OFF_M
+    rig.run(2.0)
+    return rig
 
 
 def fixes_received(rig: Rig) -> list[Any]:

@@ -6,28 +6,12 @@ from typing import Any
 
 import pytest
 
-from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, FixWithheld, GpsJudged
 from edge.localization import GpsVerdict
 from sim.vehicle.estimator import OdometryErrors
-from sim.vehicle.gps import GpsReport
+from tests.telemetry.positions import AGREES, OFF_M, WRONG, spoofed
 from tests.telemetry.rig import OpenRig, Rig
-
-OFF_M = 60.0
-AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
-
-
-def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
-    """GPS has been healthy for 10 s, and is 60 m too far to the east from then on."""
-    gates = GatesConfig(doubted_gps=doubted_gps, **options.pop("gates", {}))
-    rig = open_rig(gates=gates, **{"emit": "external_position", **options})
-    rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
-    rig.run(8.0)
-    rig.judge_gps(AGREES)
-    rig.off_m = OFF_M
-    rig.run(2.0)
-    return rig
 
 
 def offer(rig: Rig, seconds: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import tracemalloc
 from typing import Any
@@ -19,8 +18,7 @@ from edge.telemetry.encoders import Sending
 from edge.telemetry.position_messages import suitable_message
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
-ORIGIN = Origin(-27.478, 153.028, 20.0)
-SENDING = Sending(5, 12345.678, 0.42, 3, ORIGIN, -1.5, 7)
+SENDING = Sending(5, 12345.678, 0.42, 3)
 
 
 def carried(message: Any) -> Any:
@@ -59,18 +57,16 @@ def test_external_position() -> None:
         {"sigma_along_m": 0.0},
     ],
 )
-@pytest.mark.parametrize(
-    "encode", [encoders.external_position, encoders.global_position_sensor, encoders.vision_position]
-)
+@pytest.mark.parametrize("encode", [encoders.external_position, encoders.global_position_sensor])
 def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="finite sigma"):
         encode(replace(FIX, **change), SENDING)
 
 
-@pytest.mark.parametrize("field", ["boot_s", "age_s", "down_m"])
-def test_a_position_without_its_time_or_height_is_not_sent(field: str) -> None:
+@pytest.mark.parametrize("sending", [Sending(5, math.nan, 0.42), Sending(5, 12345.678, math.inf)])
+def test_a_position_without_its_time_is_not_sent(sending: Sending) -> None:
     with pytest.raises(ValueError, match="finite times"):
-        encoders.vision_position(FIX, replace_sending(**{field: math.nan}))
+        encoders.external_position(FIX, sending)
 
 
 def test_a_fix_fits_into_one_status_text() -> None:
@@ -122,24 +118,8 @@ def test_global_position_sensor() -> None:
     assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
 
 
-def test_vision_position_is_in_meters_from_the_origin_and_has_no_height_of_its_own() -> None:
-    message = carried(encoders.vision_position(FIX, SENDING))
-    assert message.get_msgId() == 102
-    assert (message.x, message.y, message.z) == pytest.approx((88.62, 29.67, -1.5), abs=0.05)
-    assert message.yaw == pytest.approx(math.radians(182.5 - 360))
-    assert (message.usec, message.reset_counter) == (12_345_678_000, 7)
-    assert sum(message.covariance[index] ** 2 for index in (0, 6, 11)) == pytest.approx(7.5**3), "as ArduPilot reads it"
-    assert not any(map(math.isnan, message.covariance))
-    with pytest.raises(ValueError, match="origin"):
-        encoders.vision_position(FIX, replace_sending(origin=None))
-
-
-def replace_sending(**changes: Any) -> Sending:
-    return dataclasses.replace(SENDING, **changes)
-
-
 def test_origin_source_set_and_requests() -> None:
-    origin = carried(encoders.set_origin(5, ORIGIN))
+    origin = carried(encoders.set_origin(5, Origin(-27.478, 153.028, 20.0)))
     assert (origin.target_system, origin.latitude, origin.longitude) == (5, -274780000, 1530280000)
     assert origin.altitude == 20_000
     chosen = carried(encoders.source_set(5, 2))

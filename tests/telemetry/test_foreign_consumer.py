@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import queue
 import select
 import subprocess
@@ -77,7 +76,6 @@ class Foreigner:
         self._mavsdk.destroy()
 
 
-STREAMED_M = 6.5 * math.sqrt(60)
 """At 5 m/s one position in a meter: 60 of them within 60 m carry the information of one."""
 
 
@@ -273,16 +271,6 @@ def test_a_sensor_position_is_understood(setting: Setting) -> None:
     assert (message["id"], message["source"]) == (1, 2)
     assert message["eph"] == pytest.approx(6.5)
     assert (message["target_system"], message["target_component"]) == (1, 1)
-
-
-@pytest.mark.parametrize("emit", ["vision_position"])
-def test_a_vision_position_and_the_choice_of_its_sources_are_understood(setting: Setting) -> None:
-    (message,) = position_sent(setting, "VISION_POSITION_ESTIMATE")
-    assert (message["x"], message["y"], message["z"]) == pytest.approx((88.6, 29.7, 0.0), abs=0.1)
-    assert message["yaw"] == pytest.approx(math.pi / 2)
-    assert 3 * message["covariance"][0] ** 2 == pytest.approx(STREAMED_M**3, rel=1e-5)
-    commands = setting.foreigner.read("COMMAND_LONG")
-    assert [command["param1"] for command in commands if command["command"] == 42007] == [2]
 
 
 def position_sent(setting: Setting, name: str) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from edge.geodesy import moved
 from edge.journal.records import FixAnswered
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.people import Publisher
-from edge.telemetry.source_selection import VISION_SET, SourceSelection
+from edge.telemetry.source_selection import SET_WITHOUT_GPS, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.rig import Rig
 from tests.telemetry.speaker import S, Speaker, connect
@@ -232,7 +232,7 @@ def test_a_forged_refusal_before_the_autopilots_answer_stops_positions_for_a_mom
 @pytest.mark.parametrize(("forged", "true"), [("ACCEPTED", "FAILED"), ("DENIED", "ACCEPTED")])
 def test_a_set_of_sources_is_asked_for_again_where_two_answers_differ(forged: str, true: str) -> None:
     sources = SourceSelection(connect(Speaker()), Publisher(lambda record: None, lambda text: None))
-    sources.wanted = VISION_SET
+    sources.wanted = SET_WITHOUT_GPS
     assert len(sources.due(S)) == 1
     for second, answer in ((1.1, forged), (1.2, true)):
         sources.read_acknowledgement(getattr(mavlink, f"MAV_RESULT_{answer}"), round(second * S))

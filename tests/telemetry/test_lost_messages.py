@@ -14,6 +14,7 @@ from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAns
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim.vehicle.autopilot import SILENT
 from tests.files_written import wait_for_files
+from tests.telemetry.positions import AGREES, WRONG, spoofed
 from tests.telemetry.rig import OpenRig, Rig
 
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
@@ -27,17 +28,6 @@ def loses(*names: str) -> Callable[[Any], bool]:
 
 def loses_answers(command: int) -> Callable[[Any], bool]:
     return lambda message: message.get_type() == "COMMAND_ACK" and message.command == command
-
-
-def stream(rig: Rig, seconds: float) -> None:
-    """Offer a position of now whenever one is due."""
-
-    def offer() -> bool:
-        if rig.connection.position_due() is not None:
-            rig.send_position(rig.fix(age_s=0.0))
-        return False
-
-    rig.run(seconds, offer)
 
 
 def selections(rig: Rig) -> list[int]:
@@ -88,65 +78,72 @@ def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) 
 
 
 @pytest.fixture
-def vision(open_rig: OpenRig) -> Rig:
-    """A stream of positions without GPS, which needs the second set of sources."""
-    rig = open_rig(emit="vision_position", gates=GatesConfig(risk=1.0))
-    rig.run(8.0)
-    rig.autopilot.gps = False
-    rig.run(5.0)
-    return rig
+def doubted(open_rig: OpenRig) -> Rig:
+    """A vehicle whose GPS is wrong, and may be called so, on which the second set of sources is selected."""
+    return spoofed(open_rig, "switch")
 
 
-def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(vision: Rig) -> None:
-    vision.wire.loses = lambda message: message.get_type() == "COMMAND_LONG" and message.command == SET_EKF_SOURCE_SET
-    stream(vision, 4.0)
-    assert vision.autopilot.inputs.source_set == 1
-    vision.wire.loses = None
-    stream(vision, 8.0)
-    assert vision.autopilot.inputs.source_set == 2
-    assert [(one.number, one.result) for one in vision.journalled(SourceSetAnswered)] == [
+def test_a_lost_selection_is_sent_again_until_it_is_acknowledged(doubted: Rig) -> None:
+    doubted.wire.loses = lambda message: message.get_type() == "COMMAND_LONG" and message.command == SET_EKF_SOURCE_SET
+    doubted.judge_gps(WRONG)
+    doubted.run(4.0)
+    assert doubted.autopilot.inputs.source_set == 1
+    doubted.wire.loses = None
+    doubted.run(8.0)
+    assert doubted.autopilot.inputs.source_set == 2
+    assert [(one.number, one.result) for one in doubted.journalled(SourceSetAnswered)] == [
         (2, "NO_ANSWER"),
         (2, "ACCEPTED"),
     ]
-    texts = [message.text for message in vision.received("STATUSTEXT")]
+    texts = [message.text for message in doubted.received("STATUSTEXT")]
     assert "Lookback: source set 2 NO_ANSWER" in texts
 
 
-def test_the_set_that_the_pilot_has_selected_stays(open_rig: OpenRig) -> None:
-    """Not even with GPS: only a set that was selected here is taken back."""
-    rig = open_rig(emit="vision_position", gates=GatesConfig(risk=1.0))
-    rig.autopilot.inputs.source_set = 2
-    rig.run(20.0)
-    assert rig.connection.vehicle.session.gps.receiver_state(rig.now_ns) == "healthy"
-    assert not selections(rig)
-    assert rig.autopilot.inputs.source_set == 2
+def test_the_set_that_the_pilot_has_selected_stays(doubted: Rig) -> None:
+    """Only a set that was selected here is taken back."""
+    doubted.autopilot.inputs.source_set = 2
+    for _ in range(5):
+        doubted.judge_gps(AGREES)
+        doubted.run(2.0)
+    assert doubted.connection.vehicle.session.gps.receiver_state(doubted.now_ns) == "healthy"
+    doubted.connection.close()
+    assert not selections(doubted)
+    assert doubted.autopilot.inputs.source_set == 2
 
 
-def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(vision: Rig) -> None:
-    vision.wire.loses = loses_answers(SET_EKF_SOURCE_SET)
-    stream(vision, 30.0)
-    assert 6 <= selections(vision).count(2) <= 8
-    vision.wire.loses = None
-    stream(vision, 20.0)
-    before = len(selections(vision))
-    stream(vision, 20.0)
-    assert len(selections(vision)) == before, "acknowledged"
+def test_a_selection_whose_answer_is_lost_is_repeated_with_growing_pauses(doubted: Rig) -> None:
+    doubted.wire.loses = loses_answers(SET_EKF_SOURCE_SET)
+    doubted.judge_gps(WRONG)
+    doubted.run(30.0)
+    assert 6 <= selections(doubted).count(2) <= 8
+    doubted.wire.loses = None
+    doubted.run(20.0)
+    before = len(selections(doubted))
+    doubted.run(20.0)
+    assert len(selections(doubted)) == before, "acknowledged"
 
 
-def test_sources_are_selected_again_after_a_reboot_of_the_autopilot(vision: Rig) -> None:
-    stream(vision, 4.0)
-    vision.autopilot.reboot()
-    vision.autopilot.inputs.source_set = 1
-    vision.run(8.0)
-    assert vision.autopilot.inputs.source_set == 2
+def test_sources_are_selected_again_after_a_reboot_of_the_autopilot(doubted: Rig) -> None:
+    doubted.judge_gps(WRONG)
+    doubted.run(4.0)
+    doubted.autopilot.reboot()
+    assert doubted.autopilot.inputs.source_set == 1
+    doubted.run(8.0)
+    assert doubted.autopilot.inputs.source_set == 2
 
 
-def test_the_first_set_is_restored_at_the_end(vision: Rig) -> None:
-    stream(vision, 4.0)
-    assert vision.autopilot.inputs.source_set == 2
-    vision.connection.close()
-    vision.autopilot.step()
-    assert vision.autopilot.inputs.source_set == 1
+def test_the_first_set_is_restored_at_the_end_if_gps_agrees(doubted: Rig) -> None:
+    doubted.judge_gps(WRONG)
+    doubted.run(4.0)
+    assert doubted.autopilot.inputs.source_set == 2
+    doubted.wire.loses = lambda message: message.get_type() == "COMMAND_LONG"
+    doubted.judge_gps(AGREES)
+    doubted.run(1.0)
+    doubted.wire.loses = None
+    assert doubted.autopilot.inputs.source_set == 2
+    doubted.connection.close()
+    doubted.autopilot.step()
+    assert doubted.autopilot.inputs.source_set == 1
 
 
 def test_nothing_is_restored_that_was_not_changed(open_rig: OpenRig) -> None:
@@ -157,15 +154,21 @@ def test_nothing_is_restored_that_was_not_changed(open_rig: OpenRig) -> None:
     assert not selections(rig)
 
 
-def test_after_a_crash_the_first_set_is_restored_when_gps_is_healthy_again(vision: Rig) -> None:
-    stream(vision, 4.0)
-    vision.crash()
-    vision.connect()
-    vision.run(10.0)
-    assert vision.autopilot.inputs.source_set == 2, "still without GPS"
-    vision.autopilot.gps = True
-    vision.run(10.0)
-    assert vision.autopilot.inputs.source_set == 1
+def test_after_a_crash_the_first_set_is_restored_when_gps_agrees_and_not_before(doubted: Rig) -> None:
+    """The next run does not know what GPS is; until a place says so, the vehicle must not follow it."""
+    doubted.judge_gps(WRONG)
+    doubted.run(4.0)
+    doubted.crash()
+    doubted.connect()
+    doubted.run(10.0)
+    assert doubted.connection.vehicle.session.gps.receiver_state(doubted.now_ns) == "healthy"
+    assert doubted.autopilot.inputs.source_set == 2
+    doubted.connection.restore_sources()
+    doubted.run(1.0)
+    assert doubted.autopilot.inputs.source_set == 2, "nor at the end"
+    doubted.judge_gps(AGREES)
+    doubted.run(5.0)
+    assert doubted.autopilot.inputs.source_set == 1
 
 
 def uncertainty_after(rig: Rig, seconds: float) -> float | None:

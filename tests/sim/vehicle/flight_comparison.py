@@ -18,7 +18,7 @@ from sim import Pose
 from sim.research.trial.recorded_drive import Columns, read_columns, read_messages
 from sim.vehicle.estimator import AS_FLOWN, Estimator, FilterNoise, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
-from sim.vehicle.position_inputs import Moment, PositionInputs, east_north_m
+from sim.vehicle.position_inputs import Moment, PositionInputs
 
 STEP_S = 0.1
 SLOW = OdometryErrors(scale=0.97, heading_deg=-0.2, reported_deg=0.3, settled_deg=0.5)
@@ -37,8 +37,6 @@ FLIGHTS: dict[str, OdometryErrors] = {
     "dusk_person": AS_FLOWN,
     "px4_aided_mission": VELOCITY_SENSOR,
     "px4_aided_person": VELOCITY_SENSOR,
-    "vision_auto": AS_FLOWN,
-    "vision_auto_b": SLOW,
     "px4_no_velocity_aid_person": OdometryErrors("none"),
     "px4_external_position_person": OdometryErrors("none"),
     "px4_rover_mission": OdometryErrors("none"),
@@ -83,42 +81,31 @@ def compare(folder: Path, errors: OdometryErrors, noise: FilterNoise | None = No
     estimate = Estimator(poses[at], times_s[at], errors, noise or firmware.noise)
     estimate.reset(float(own_m[0, at]), float(own_m[1, at]), float(times_s[at]))
     inputs = PositionInputs(firmware, estimate)
-    inputs.source_set = 2
-    origin_m = _origin_m(messages)
     positions = [(time_s, message) for time_s, message in messages if time_s > lost_s and _is_position(message)]
     simulated_m, fixes = [], len(positions)
     for time_s, pose in zip(times_s[at + 1 :], poses[at + 1 :], strict=True):
         estimate.update(pose, float(time_s), None)
         while positions and positions[0][0] <= time_s:
             sent_s, message = positions.pop(0)
-            _give(inputs, message, sent_s, lost_s - 1.0, origin_m)
+            _give(inputs, message, sent_s, lost_s - 1.0)
         simulated_m.append(estimate.error_m)
     true_m = np.array([(pose.east_m, pose.north_m) for pose in poses]).T
     return Comparison(np.hypot(*(own_m - true_m))[at + 1 :], np.array(simulated_m), fixes)
 
 
-def _give(inputs: PositionInputs, message: Any, now_s: float, lost_s: float, origin_m: tuple[float, float]) -> None:
+def _give(inputs: PositionInputs, message: Any, now_s: float, lost_s: float) -> None:
     kind = message.get_type()
-    moment = Moment(now_s, message.param1 if kind == "COMMAND_INT" else 0.0, lost_s, origin_m)
+    moment = Moment(now_s, message.param1 if kind == "COMMAND_INT" else 0.0, lost_s, origin_m=(0.0, 0.0))
     if kind == "COMMAND_INT":
         inputs.command(message, moment)
-    elif kind == "GLOBAL_POSITION_SENSOR":
-        inputs.sensor(message, moment)
     else:
-        inputs.vision(message, moment)
+        inputs.sensor(message, moment)
 
 
 def _is_position(message: Any) -> bool:
     kind = message.get_type()
     is_fix = kind == "COMMAND_INT" and message.command == EXTERNAL_POSITION_ESTIMATE
-    return is_fix or kind in ("GLOBAL_POSITION_SENSOR", "VISION_POSITION_ESTIMATE")
-
-
-def _origin_m(messages: list[tuple[float, Any]]) -> tuple[float, float]:
-    origin = next((message for _, message in messages if message.get_type() == "GPS_GLOBAL_ORIGIN"), None)
-    if origin is None:
-        return 0.0, 0.0
-    return east_north_m(origin.latitude / 1e7, origin.longitude / 1e7)
+    return bool(is_fix or kind == "GLOBAL_POSITION_SENSOR")
 
 
 def _gps_lost_s(messages: list[tuple[float, Any]], times_s: NDArray[np.float64], truth: Columns) -> float:

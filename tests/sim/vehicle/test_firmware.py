@@ -86,9 +86,8 @@ class Bench:
         lat_deg, lon_deg = truth.geodetic()
         return PlaceFix(self.now_ns, 1, lat_deg, lon_deg, 0.0, sigma_m, sigma_m, "forward", "same", 1.2)
 
-    def sending(self, age_s: float = 0.0, **changes: Any) -> Sending:
-        origin = Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
-        return Sending(1, self.autopilot.boot_s, age_s, origin=origin, **changes)
+    def sending(self, age_s: float = 0.0) -> Sending:
+        return Sending(1, self.autopilot.boot_s, age_s)
 
     def tell_fix(self, north_m: float = 0.0, age_s: float = 0.0) -> int | None:
         return self.tell(encoders.external_position(self.fix(north_m), self.sending(age_s)))
@@ -263,22 +262,6 @@ def test_a_sensor_is_nothing_to_other_firmware() -> None:
         bench.drive(3.0)
         bench.tell(encoders.global_position_sensor(bench.fix(north_m=5.0), bench.sending()))
         assert not bench.autopilot.inputs.fused, firmware
-
-
-def test_vision_counts_on_the_second_set_of_sources_and_jumps_with_its_counter() -> None:
-    bench = Bench("ardupilot")
-    bench.drive(3.0)
-    bench.autopilot.gps = False
-    bench.drive(3.0)
-    bench.tell(encoders.vision_position(bench.fix(north_m=2.0), bench.sending()))
-    assert not bench.autopilot.inputs.fused, "the first set has GPS"
-    assert bench.tell(encoders.source_set(1, 2)) == mavlink.MAV_RESULT_ACCEPTED
-    bench.tell(encoders.vision_position(bench.fix(north_m=2.0), bench.sending()))
-    assert len(bench.autopilot.inputs.fused) == 1
-    bench.tell(encoders.vision_position(bench.fix(north_m=200.0), bench.sending()))
-    assert bench.autopilot.estimate.error_m < 3, "gated"
-    bench.tell(encoders.vision_position(bench.fix(north_m=200.0), bench.sending(reset_counter=1)))
-    assert bench.autopilot.estimate.error_m == pytest.approx(200.0, abs=1.0)
 
 
 def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> None:

@@ -25,12 +25,16 @@ def _lost_acknowledgements(draft: CourseDraft) -> None:
     )
 
 
-@course("E", "lost-source-set", rules=(*HONEST, sources_restored))
+@course("E", "lost-source-set", least_m=1000.0, rules=(*HONEST, sources_restored))
 def _lost_source_set(draft: CourseDraft) -> None:
-    """The command that selects the second set of sources is lost until 31 s after GPS; GPS comes back later."""
-    draft.emit = "vision_position"
-    draft.loses = lambda time_s, message, outgoing: not outgoing and time_s < 40.0 and is_command(message, 42007)
-    draft.gps_at = lambda time_s: NO_FIX if GPS_S <= time_s < draft.share(0.8) / 8.0 else GpsReport()
+    """GPS is 60 m wrong for a while; the command that selects the second set of sources is lost for the first 15 s."""
+    wrong_s, right_s = draft.share(0.4) / 8.0, draft.share(0.7) / 8.0
+    wrong = GpsReport(east_off_m=draft.side(60.0)[0], north_off_m=draft.side(60.0)[1])
+    draft.gps_at = lambda time_s: wrong if wrong_s <= time_s < right_s else GpsReport()
+    draft.loses = lambda time_s, message, outgoing: (
+        not outgoing and time_s < wrong_s + 15.0 and is_command(message, 42007)
+    )
+    draft.steers, draft.doubted_gps = False, "switch"
 
 
 @course("E", "silence-{}", 6, 60, rules=(*USUAL, resumes))

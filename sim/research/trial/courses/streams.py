@@ -83,12 +83,6 @@ def _px4_aided(draft: CourseDraft, value: str) -> None:
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
 
 
-@course("H", "vision", rules=(*USUAL, close, sends))
-def _vision(draft: CourseDraft) -> None:
-    """ArduPilot with VISION_POSITION_ESTIMATE, whose stream turns the filter's heading."""
-    draft.emit = "vision_position"
-
-
 @course("H", "stream-unused", rules=(*HONEST, warns))
 def _stream_unused(draft: CourseDraft) -> None:
     """PX4 whose parameters for positions are missing: a warning must say that nobody uses them."""
