@@ -341,6 +341,21 @@ def test_in_short_courses_that_pass_are_only_counted() -> None:
     assert found[4:] == ["", "All drives of 1 more courses pass."]
 
 
+def test_in_short_a_course_of_which_one_drive_of_several_fails_is_a_line() -> None:
+    failed = replace(run_of(error_m=3.0), failures=(Failure("close", "10 m"),))
+    scores = [CourseScore(name, (failed, *[run_of()] * count)) for name, count in (("tow", 3), ("home", 4))]
+    rows = in_short(scores).splitlines()
+    assert rows[2].startswith("| tow | 3 of 4 |")
+    assert rows[3:] == [
+        "",
+        "One drive fails of",
+        "",
+        "- `home`: close (1, road 21)",
+        "",
+        "All drives of 0 more courses pass.",
+    ]
+
+
 def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_three_sigmas_does_not() -> None:
     odd, beyond = CourseScore("home", (run_of(error_m=3.6),)), CourseScore("tow", (run_of(error_m=9.3),))
     assert odd.failures == ["rms 1.20 sigma"]
