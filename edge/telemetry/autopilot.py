@@ -215,6 +215,8 @@ class AutopilotConnection:
 
         Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
+        if self._estimator.ignores_gps:  # it agreed before, and has been called wrong since
+            return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self._clock_ns()) if self.state == "up" else []
             if not messages:

@@ -21,7 +21,6 @@ from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
-from edge.toml_file import read_text
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import regions_of
@@ -244,9 +243,3 @@ def write(model: onnx.ModelProto, file: Path) -> str:
     info = read_model_file(file).info
     print(f"{file}: {info.output}, {info.precision}, {file.stat().st_size / 1e6:.1f} MB, sha256 {info.sha256}")
     return info.sha256
-
-
-def read_label_lines(path: Path) -> tuple[str, ...]:
-    """Names of categories, one a line; those of Places365 ("/a/arena/hockey 1") lose path and number. ModelError."""
-    lines = [line.strip() for line in read_text(path, ModelError).splitlines()]
-    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import re
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from edge.errors import ModelError
 from edge.extras import install_command
-from sim.model_tools.import_command import read_label_lines
+from edge.toml_file import read_text
 from sim.model_tools.onnx_graph import Weights
 
 
@@ -111,7 +112,13 @@ def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
     count = weights[f"{FC8}.weight"].shape[0]
     if path is None:
         return tuple(f"category {number}" for number in range(count))
-    labels = read_label_lines(path)
+    labels = _label_lines(path)
     if len(labels) != count:
         raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
     return labels
+
+
+def _label_lines(path: Path) -> tuple[str, ...]:
+    """Names of categories, one a line; those of Places365 ("/a/arena/hockey 1") lose path and number. ModelError."""
+    lines = [line.strip() for line in read_text(path, ModelError).splitlines()]
+    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)
