@@ -4,20 +4,14 @@ A frame goes through these stages in this order, and none calls back; each passe
 
     feed/           recorded traverses  read, written, sampled
     camera/         -> Frame            image (H, W, 3), stamp_ns, index; one of the cameras plays a feed
-    motion/         -> CameraSpeed      the vehicle's speed from the ground that two pictures show
     descriptor/     -> (R, D) float32   R regions, raw and normalized (NSD); fc6: D = 4096
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
-    layers/         drives over one road: what each was good for, and which are searched
-    mapping/        the drive becomes a map while it is driven, searched with the others
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
-    mission/        -> WayHome          a drive of the map reversed into a mission, on request
-    ros2/           -> ROS 2            places, positions and state by DDS; odometry from there
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd
-    page/           the live page
-    commands/       run, record, doctor; the table of all commands, most of which are in `sim`
+    commands/       run; the table of all commands, most of which are in `plugins` and `sim`
 
 The files beside them:
 
@@ -25,7 +19,7 @@ The files beside them:
     sequence_matcher  descriptors in, matches out
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
-    drive_mapper      which frames of which camera become places of this drive's map
+    plugin            what is added to the daemon: the parts in `plugins/`, which only some vehicles need
     config            the one TOML file
     map_verification  which maps are used, and how far their positions are trusted
     map_agreement     whether drives over one road agree about where it is

@@ -1,6 +1,6 @@
 """The daemon: moves frames through the parts that the config names (`opened_parts`) until it is stopped.
 
-camera -> usable, at a new place? -> recognizer -> estimator -> event -> journal, people, live page
+camera -> usable, at a new place? -> recognizer -> estimator -> event -> journal, people, plug-ins
                                                              -> position -> autopilot
 
 Read `Daemon.turn` first: each step of it is one of the methods below, in the same order.
@@ -12,8 +12,6 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +25,14 @@ from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
 from edge.journal.records import Stopped
-from edge.localization import AGREE_SIGMAS, Limits
+from edge.localization import AGREE_SIGMAS
 from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.map_verification import MapVerification
-from edge.motion import PassedLine
 from edge.opened_parts import OpenedParts
-from edge.page import map_view
+from edge.plugin import UsedFrame
 from edge.sequence import Near, PlaceMatch, Travel
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
-ROS2_OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
 log = logging.getLogger(__name__)
 
 
@@ -57,45 +53,24 @@ class Daemon:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
         parts = self.parts
         self._autopilot.poll()
-        self._read_requests()
         waits_ns = self._clock_ns()
         frame = parts.camera.take(TURN_S)
         waited_s = (self._clock_ns() - waits_ns) / 1e9
         frame = None if frame is None else self._dated(frame)
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
-            if parts.mapper is not None:
-                parts.mapper.map_next(waited_s, self._describe_second)
+            for plugin in parts.plugins:
+                plugin.spare_turn(waited_s, self._describe)
             if not (is_usable or parts.verification.checksums.is_done):
                 self._check_maps(self._recognizer.matcher.search.folders_in_use)
         self._autopilot.history.release()
-        if parts.learner is not None:
-            now_ns = self._clock_ns()
-            parts.learner.follow(
-                now_ns, self._autopilot.vehicle.motion.speed_mps(now_ns), parts.config.gates.min_speed_mps
-            )
         if self._update_health():
             self._reset()
         self._publish_position()
-        self._exchange_with_ros2()
-        self._update_page()
+        for plugin in parts.plugins:
+            plugin.turn()
         parts.monitor.feed_watchdog()
         return not parts.camera.ended
-
-    def _read_requests(self) -> None:
-        """Of people: `lookback home` and the page."""
-        socket, page, mapper = self.parts.home_socket, self.parts.page, self.parts.mapper
-        if socket is not None and (request := socket.requested()) is not None:
-            self._autopilot.request_home(socket.reply, restore=request == "restore")
-        if page is None or (wanted := page.requested()) is None:
-            return
-        if wanted in ("home", "restore"):
-            self._autopilot.request_home(lambda answer: page.reply(answer.text), restore=wanted == "restore")
-        elif mapper is not None:
-            mapper.paused = "paused on the page" if wanted == "pause" else ""
-            page.reply(f"mapping {mapper.paused or 'goes on'}")
-        else:
-            page.reply("nothing is mapped: [mapping] folder is empty")
 
     def _dated(self, frame: Frame) -> Frame:
         """A frame with the stamp of its exposure; where that is known anew, what was recognized was at wrong times."""
@@ -116,36 +91,13 @@ class Daemon:
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
-        self._measure_motion(frame)
+        for plugin in self.parts.plugins:
+            plugin.frame(frame)
         distance_m = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns)
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
             self._process_frame(frame, distance_m)
         return is_place
-
-    def _measure_motion(self, frame: Frame) -> None:
-        """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
-        motion = self.parts.motion
-        if motion is None:
-            return
-        speed = motion.follow(frame.image, frame.stamp_ns, self._autopilot.gps_speed_mps())
-        use = self.parts.config.motion.use
-        if speed is not None and use != "report":
-            self._autopilot.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps)
-        if speed is not None and use == "send":
-            self._autopilot.send_velocity(speed)
-
-    def _compare_motion(self, match: PlaceMatch | None) -> None:
-        """Compare the distance that the camera measures with that between the places which it recognizes."""
-        motion = self.parts.motion
-        if motion is None or not self._recognizer.is_in_line:
-            return
-        line = None if match is None else self._estimator.line_of(match)
-        if match is None or line is None:
-            motion.height.use_frame(None)
-            return
-        along_m = line.along_m if match.direction == "forward" else -line.along_m
-        motion.height.use_frame(PassedLine(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
 
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
         """Recognize the place of a frame, follow the vehicle, and publish both."""
@@ -156,13 +108,9 @@ class Daemon:
             self._recognizer.begin_way_back()
         match = self._recognize(frame, distance_m, missed)
         self._estimate(frame.stamp_ns, match, displacement, missed)
-        self._compare_motion(match)
-        self._map_frame(frame, distance_m, missed)
-        self._publish_frame(frame, match, missed)
+        self._publish_frame(frame, match, distance_m, missed)
+        self._grow_maps()
         self._warn_without_odometer()
-        recorder = self.parts.recorder
-        if recorder is not None and not self.parts.pictures.why_undated:
-            self._autopilot.history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
         self.parts.times.lap("telemetry")
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
@@ -226,7 +174,7 @@ class Daemon:
         """Use the maps as they are on the disk now, from the next frame on; those so far where they cannot be used."""
         parts = self.parts
         try:
-            self._recognizer.reopen_maps(parts.mapper.live.so_far() if parts.mapper else None)
+            self._recognizer.reopen_maps(parts.newest_map())
         except SetupError as error:
             log.warning("%s; the maps so far stay in use", error)
             self._autopilot.status_text("Lookback: new map is not usable", mavlink.MAV_SEVERITY_WARNING)
@@ -240,45 +188,43 @@ class Daemon:
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
         self._estimator.use_maps(self.parts.verification.as_uncertain(self._recognizer.map_set))
-        self._show_maps()
+        for plugin in self.parts.plugins:
+            plugin.maps_changed()
 
-    def _map_frame(self, frame: Frame, distance_m: float | None, missed: int) -> None:
-        """Map a frame that was recognized, and search what of this drive's map lies far enough behind by now."""
-        parts, raw = self.parts, self._recognizer.raw_of(frame.stamp_ns)
-        if parts.mapper is None or raw is None or parts.pictures.why_undated:
-            return
-        newest = parts.mapper.map_recognized(frame, raw, distance_m, missed)
-        if newest is not None:
-            maps = self._recognizer.map_set.with_newest(newest)
-            self._recognizer.grow_maps(maps)
-            self._estimator.grow(parts.verification.as_uncertain(maps))
-            self._show_maps()
-        parts.times.lap("mapping")
+    def _grow_maps(self) -> None:
+        """Search what of this drive's map lies far enough behind by now."""
+        parts = self.parts
+        for plugin in parts.plugins:
+            newest = plugin.grown_map()
+            if newest is not None:
+                maps = self._recognizer.map_set.with_newest(newest)
+                self._recognizer.grow_maps(maps)
+                self._estimator.grow(parts.verification.as_uncertain(maps))
+                for other in parts.plugins:
+                    other.maps_changed()
 
-    def _describe_second(self, frame: Frame) -> NDArray[np.float32]:
-        """Describe a frame of the camera that maps; timed as the others are."""
+    def _describe(self, frame: Frame) -> NDArray[np.float32]:
+        """Describe a frame of another camera; timed as the others are."""
         self.parts.times.start()
         return self._recognizer.describe(frame.image)
 
-    def _publish_frame(self, frame: Frame, match: PlaceMatch | None, missed: int) -> None:
-        """To the live page, to the journal where it is to have every frame, and an event to people."""
-        parts, maps = self.parts, self._recognizer.map_set
-        used = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
-        position = self._autopilot.vehicle.position(self._clock_ns())
-        parts.live_status.add(frame, match, used, (position.lat_deg, position.lon_deg) if position else None)
-        if self.parts.config.telemetry.journal_frames:
-            parts.record(used)
-        if match is None or not match.accepted:
-            return
-        if parts.tally is not None:
-            driven_m, now_ns = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns), self._clock_ns()
-            parts.tally.count(maps, match.place_index, match.direction, frame.image, driven_m, now_ns)
-        if match.event:
+    def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
+        """To the journal where it is to have every frame, to the plug-ins, and an event to people."""
+        parts = self.parts
+        record = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
+        parts.frames_used += 1
+        parts.events += record.emitted
+        if parts.config.telemetry.journal_frames:
+            parts.record(record)
+        used = UsedFrame(frame, distance_m, missed, match, record)
+        for plugin in parts.plugins:
+            plugin.frame_used(used)
+        if match is not None and match.event:
             fix = self._estimator.place_fix(match, frame.stamp_ns)
             parts.record(fix)
             self._autopilot.publish_place(fix)
-            if parts.ros2 is not None:
-                parts.ros2.publish_place(fix)
+            for plugin in parts.plugins:
+                plugin.place(fix)
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, and what follows."""
@@ -302,7 +248,7 @@ class Daemon:
         undated = parts.pictures.why_undated if self._autopilot.positions.enabled else ""
         inputs = HealthInputs(
             recognizer=self._recognizer.state,
-            frames_used=parts.live_status.frames_used,
+            frames_used=parts.frames_used,
             frame_s=self._frame_s,
             picture=fault.what if fault and fault.sure else "",
             link=self._autopilot.state,
@@ -335,58 +281,16 @@ class Daemon:
         if fix is not None:
             self._autopilot.send_position(fix)
 
-    def _exchange_with_ros2(self) -> None:
-        """Odometry in, state and positions out: by the conditions for an autopilot without GPS, since none is moved."""
-        ros2, health = self.parts.ros2, self.parts.monitor.health
-        if ros2 is None:
-            return
-        for odometry in ros2.odometry():
-            self._autopilot.vehicle.velocity.use_odometry(*odometry)
-        ros2.publish_state(health.state, health.why, self._autopilot.status)
-        fix = self._estimator.position_at_exposure()
-        if fix is None or fix.stamp_ns == ros2.judged_ns:
-            return
-        if health.able != "on the map" or self.parts.pictures.why_no_position:
-            return
-        ros2.judged_ns, limits = fix.stamp_ns, Limits(self.parts.config.gates.min_interval_s, ROS2_OLDEST_S)
-        report = replace(self._autopilot.vehicle.report(self._clock_ns()), gps="not healthy")
-        displacement = self._autopilot.vehicle.motion.displacement(fix.stamp_ns)
-        if self._estimator.decide(fix, limits, ros2.published_ns, report, displacement).refusal is None:
-            ros2.publish_position(fix)
-
-    def _show_maps(self) -> None:
-        if self.parts.page is not None:
-            self.parts.page.show_map(map_view(self._recognizer.map_set))
-
-    def _update_page(self) -> None:
-        parts = self.parts
-        if parts.page is None or not parts.page.wanted:
-            return
-        health, live, maps = parts.monitor.health, parts.live_status, self._recognizer.map_set
-        shown = live.snapshot(
-            self._clock_ns(),
-            health.state,
-            health.why,
-            map_name=f"{Path(self.parts.config.map.path).name}, {maps}",
-            costs=self._recognizer.cost_view(live.match),
-            camera=parts.camera.health,
-            link=self._autopilot.status(),
-            stages_ms=parts.times.medians_ms(),
-            journal_lost=parts.journal.lost if parts.journal else 0,
-            mapping=parts.mapper.view() if parts.mapper else None,
-        )
-        parts.page.show(shown)
-
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
         parts = self.parts
         self._autopilot.restore_sources()
         self._autopilot.history.release(all_of_them=True)
-        if parts.mapper is not None:
-            parts.mapper.add_placed()
-        health, live = parts.camera.health, parts.live_status
+        for plugin in parts.plugins:
+            plugin.stop()
+        health = parts.camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
-        stopped = Stopped(live.frames_used, live.events, parts.times.medians_ms(), counts)
+        stopped = Stopped(parts.frames_used, parts.events, parts.times.medians_ms(), counts)
         parts.record(stopped)
         parts.warm_start.keep()
         return stopped

@@ -25,7 +25,7 @@ from sim import geodetic
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
-from tests.test_drive_mapper import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to
+from tests.plugins.mapping.test_drive_mapper import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to
 
 
 def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:

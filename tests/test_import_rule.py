@@ -15,23 +15,19 @@ ROOT = Path(__file__).parents[1]
 STAGES = (
     "feed",
     "camera",
-    "motion",
     "descriptor",
     "reference_map",
-    "layers",
-    "mapping",
     "sequence",
     "localization",
-    "mission",
-    "ros2",
     "telemetry",
     "health",
-    "page",
 )
 """In the order of the data path: a stage may import itself, and the front door (`edge.STAGE`) of an earlier one.
 
 Feeds come first, since one of the cameras plays a feed.
 """
+PLUGINS = ("cameras", "motion", "layers", "mapping", "recording", "home", "ros2", "page", "doctor")
+"""A plug-in may import itself, those before it and all of edge."""
 SHARED_TOOLS = (
     "errors",
     "config",
@@ -70,7 +66,7 @@ def is_module(name: str) -> bool:
 
 
 def ours(file: Path) -> set[str]:
-    return {name for name in imports(file) if name.split(".")[0] in ("edge", "sim")}
+    return {name for name in imports(file) if name.split(".")[0] in ("edge", "plugins", "sim")}
 
 
 def forbidden(stage: str) -> set[tuple[str, str]]:
@@ -97,9 +93,19 @@ def test_shared_tools_import_only_shared_tools() -> None:
         assert not file.is_file() or ours(file) <= allowed, file
 
 
-def test_edge_never_imports_sim() -> None:
+def test_edge_imports_neither_plugins_nor_sim() -> None:
     for file in (ROOT / "edge").rglob("*.py"):
-        assert not any(name.split(".")[0] == "sim" for name in imports(file)), file
+        assert not any(name.split(".")[0] in ("plugins", "sim") for name in imports(file)), file
+
+
+def test_plugins_import_only_edge_and_the_plugins_before_them() -> None:
+    for folder in (ROOT / "plugins").glob("*/__init__.py"):
+        name = folder.parent.name
+        allowed = set(PLUGINS[: PLUGINS.index(name) + 1])
+        for file in folder.parent.rglob("*.py"):
+            others = {one.split(".")[1] for one in ours(file) if one.startswith("plugins.")}
+            assert others <= allowed, f"{file} imports {others - allowed}"
+            assert not any(one.split(".")[0] == "sim" for one in ours(file)), file
 
 
 def test_what_is_in_the_wheel_never_imports_research() -> None:
@@ -110,7 +116,7 @@ def test_what_is_in_the_wheel_never_imports_research() -> None:
 
 def test_the_vehicle_never_loads_what_is_for_the_desk() -> None:
     """Heavy or foreign packages are imported where they are asked for, and pymavlink.mavutil nowhere in edge."""
-    for file in (ROOT / "edge").rglob("*.py"):
+    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]:
         top = {
             name.name if isinstance(node, ast.Import) else node.module or ""
             for node in ast.parse(file.read_text(encoding="utf-8")).body
@@ -140,27 +146,28 @@ def test_no_command_loads_what_only_another_needs(words: list[str] | None, absen
     assert done.stdout.strip() == "[]"
 
 
-def test_every_module_of_edge_can_be_imported() -> None:
-    """Also on a Python for which a package of an extra is missing: edge asks for it only when it is used."""
-    for file in (ROOT / "edge").rglob("*.py"):
+def test_every_module_of_a_vehicle_can_be_imported() -> None:
+    """Also on a Python for which a package of an extra is missing: it is asked for only when it is used."""
+    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]:
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         import_module(module)
 
 
-def test_the_front_door_names_every_room() -> None:
-    doc = ast.get_docstring(ast.parse((ROOT / "edge/__init__.py").read_text(encoding="utf-8"))) or ""
+@pytest.mark.parametrize("package", ["edge", "plugins"])
+def test_the_front_door_names_every_room(package: str) -> None:
+    doc = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8"))) or ""
     words = {word.strip("`,:;./()") for word in doc.split()}
-    rooms = {file.stem for file in (ROOT / "edge").glob("*.py")} - {"__init__", "__main__"}
-    rooms |= {folder.parent.name for folder in (ROOT / "edge").glob("*/__init__.py")}
-    assert rooms <= words, f"edge/__init__.py does not say what {rooms - words} are for"
+    rooms = {file.stem for file in (ROOT / package).glob("*.py")} - {"__init__", "__main__"}
+    rooms |= {folder.parent.name for folder in (ROOT / package).glob("*/__init__.py")}
+    assert rooms <= words, f"{package}/__init__.py does not say what {rooms - words} are for"
 
 
 def import_graph() -> dict[str, set[str]]:
-    """Every module of edge and sim with those it names in an import, also for types alone or inside a function.
+    """Every module with those that it names in an import, also for types alone or inside a function.
 
-    That Python imports `edge.camera` before `edge.camera.oak` is no import of ours, and is not counted.
+    That Python imports `edge.camera` before `plugins.cameras.oak` is no import of ours, and is not counted.
     """
-    files = [*(ROOT / "edge").rglob("*.py"), *(ROOT / "sim").rglob("*.py")]
+    files = [file for package in ("edge", "plugins", "sim") for file in (ROOT / package).rglob("*.py")]
     return {module_name(file): {name for name in ours(file) if is_module(name)} for file in files}
 
 
@@ -195,10 +202,10 @@ import edge.daemon
 if TYPE_CHECKING:
     from edge.config import Config
 def load():
-    from edge.page import server
+    from plugins.page import server
 """
     (tmp_path / "module.py").write_text(hidden, encoding="utf-8")
-    assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "edge.page.server"}
+    assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "plugins.page.server"}
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
     assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
 
@@ -209,9 +216,10 @@ def test_the_tests_mirror_the_program() -> None:
     def folders(path: Path) -> set[str]:
         return {folder.name for folder in path.iterdir() if list(folder.glob("*.py"))}
 
-    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "sim", "systemd"}
+    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "plugins", "sim", "systemd"}
     assert folders(ROOT / "tests") - beside <= folders(ROOT / "edge")
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
+    assert folders(ROOT / "tests/plugins") <= folders(ROOT / "plugins")
     modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
     whole = {"test_import_rule", "test_one_frame"}
     for file in (ROOT / "tests").glob("test_*.py"):

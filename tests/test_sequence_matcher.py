@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from edge.config import Config, SamplingConfig
 from edge.reference_map import MapSet, ModelKey
-from edge.reference_map.builder import Place
 from edge.sequence import Travel
 from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
+from plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 PLACES, DIMENSIONS, SPACING_M = 200, 256, 2.0

@@ -11,13 +11,12 @@
 `builder`  adds place after place, then normalizes and writes the whole set, atomically
 """
 
-from edge.reference_map.builder import MapBuilder, Place, thumbnail
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion, Moved, disagreements
-from edge.reference_map.growing_map import GrowingMap, MapSoFar
 from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
+from edge.reference_map.map_so_far import MapSoFar
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
@@ -33,17 +32,14 @@ __all__ = [
     "Drives",
     "ExcludedMap",
     "GpsMotion",
-    "GrowingMap",
     "Learned",
     "LearnedFolder",
-    "MapBuilder",
     "MapHeader",
     "MapSet",
     "MapSoFar",
     "ModelKey",
     "Moved",
     "Newer",
-    "Place",
     "Position",
     "Ranges",
     "ReferenceMap",
@@ -58,5 +54,4 @@ __all__ = [
     "read_header",
     "rival",
     "sigmas_m",
-    "thumbnail",
 ]

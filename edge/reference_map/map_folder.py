@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from edge.errors import MapError
 from edge.extras import import_extra
 from edge.files import read_key
-from edge.reference_map.growing_map import MapSoFar
 from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
+from edge.reference_map.map_so_far import MapSoFar
 from edge.reference_map.store import (
     HEADER,
     MapHeader,

@@ -23,7 +23,7 @@ from edge.errors import MapError
 from edge.geodesy import east_north, first_known
 from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
-from edge.reference_map.growing_map import CAPACITY, MapSoFar
+from edge.reference_map.map_so_far import CAPACITY, MapSoFar
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places

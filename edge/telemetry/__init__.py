@@ -9,8 +9,7 @@ Out: `link_protocol` requests what is read, and says what measures the velocity 
 positions by the messages of `position_messages`; `acknowledgements` says what an answer means and follows what the
 autopilot makes of each position, `own_bound` says what bounds the autopilot's own, and
 `source_selection` selects ArduPilot's sources. `people` is for people, and `encoders` writes all that is sent.
-`home_requests` answers requests for the way home, which come by MAVLink or by `local_socket`, and `mission_transfer`
-uploads it. `autopilot` joins all into the one object that the daemon polls.
+`autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations

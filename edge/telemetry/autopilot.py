@@ -7,18 +7,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config, GatesConfig, HomeConfig, LinkConfig, TelemetryConfig
+from edge.config import Config, GatesConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
 from edge.localization import GpsVerdict, PlaceFix, PositionEstimator
-from edge.motion import CameraSpeed
 from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.home_requests import Answer, HomeRequests
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.own_bound import OwnBound
@@ -36,6 +34,22 @@ GPS_SPEED_NS = 500_000_000  # older, the speed is of another moment
 log = logging.getLogger(__name__)
 
 
+class Service(Protocol):
+    """Messages that are exchanged with the autopilot for another purpose than positions: a mission, for one."""
+
+    def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
+        """Read a message of any component on the autopilot's link; the messages that are due because of it.
+
+        is_for_us: addressed to this very component.
+        """
+
+    def due(self, now_ns: int) -> list[Message]:
+        """What is due now, once a turn."""
+
+    def abandon(self, now_ns: int) -> list[Message]:
+        """The last messages: this program ends."""
+
+
 class AutopilotConnection:
     """Owns the links, and opens them again when they are lost; nothing in here blocks.
 
@@ -48,7 +62,6 @@ class AutopilotConnection:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
-        home: HomeConfig = HomeConfig(),  # noqa: B008
         estimator: PositionEstimator | None = None,
         *,
         motion: str = "off",
@@ -58,7 +71,7 @@ class AutopilotConnection:
         estimator: decides on each position, and reads what bounds the autopilot's own; None: one without maps.
         motion: [motion] use.
         """
-        self._config, self._clock_ns, self._record = config, clock_ns, record
+        self.config, self.clock_ns, self.record = config, clock_ns, record
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self.vehicle = vehicle = Vehicle(config.system_id)
         self._asks_attitude = motion != "off"
@@ -69,16 +82,15 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), vehicle, record)
             for number, link in enumerate(config.links, start=1)
         ]
-        self._estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
+        self.estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, estimator, publisher)
         journal = Path(config.journal) if config.journal else None
         remembered = journal and journal.with_suffix(".bound")
         self._bound = OwnBound(remembered, gates.drift_percent, vehicle, estimator, self._warn)
-        self._aid = VelocityAid(vehicle, publisher, sends=motion == "send" and config.emit != "report")
+        self.velocity_aid = VelocityAid(vehicle, publisher, sends=motion == "send" and config.emit != "report")
         self._gps_news = GpsNews(publisher)
-        replaced = journal and journal.with_suffix(".mission")
-        self.home = HomeRequests(home, vehicle, estimator, record, self.status_text, replaced)
+        self.services: list[Service] = []
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._was_doubled = False
@@ -91,7 +103,7 @@ class AutopilotConnection:
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
         is_new = self._gps_news.publish(verdict)
-        if is_new and self._estimator.ignores_gps and not self._aid.is_known(self._clock_ns()):
+        if is_new and self.estimator.ignores_gps and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
 
     @property
@@ -99,36 +111,36 @@ class AutopilotConnection:
         """Why no position is sent, for people; "" while one is, and without a link."""
         if self.state != "up":
             return ""
-        return DOUBLED if self.vehicle.is_doubled else self.positions.why_none(self._clock_ns())
+        return DOUBLED if self.vehicle.is_doubled else self.positions.why_none(self.clock_ns())
 
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self._estimator.gps_is_wrong else ""
+        return "GPS is wrong" if self.estimator.gps_is_wrong else ""
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         own, is_healthy = self.vehicle.position(now_ns), self.vehicle.session.gps.state(now_ns) == "healthy"
-        is_good = is_healthy and not (self.gps_fault or self._estimator.ignores_gps)
+        is_good = is_healthy and not (self.gps_fault or self.estimator.ignores_gps)
         return own.speed_mps if own is not None and is_good and now_ns - own.stamp_ns <= GPS_SPEED_NS else None
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
-        now_ns, verdict, sent = self._clock_ns(), self._gps_news.verdict, self.positions.use.newest
+        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, across_m = level_m(sent.decision.level) if sent else (None, None)
         return LinkStatus(
             state=self.state,
-            connection=self._config.connection,
-            emit=self._config.emit,
+            connection=self.config.connection,
+            emit=self.config.emit,
             lat_deg=position.lat_deg if position else None,
             lon_deg=position.lon_deg if position else None,
             heading_deg=position.heading_deg if position else None,
             speed_mps=self.vehicle.motion.speed_mps(now_ns),
             gps=gps.state(now_ns),
             gps_why=gps.why(now_ns),
-            velocity_aid=self._aid.without_gps,
+            velocity_aid=self.velocity_aid.without_gps,
             gps_verdict=verdict.state,
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
@@ -150,7 +162,7 @@ class AutopilotConnection:
 
     def poll(self) -> None:
         """One turn: read what has arrived, and send what is due. Never raises LinkLost."""
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         if self._port.open_if_due(now_ns):
             self._update_state()
             self._receive(now_ns)
@@ -164,29 +176,15 @@ class AutopilotConnection:
 
     def publish_place(self, fix: PlaceFix) -> None:
         """Publish a place on every link: a line of text at most every five seconds, and values to plot."""
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         for link in self._links if self.state == "up" else self._report_links:
             link.publish_place(fix, now_ns)
         self._update_state()
 
-    @property
-    def is_ready_for_home(self) -> bool:
-        """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
-        report = self.vehicle.report(self._clock_ns())
-        is_known = report.position is not None and self._estimator.uncertainty_m(report) is not None
-        return self.state == "up" and is_known and self.vehicle.drives_itself is not None
-
-    def request_home(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
-        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last.
-
-        restore: the mission that it has replaced instead.
-        """
-        self._send(self.home.request(reply, self._clock_ns(), restore=restore))
-
     def position_due(self) -> TimeBase | None:
         """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
         is_known = self.state == "up" and not self.vehicle.is_doubled
-        return self.positions.due(self._clock_ns()) if is_known else None
+        return self.positions.due(self.clock_ns()) if is_known else None
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Send the autopilot a position, by the message of [telemetry] emit and if [gates] allow; True if it was sent.
@@ -195,8 +193,8 @@ class AutopilotConnection:
         """
         if self.position_due() is None:
             return False
-        messages = self.positions.send(fix, self._clock_ns())
-        self._send(messages)
+        messages = self.positions.send(fix, self.clock_ns())
+        self.send(messages)
         return bool(messages)
 
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
@@ -207,7 +205,7 @@ class AutopilotConnection:
     def say_now(self, text: str, severity: int) -> None:
         """Send a heartbeat and a line on every link at once, even where no peer was heard: before the program ends."""
         for link in self._links:
-            link.say_now(text, severity, self._clock_ns())
+            link.say_now(text, severity, self.clock_ns())
         time.sleep(DRAIN_S)
 
     def restore_sources(self) -> None:
@@ -215,21 +213,21 @@ class AutopilotConnection:
 
         Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
-        if self._estimator.ignores_gps:  # it agreed before, and has been called wrong since
+        if self.estimator.ignores_gps:  # it agreed before, and has been called wrong since
             return
         for _ in range(RESTORE_TRIES):
-            messages = self.positions.sources.restore(self._clock_ns()) if self.state == "up" else []
+            messages = self.positions.sources.restore(self.clock_ns()) if self.state == "up" else []
             if not messages:
                 break
-            self._send(messages)
+            self.send(messages)
             time.sleep(DRAIN_S)
-            self._receive(self._clock_ns())
+            self._receive(self.clock_ns())
 
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
         self.restore_sources()
-        abandoned = self.home.abandon(self._clock_ns())
-        self._send(abandoned)
+        abandoned = [message for service in self.services for message in service.abandon(self.clock_ns())]
+        self.send(abandoned)
         if abandoned:
             time.sleep(DRAIN_S)
         for link in self._links:
@@ -246,13 +244,14 @@ class AutopilotConnection:
                 self._answer(message)
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                     self._keep_position(now_ns)
-            self._send(self.home.read(message, now_ns, is_for_us=self._is_for_us(message)))
+            for service in self.services:
+                self.send(service.read(message, now_ns, is_for_us=self._is_for_us(message)))
         self.vehicle.expire(now_ns)
         self._update_state()
 
     def _is_for_us(self, message: Message) -> bool:
         target = getattr(message, "target_system", None), getattr(message, "target_component", None)
-        return target == (self.vehicle.system_id, self._config.component_id)
+        return target == (self.vehicle.system_id, self.config.component_id)
 
     def _keep_position(self, now_ns: int) -> None:
         """With its accuracy: of the receiver behind it, else of the filter."""
@@ -262,7 +261,7 @@ class AutopilotConnection:
             return
         receiver = vehicle.session.gps.behind(own, now_ns)
         source: PositionSource = "dead_reckoning"
-        sigma_m = self._estimator.uncertainty_m(vehicle.report(now_ns))
+        sigma_m = self.estimator.uncertainty_m(vehicle.report(now_ns))
         if vehicle.velocity.has_our_position:
             source = "place_fixes"
         elif receiver is not None:
@@ -270,48 +269,45 @@ class AutopilotConnection:
         self.history.add(replace(own, sigma_m=sigma_m, source=source))
 
     def _answer(self, message: Message) -> None:
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
-        if is_answer and message.target_component not in (0, self._config.component_id):
+        if is_answer and message.target_component not in (0, self.config.component_id):
             return
-        self._send(self.requests.answer(message, now_ns))
+        self.send(self.requests.answer(message, now_ns))
         if is_answer:
             self.positions.read_acknowledgement(message.command, message.result, now_ns)
 
     def _update_aid(self, now_ns: int) -> None:
-        is_by_gps = self.vehicle.session.gps.state(now_ns) == "healthy" and not self._estimator.ignores_gps
+        is_by_gps = self.vehicle.session.gps.state(now_ns) == "healthy" and not self.estimator.ignores_gps
         positions = self.positions
-        self._aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
-
-    def send_velocity(self, speed: CameraSpeed) -> None:
-        """Send the autopilot what the camera measured, if nothing speaks against it."""
-        if self.state == "up":
-            self._send(self._aid.send(speed, self._clock_ns()))
+        self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
     def _send_due(self, now_ns: int) -> None:
-        self._send(self.home.due(now_ns))
+        for service in self.services:
+            self.send(service.due(now_ns))
         if self.state != "up":
             return
         if self.requests.session is not self.vehicle.session:
-            self.requests = Requests(self._config, self.vehicle, asks_attitude=self._asks_attitude)
+            self.requests = Requests(self.config, self.vehicle, asks_attitude=self._asks_attitude)
             self.positions.new_session()
             self.history.clear()
         if self.vehicle.is_doubled != self._was_doubled:
             self._was_doubled = self.vehicle.is_doubled
             why = DOUBLED if self._was_doubled else ""
-            self._record(LinkChanged(self.state, why))
+            self.record(LinkChanged(self.state, why))
             if why:
                 self._warn(f"Lookback: {why}")
-        self._send(self.requests.due(self._clock_ns()))
+        self.send(self.requests.due(self.clock_ns()))
         if self.positions.enabled:
-            self._aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
-        runs_away = not self.vehicle.velocity.is_aided and self._aid.without_gps is not None
+            self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
+        runs_away = not self.vehicle.velocity.is_aided and self.velocity_aid.without_gps is not None
         self._bound.follow(self.positions.use, now_ns, runs_away=runs_away)
-        self._send(self.positions.follow_up(now_ns))
-        self._send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
+        self.send(self.positions.follow_up(now_ns))
+        self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
 
-    def _send(self, messages: list[Message]) -> None:
+    def send(self, messages: list[Message]) -> None:
+        """Send messages to the autopilot, as far as the port takes them."""
         self._people.send(messages)
         if not self._port.is_open:
             self._update_state()
@@ -334,7 +330,7 @@ class AutopilotConnection:
         if before == "closed" and state == "waiting":
             why = str(self._port.connection)
         log.info("link %s %s", state, why)
-        self._record(LinkChanged(state, why))
+        self.record(LinkChanged(state, why))
 
 
 def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: Callable[[], int]) -> Port:

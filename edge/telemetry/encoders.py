@@ -10,7 +10,6 @@ from msgspec import UNSET
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.localization import PlaceFix, ProtectionLevel
-from edge.motion import CameraSpeed
 from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 
@@ -94,45 +93,6 @@ def _position(fix: PlaceFix, sending: Sending) -> tuple[float, float]:
     if not (math.isfinite(sending.boot_s) and math.isfinite(sending.age_s)):
         raise ValueError("a position estimate needs finite times")
     return fix.lat_deg, fix.lon_deg
-
-
-SLIDES, LEAST_SIDEWAYS_MPS = 0.03, 0.2
-"""Sideways and up or down a vehicle moves by 2 degrees of its speed, and as much where it stands as its body rocks."""
-DELTA_US = 100_000  # ArduPilot divides by it again
-LEAST_ERROR_MPS, MOST_ERROR_MPS = 0.1, 0.9  # EK3_VIS_VERR_MIN and _MAX as shipped, which a confidence of 100 and 0 mean
-
-
-def body_odometry(speed: CameraSpeed) -> Message:
-    """ODOMETRY 331 for PX4: a velocity in the frame of the body at `stamp_ns`; nothing else, which is NaN.
-
-    Its time is CLOCK_MONOTONIC, which the answers to TIMESYNC have as well.
-    """
-    sideways = max(SLIDES * abs(speed.speed_mps), LEAST_SIDEWAYS_MPS) ** 2
-    variances = [speed.sigma_mps**2, *[0.0] * 5, sideways, *[0.0] * 4, sideways, *[0.0] * 9]
-    return mavlink.MAVLink_odometry_message(
-        speed.stamp_ns // 1000,
-        mavlink.MAV_FRAME_LOCAL_FRD,
-        mavlink.MAV_FRAME_BODY_FRD,
-        *[math.nan] * 3,
-        [math.nan] * 4,
-        speed.speed_mps,
-        0.0,
-        0.0,
-        *[math.nan] * 3,
-        [math.nan] * 21,
-        variances,
-        estimator_type=mavlink.MAV_ESTIMATOR_TYPE_VISION,
-        quality=100,
-    )
-
-
-def position_delta(speed: CameraSpeed) -> Message:
-    """VISION_POSITION_DELTA 11011 for ArduPilot: how far the body moved and turned; its confidence is the sigma."""
-    share = (MOST_ERROR_MPS - speed.sigma_mps) / (MOST_ERROR_MPS - LEAST_ERROR_MPS)
-    seconds = DELTA_US / 1e6
-    moved, turned = (seconds * speed.speed_mps, 0.0, 0.0), (0.0, 0.0, seconds * speed.turn_radps)
-    confidence = 100 * min(max(share, 0.0), 1.0)
-    return mavlink.MAVLink_vision_position_delta_message(speed.stamp_ns // 1000, DELTA_US, turned, moved, confidence)
 
 
 def describe(fix: PlaceFix) -> str:

@@ -19,8 +19,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
-from edge.journal.records import VelocityChanged
-from edge.motion import CameraSpeed
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
@@ -59,16 +57,8 @@ ON_WINGS = {mavlink.MAV_TYPE_FIXED_WING, *range(mavlink.MAV_TYPE_VTOL_DUOROTOR, 
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 EV_VELOCITY = 1 << 2  # of EKF2_EV_CTRL
-CAMERA_OLDEST_NS = 500_000_000
-"""Of a speed, between its moment and sending: 0.5 m/s at the strongest usual braking of 1 m/s^2."""
 CAMERA_SILENT_NS = 1_000_000_000
 """Without a message for so long, nothing measures the velocity: PX4 stops fusing after that time as well."""
-MOST_SHARE, LEAST_MPS = 0.2, 0.5
-"""One standard deviation, as a share of the speed, or in m/s where that is more: a speed that is less certain is not
-sent. By headlights 95 % of the errors are within 5 %."""
-MOST_SCALE = 0.05
-"""One standard deviation of what all speeds are wrong by alike: GPS of this drive or places must have shown the
-camera's height, since a filter cannot average it out."""
 
 
 class StreamRequests:
@@ -200,16 +190,16 @@ class VelocityAid:
 
     def __init__(self, vehicle: Vehicle, publisher: Publisher, *, sends: bool) -> None:
         """sends: what the camera measures, by [motion] use and [telemetry] emit."""
-        self._vehicle, self._publisher, self._sends = vehicle, publisher, sends
+        self._vehicle, self._publisher, self.sends = vehicle, publisher, sends
         self.without_gps: str | None = None
         """See `velocity_aid`."""
-        self._sent_ns: int | None = None
-        self._why: str | None = None
+        self.sent_ns: int | None = None
+        """When a velocity of the camera was last sent."""
         self._warned: Session | None = None
 
     def is_known(self, now_ns: int) -> bool:
         """Whether anything besides GPS does; the camera of ours only while it sees the road."""
-        is_silent = self._sends and (self._sent_ns is None or now_ns - self._sent_ns > CAMERA_SILENT_NS)
+        is_silent = self.sends and (self.sent_ns is None or now_ns - self.sent_ns > CAMERA_SILENT_NS)
         return self.without_gps not in (None, NO_AID) and not (self.without_gps == VISION and is_silent)
 
     def update(self, source_set: int, now_ns: int, *, is_by_gps: bool, is_needed: bool) -> None:
@@ -220,7 +210,7 @@ class VelocityAid:
         self.without_gps = velocity_aid(self._vehicle, source_set)
         velocity, is_px4 = self._vehicle.velocity, self._vehicle.session.autopilot == PX4
         velocity.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
-        velocity.is_aided_by_camera = is_px4 and not is_by_gps and self._sends and self.without_gps == VISION
+        velocity.is_aided_by_camera = is_px4 and not is_by_gps and self.sends and self.without_gps == VISION
 
     def warn_without(self, *, all_came: bool) -> None:
         """Once in a session, where none is known. all_came: whether no further parameter will."""
@@ -231,31 +221,6 @@ class VelocityAid:
             is_known = self.without_gps == NO_AID
             words = "the autopilot has no velocity aid" if is_known else "velocity aid not known, assuming none"
             self._publisher.warn(f"Lookback: {words}")
-
-    def send(self, speed: CameraSpeed, now_ns: int) -> list[Message]:
-        """What the camera measured, as this firmware takes it; nothing where something speaks against it."""
-        if not self._sends:
-            return []
-        why = self._refusal(speed, now_ns)
-        if why != self._why:
-            self._why = why
-            self._publisher.record(VelocityChanged(is_sent=not why, why=why))
-        if why:
-            return []
-        self._sent_ns = now_ns
-        encode = encoders.body_odometry if self._vehicle.session.autopilot == PX4 else encoders.position_delta
-        return [encode(speed)]
-
-    def _refusal(self, speed: CameraSpeed, now_ns: int) -> str:
-        if self._vehicle.session.autopilot not in (ARDUPILOT, PX4) or self._vehicle.is_doubled:
-            return "no autopilot that uses it"
-        if self.without_gps != VISION:
-            return "the autopilot's parameters do not use it"
-        if not 0 <= now_ns - speed.stamp_ns <= CAMERA_OLDEST_NS:
-            return "too old"
-        if speed.sigma_mps > max(MOST_SHARE * abs(speed.speed_mps), LEAST_MPS):
-            return "too uncertain"
-        return "the camera's height is not known well enough" if speed.scale_share > MOST_SCALE else ""
 
 
 def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.feed import Feed
-from edge.layers import LIGHTS
 from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
+from plugins.layers import LIGHTS
 from sim.calibration.offset import Offset
 from sim.evaluation.recognition import Judged, Recognition
 from sim.traverse import driven_m

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from edge.config import HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
 from edge.errors import ConfigError, LinkLost
-from edge.mission import Start, WayHome, plan_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.home_requests import Answer, Plan
 from edge.telemetry.link import parse_connection
-from edge.telemetry.local_socket import Request
+from plugins.home import Start, WayHome, plan_way_home
+from plugins.home.home_requests import Answer, HomeRequests, Plan
+from plugins.home.local_socket import Request
 from sim.home.client import ask_for_home
 from sim.home.files import encoder_of, write_way_home
 
@@ -110,16 +110,17 @@ def _start(text: str | None) -> Start | None:
 def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
     """Upload it over a link of our own, which the daemon must not have."""
     parse_connection(connection, "--upload")
-    link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""), home=config)
+    link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""))
+    home = HomeRequests(config, link)
     answers: list[Answer] = []
     with closing(link):
-        link.home.plan = plan
+        home.plan = plan
         deadline_s = time.monotonic() + CONNECT_S
-        while not link.is_ready_for_home:
+        while not home.is_ready:
             if time.monotonic() > deadline_s:
                 raise LinkLost(f"{connection}: {link.why_closed or 'no autopilot that knows its position answers'}")
             _turn(link)
-        link.request_home(answers.append)
+        home.ask(answers.append)
         while not answers[-1].is_final:
             _turn(link)
     print(answers[-1].text)

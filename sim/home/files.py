@@ -11,8 +11,8 @@ import msgspec
 from edge.config import HomeConfig
 from edge.errors import ConfigError
 from edge.files import replacing
-from edge.mission import MissionItem, WayHome, mission_items
-from edge.mission.way_home import FRAME_RELATIVE_ALT
+from plugins.home import MissionItem, WayHome, mission_items
+from plugins.home.way_home import FRAME_RELATIVE_ALT
 from sim.ground_files import GroundLine, as_geojson
 from sim.output import refusing
 

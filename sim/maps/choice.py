@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.layers import NEEDED, REACH_M, Stretch
 from edge.reference_map import ReferenceMap
+from plugins.layers import NEEDED, REACH_M, Stretch
 from sim.maps.use import Use
 
 FIRST = 10.0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.oak import OakSource, import_depthai
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from plugins.cameras.oak import OakSource, import_depthai
 
 
 def index_of(image: NDArray[np.uint8]) -> int:

@@ -22,11 +22,11 @@ import numpy as np
 import pytest
 
 from edge.camera import Frame, open_camera
-from edge.camera.command_output import CommandOutput
 from edge.camera.newest import NewestFrame
-from edge.camera.stream import StreamCamera, StreamClock, open_source, size_difference
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
+from plugins.cameras.command_output import CommandOutput
+from plugins.cameras.stream import StreamCamera, StreamClock, open_source, size_difference
 from tests.camera.conftest import index_of
 
 pytest.importorskip("av")

@@ -15,9 +15,9 @@ import pytest
 
 from edge.camera import open_camera
 from edge.camera.newest import NewestFrame
-from edge.camera.stream import StreamCamera
 from edge.config import CameraConfig
 from edge.errors import CameraLost
+from plugins.cameras.stream import StreamCamera
 
 pytest.importorskip("av")
 

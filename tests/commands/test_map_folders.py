@@ -15,16 +15,16 @@ import pytest
 import tomli_w
 
 from edge.__main__ import main
-from edge.commands.doctor import examine
 from edge.config import MapConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.journal.records import MapExcluded, PlaceFix
-from edge.layers import read_tallies
-from edge.page import map_view
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_folder import SIGNATURE, open_map_set
 from edge.reference_map.store import DESCRIPTORS, open_map
+from plugins.doctor.command import examine
+from plugins.layers import read_tallies
+from plugins.page import map_view
 from sim.evaluation.replay import config_for_map, replay
 from sim.journal import records_of
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from edge.config import MappingConfig, SamplingConfig
-from edge.mapping import LiveMap, LogHeader
 from edge.reference_map import ModelKey, RegionsKey
+from plugins.mapping import LiveMap, LogHeader
 from tests.faults.mapping_loop import GPS
 
 DIMENSIONS = 128

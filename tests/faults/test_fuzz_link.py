@@ -20,8 +20,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.localization import PlaceFix, PositionEstimator
-from edge.mission import WayHome
 from edge.telemetry.autopilot import AutopilotConnection
+from plugins.home import WayHome
+from plugins.home.home_requests import HomeRequests
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -210,8 +211,9 @@ class Turns:
         home = HomeConfig(enabled=True, speed_mps=2.5)
         gates = GatesConfig(with_gps=True, risk=1.0)
         self.estimator = PositionEstimator(Config(gates=gates))
-        self.link = AutopilotConnection(config, self.clock_ns, gates=gates, home=home, estimator=self.estimator)
-        self.link.home.plan = lambda start: WAY
+        self.link = AutopilotConnection(config, self.clock_ns, gates=gates, estimator=self.estimator)
+        self.home = HomeRequests(home, self.link)
+        self.home.plan = lambda start: WAY
         self.autopilot: SimulatedAutopilot | None = None
         if self.stranger.cable is not None:
             pose = Pose(0.0, 0.0, 0.0, 5.0, 0.0)
@@ -234,7 +236,7 @@ class Turns:
             self._ahead_ns += round(value * 1e9)
         elif what == "home":
             with self._timed():
-                self.link.request_home(lambda answer: None, restore=value)
+                self.home.ask(lambda answer: None, restore=value)
         else:
             self.stranger.go()
         self.turn()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sim.maps.exchange import write_delta
-from tests.layers.drives import MADE_S, Driven, build
+from tests.plugins.layers.drives import MADE_S, Driven, build
 
 KILLS = pytest.mark.parametrize("kills", [20, pytest.param(200, marks=pytest.mark.soak)])
 

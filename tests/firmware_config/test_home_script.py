@@ -20,11 +20,11 @@ pytest.importorskip("lupa")
 from lupa import lua53
 
 from edge.config import HomeConfig
-from edge.mission import plan_way_home
 from edge.reference_map import open_map_set
 from edge.telemetry.codec import MavlinkCodec
-from tests.mission.test_way_home import straight
-from tests.telemetry.home_requests import DRIVING_ITSELF
+from plugins.home import plan_way_home
+from tests.plugins.home.home_requests import DRIVING_ITSELF
+from tests.plugins.home.test_way_home import straight
 from tests.telemetry.rig import Rig
 
 SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
@@ -394,7 +394,7 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
     """
     rig = Rig(tmp_path, home=HomeConfig(enabled=True))
     maps = open_map_set(map_along(straight(400.0, 60.0)))
-    rig.connection.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
+    rig.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
     scripting = Scripting(LKH_ENABLE=1, LKH_MODE=AUTO)
     read = 0
 

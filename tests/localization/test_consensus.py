@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, DescriptorConfig
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.reference_map import Drives, ModelKey
-from edge.reference_map.builder import Place
 from edge.sequence import Direction
+from plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 SETTINGS = ConsensusSettings()

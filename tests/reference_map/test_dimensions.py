@@ -10,11 +10,11 @@ import pytest
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics
 from edge.reference_map import MapSet, ModelKey, open_map
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import Moment, StateFile, StateKey
+from plugins.mapping.builder import MapBuilder, Place
 from sim.maps.shrinking import shrink_to
 
 PLACES, LENGTH = 40, 10

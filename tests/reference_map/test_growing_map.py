@@ -14,9 +14,11 @@ from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.map_agreement import as_uncertain
-from edge.reference_map import COST_ONE, GrowingMap, MapBuilder, MapSet, ModelKey, Place, RegionsKey, Route, open_map
+from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route, open_map
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
+from plugins.mapping.builder import MapBuilder, Place
+from plugins.mapping.growing_map import GrowingMap
 
 DIMENSIONS, SPACING_M = 256, 2.0
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)

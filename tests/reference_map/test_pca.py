@@ -10,9 +10,9 @@ import pytest
 from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.costs import COST_ONE, CostMatcher, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
+from plugins.mapping.builder import MapBuilder, Place
 from sim.maps.shrinking import principal_directions, shrink_to
 
 DIMENSIONS = 64

@@ -21,7 +21,6 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import MapSet, Route, open_map, open_map_set
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.checksums import FileKey, check_files, pieces_checked, sha256_of
 from edge.reference_map.costs import encode
 from edge.reference_map.place_records import ASSUMED_SIGMA_M, PLACE, PLACE_OF_FORMAT_3
@@ -35,6 +34,7 @@ from edge.reference_map.store import (
     open_unverified,
     read_header,
 )
+from plugins.mapping.builder import MapBuilder, Place
 from sim.maps.command import add_map
 from sim.maps.shrinking import shrink_to
 

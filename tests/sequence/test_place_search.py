@@ -13,12 +13,12 @@ import pytest
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import PlaceSearch, is_regular
 from edge.sequence.submap import SLICE_SHARE
+from plugins.mapping.builder import MapBuilder, Place
 
 PLACES, LENGTH, LIMIT = 6000, 10, 800
 DEGREES_A_METRE = 1 / 110_800

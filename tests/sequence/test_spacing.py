@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.feed.sampling import Steps
 from edge.reference_map import ModelKey
-from edge.reference_map.builder import Place
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
+from plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 LENGTH_M, DIMENSIONS, NOISE = 600, 96, 1.0

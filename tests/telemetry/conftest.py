@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from edge.mission import Start, WayHome, plan_way_home
-from edge.reference_map import open_map_set
-from tests.telemetry.home_requests import ENABLED
-from tests.telemetry.rig import START_NS, OpenRig, Rig
+from tests.telemetry.rig import OpenRig, Rig
 
 
 @pytest.fixture
@@ -33,31 +29,3 @@ def open_rig(tmp_path: Path) -> Iterator[OpenRig]:
 def rig(open_rig: OpenRig, request: pytest.FixtureRequest) -> Rig:
     """A connection in `report`, or with the options that an indirect parameter gives."""
     return open_rig(**getattr(request, "param", {}))
-
-
-@pytest.fixture
-def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
-    """A connection whose vehicle drives along the map, with some way behind it and its position known."""
-    along_m = np.arange(-40.0, 400.0, 2.0)[:, None]
-    bend_m = 10 * np.sin(along_m / 60)
-    course = np.array([np.sin(np.radians(60)), np.cos(np.radians(60))])
-    maps = open_map_set(map_along(along_m * course + bend_m * [-course[1], course[0]]))
-
-    def open_one(**options: Any) -> Rig:
-        config = options.setdefault("home", ENABLED)
-        rig = open_rig(**options)
-
-        def plan(start: Start) -> WayHome:
-            # The simulated vehicle drives away from home, which is only a warning.
-            return plan_way_home(maps, start, config)
-
-        rig.connection.home.plan = plan
-        assert rig.run(12.0, lambda: rig.connection.is_ready_for_home and rig.now_ns > START_NS + 9e9)
-        return rig
-
-    return open_one
-
-
-@pytest.fixture(params=["ardupilot", "px4"])
-def home(open_home: OpenRig, request: pytest.FixtureRequest) -> Rig:
-    return open_home(firmware=request.param)

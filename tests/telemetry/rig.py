@@ -12,6 +12,7 @@ from edge.journal.journal import Journal
 from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
+from plugins.home.home_requests import HomeRequests
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
@@ -97,10 +98,10 @@ class Rig:
             lambda: self.now_ns,
             self.journal.write,
             self._gates,
-            self._home,
             self.estimator,
             motion=self._motion,
         )
+        self.home = HomeRequests(self._home, self.connection)
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""

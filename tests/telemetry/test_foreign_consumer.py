@@ -26,14 +26,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.localization import PlaceFix, PositionEstimator
-from edge.mission import MissionItem
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import UNBOUNDED_M
 from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
-from edge.telemetry.mission_transfer import MissionTransfer
+from plugins.home import MissionItem
+from plugins.home.mission_transfer import MissionTransfer
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 

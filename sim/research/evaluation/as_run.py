@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig, SequenceConfig
 from edge.reference_map import ModelKey
-from edge.reference_map.builder import NAN, Place
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
+from plugins.mapping.builder import NAN, Place
 from sim.research.evaluation.matching import Matches, gathered
 from sim.research.evaluation.plan import Pair
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config, MapConfig
 from edge.descriptor.network import Network
-from edge.layers import learn_command
 from edge.recognizer import model_key, open_recognizer
 from edge.sequence import Travel
+from plugins.layers import learn_command
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.simulated_map import SPACING_M, write_simulated_map
 from sim.bench.timing import time_ms, wall_ns

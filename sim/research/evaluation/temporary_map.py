@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import RegionsKey, open_map
+from plugins.mapping.builder import MapBuilder, Place
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
+from plugins.mapping.builder import MapBuilder, Place
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config

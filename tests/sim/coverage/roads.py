@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.reference_map import MapSet, open_map_set
-from edge.reference_map.builder import MapBuilder, Place
 from edge.reference_map.store import ModelKey, RegionsKey
+from plugins.mapping.builder import MapBuilder, Place
 
 
 def walk(places: int, rng: np.random.Generator, dimensions: int = 256) -> NDArray[np.float32]:

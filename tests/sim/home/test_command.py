@@ -16,7 +16,7 @@ from edge.telemetry import open_link
 from sim import geodetic
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
-from tests.mission.test_way_home import straight
+from tests.plugins.home.test_way_home import straight
 
 MapAlong = Callable[..., Path]
 

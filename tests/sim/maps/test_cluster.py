@@ -17,7 +17,8 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import FeedOptions
 from edge.recognizer import model_key
-from edge.reference_map import MapBuilder, RegionsKey, read_header
+from edge.reference_map import RegionsKey, read_header
+from plugins.mapping.builder import MapBuilder
 from sim.maps.describing import Work, add_by_cluster
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")

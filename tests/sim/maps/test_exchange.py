@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from edge.__main__ import main
-from edge.layers import TALLIES, read_tallies
 from edge.reference_map import open_map_set
+from plugins.layers import TALLIES, read_tallies
 from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.keys import make_key, sign_map
 from sim.maps.learning import learn
-from tests.layers.drives import MADE_S, Driven, build, count
+from tests.plugins.layers.drives import MADE_S, Driven, build, count
 
 
 def content(folder: Path) -> dict[str, str]:

@@ -11,16 +11,16 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import Config
-from edge.layers import StoredMap, read_tallies
-from edge.page.snapshot import map_view
 from edge.reference_map import open_map, open_map_set
 from edge.reference_map.learned import LEARNED_FILE
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
+from plugins.layers import StoredMap, read_tallies
+from plugins.page.snapshot import map_view
 from sim.maps.keys import is_signed_with, make_key, sign_map
 from sim.maps.learning import learn
 from sim.maps.use import HALF_LIFE
-from tests.layers.drives import MADE_S, Driven, build, count
+from tests.plugins.layers.drives import MADE_S, Driven, build, count
 
 GAP = [row for row in range(200) if not 40 <= row < 160]
 

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from edge.__main__ import main
 from edge.config import HomeConfig
 from edge.geodesy import east_north
-from edge.mission import plan_way_home
 from edge.reference_map import LearnedFolder, Route, open_map_set
 from edge.reference_map.learned import POSITIONS
+from plugins.home import plan_way_home
 from sim.maps.learning import Lesson, learn
-from tests.layers.drives import MADE_S, SPACING_M, Driven, build
+from tests.plugins.layers.drives import MADE_S, SPACING_M, Driven, build
 
 
 def learned(folder: Path) -> Lesson:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.research.evaluation.learning_frames import Learning, table
-from tests.layers.drives import Driven, build
+from tests.plugins.layers.drives import Driven, build
 
 
 def _state(pid: int) -> str:

@@ -1,0 +1,14 @@
+"""What only some vehicles need: each part is opened by the daemon where the config asks for it (`edge.plugin`).
+
+    cameras/    [camera] kind: OAK, network streams, output of a command
+    motion/     [motion]: the vehicle's speed from the ground that two pictures show
+    layers/     drives over one road: what each was good for, and learning which are searched
+    mapping/    how maps are made; [mapping]: the drive becomes one while it is driven
+    recording/  [recording], and `lookback record`
+    home/       [home]: a drive of the map reversed into a mission, on request
+    ros2/       [ros2]: places, positions and state by DDS; odometry from there
+    page/       [page]: the live page, and metrics for Prometheus
+    doctor/     `lookback doctor`: what is wrong with config, devices and the vehicle
+
+A plug-in uses `edge` and those above it; `edge` and `sim` know of it by its name in a table alone, or as a user would.
+"""

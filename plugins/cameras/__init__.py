@@ -1,0 +1,1 @@
+"""Cameras of an extra: `oak`, `stream`, and `command_output`, which a stream may come from."""

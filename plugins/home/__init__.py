@@ -1,0 +1,16 @@
+"""The way home: a drive of a reference map, reversed into a mission that an autopilot can follow. Pure.
+
+`drive_line`  the positions of one drive of a map, as a line on the ground, and fewer points of it
+`passes`      which pass of that drive the vehicle is on
+`way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome; and that as items
+              of a MAVLink mission, as ArduPilot or PX4 number them
+`checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
+
+Nothing in here communicates with an autopilot: `edge.telemetry` uploads missions.
+"""
+
+from __future__ import annotations
+
+from plugins.home.way_home import MissionItem, Start, WayHome, mission_items, plan_way_home
+
+__all__ = ["MissionItem", "Start", "WayHome", "mission_items", "plan_way_home"]

@@ -1,0 +1,329 @@
+"""`lookback doctor` against a simulated autopilot on a pty, and with each thing missing in turn."""
+
+from __future__ import annotations
+
+import json
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from edge.__main__ import main
+from edge.journal.journal import Journal
+from edge.journal.records import LinkChanged, StateChanged
+from plugins.doctor.command import examine
+from plugins.doctor.findings import Finding
+from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.command import straight_line
+from sim.vehicle.pty_link import PtyLink, open_pty
+
+ARDUPILOT = {
+    "AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0, "ARMING_CHECK": 1.0, "FLOW_TYPE": 0.0, "VISO_TYPE": 0.0,
+    "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC2_POSXY": 0.0, "EK3_SRC2_VELXY": 0.0,
+    "WENC_TYPE": 0.0, "WENC_POS_Y": 0.0, "WENC_RADIUS": 0.05, "WENC_CPR": 3200.0,
+}  # fmt: skip
+PX4 = (*(f"EKF2_{name}_CTRL" for name in ("AGP0", "EV", "OF", "OF0")), "EKF2_AGP0_ID", "EKF2_GPS_MODE")
+DEFAULTS = {
+    "ardupilot": {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in ARDUPILOT.items()},
+    "px4": dict.fromkeys(PX4, (0.0, mavlink.MAV_PARAM_TYPE_INT32)),
+}
+"""What a test does not set is answered as well, as by a real autopilot, so that doctor need not wait for it."""
+WHEELS = {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 1.0, "WENC_POS_Y": -0.2, "WENC_RADIUS": 0.1, "WENC_CPR": 3200.0}
+
+
+@pytest.fixture
+def fly() -> Iterator[Callable[..., str]]:
+    """Starts a simulated autopilot with some parameters; gives the connection to it."""
+    stop = threading.Event()
+    threads: list[threading.Thread] = []
+    links: list[PtyLink] = []
+
+    def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot") -> str:
+        links.append(open_pty())
+        autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
+        autopilot.parameters = DEFAULTS[firmware] | parameters
+        threads.append(threading.Thread(target=autopilot.run, args=(stop,)))
+        threads[-1].start()
+        return f"serial:{links[-1].device}:921600"
+
+    yield start
+    stop.set()
+    for thread in threads:
+        thread.join()
+    for link in links:
+        link.close()
+
+
+@pytest.fixture(scope="module")
+def street(make_street: Callable[..., Path]) -> Path:
+    return make_street()
+
+
+@pytest.fixture
+def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
+    def write(**sections: dict[str, Any]) -> Path:
+        config: dict[str, dict[str, Any]] = {
+            "camera": {"kind": "feed", "device": str(street / "feed")},
+            "map": {"path": str(street / "map")},
+            "telemetry": {"connection": f"serial:{tmp_path}/none:57600", "journal": str(tmp_path / "events.jsonl")},
+        }
+        for name, keys in sections.items():
+            config.setdefault(name, {}).update(keys)
+        (tmp_path / "lookback.toml").write_text(tomli_w.dumps(config))
+        return tmp_path / "lookback.toml"
+
+    return write
+
+
+def told(findings: list[Finding], what: str, level: str) -> str:
+    """The words of all findings of that kind, with what to do."""
+    return " | ".join(f"{one.words} -> {one.remedy}" for one in findings if (one.what, one.level) == (what, level))
+
+
+def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path) -> None:
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    values = {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 7.0, "EK3_SRC1_POSXY": 3.0, **WHEELS}
+    connection = fly({name: (value, real) for name, value in values.items()})
+    config = write_config(telemetry={"connection": connection, "emit": "external_position"}, motion={"use": "report"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert [one for one in findings if one.level == "bad"] == []
+    assert "ArduPilot 4." in told(findings, "autopilot", "good")
+    assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
+    assert "EK3_SRC1_POSXY = 3, GPS" in told(findings, "parameter", "good")
+    assert "WENC_POS_Y = -0.2" in told(findings, "parameter", "good")
+    assert "velocity without GPS: wheel encoders" in told(findings, "autopilot", "good")
+    assert "80 places, all checksums match" in told(findings, "map", "good")
+    assert "160 x 120 pixels" in told(findings, "camera", "good")
+    assert "two regions take" in told(findings, "model", "good")
+    assert "30% of the picture are ground" in told(findings, "motion", "good")
+    assert "speeds up to 36 m/s" in told(findings, "motion", "good")
+    assert "height is not known yet -> drive 40 m with GPS" in told(findings, "motion", "note")
+
+
+def test_a_wrong_parameter_says_why_and_what_to_set(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (0.0, real)})
+    config = write_config(telemetry={"connection": connection, "emit": "auto"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    words = told(findings, "parameter", "bad")
+    assert "AHRS_OPTIONS = 0: else a rover" in words
+    assert "set its bits 3" in words
+
+
+@pytest.mark.parametrize(
+    ("emit", "values", "words"),
+    [
+        (
+            "external_position",
+            {"EK3_SRC1_POSXY": 0.0, **WHEELS},
+            "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it -> set it to 3",
+        ),
+        (
+            "external_position",
+            {**WHEELS, "WENC_POS_Y": 0.0},
+            "WENC_POS_Y = 0: wheel encoders give no speed with 0 -> measure it",
+        ),
+        (
+            "external_position",
+            {"EK3_SRC1_VELXY": 3.0},
+            "no velocity aid: without GPS the autopilot cannot hold its position between fixes -> fit wheel encoders",
+        ),
+        (
+            "external_position",
+            {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 0.0},
+            "no velocity aid: without GPS the autopilot cannot hold its position between fixes",
+        ),
+    ],
+)
+def test_sources_that_do_not_fit_are_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path, emit: str, values: Any, words: str
+) -> None:
+    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()})
+    config = write_config(telemetry={"connection": connection, "emit": emit})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert words in f"{told(findings, 'parameter', 'bad')} | {told(findings, 'autopilot', 'bad')}"
+
+
+def test_a_px4_that_nothing_but_gps_gives_a_velocity(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    connection = fly({"EKF2_EV_CTRL": (0.0, mavlink.MAV_PARAM_TYPE_INT32)}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "auto"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert "no velocity aid" in told(findings, "autopilot", "bad")
+    assert "px4_velocity_aid.params" in told(findings, "autopilot", "bad")
+
+
+def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    values = {"EKF2_EV_CTRL": 0.0, "EKF2_GPS_MODE": 0.0}
+    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "send"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
+    assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
+
+
+def test_integers_of_px4_come_as_bytes(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    kind = mavlink.MAV_PARAM_TYPE_INT32
+
+    def as_float(number: int) -> float:
+        return float(struct.unpack("<f", struct.pack("<i", number))[0])
+
+    connection = fly({"EKF2_AGP0_CTRL": (as_float(1), kind), "EKF2_AGP0_ID": (as_float(2), kind)}, "px4")
+    config = write_config(telemetry={"connection": connection, "emit": "global_position_sensor"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert "EKF2_AGP0_CTRL = 1" in told(findings, "parameter", "good")
+    assert "EKF2_AGP0_ID = 2: it must equal [telemetry] sensor_id -> set it to 1" in told(findings, "parameter", "bad")
+
+
+def test_no_port_no_camera_no_map(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"}, map={"path": str(tmp_path / "none")})
+    findings = list(examine(config, 0.3, tmp_path / "dev"))
+    assert "no such port; is the autopilot plugged in?" in told(findings, "autopilot", "bad")
+    assert "/dev/no-camera: No such file" in told(findings, "camera", "bad")
+    assert "no such map" in told(findings, "map", "bad")
+    assert "lookback map build FEED -o" in told(findings, "map", "bad")
+
+
+def test_a_silent_port(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    link = open_pty()
+    try:
+        config = write_config(telemetry={"connection": f"serial:{link.device}:57600"})
+        findings = list(examine(config, 0.3, tmp_path / "dev"))
+        assert "no heartbeat in 0.3 s -> check the wires" in told(findings, "autopilot", "bad")
+    finally:
+        link.close()
+
+
+def test_a_silent_network(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(telemetry={"connection": "udp:127.0.0.1:9"})
+    found = told(list(examine(config, 0.1, dev=tmp_path / "dev")), "autopilot", "bad")
+    assert "no heartbeat in 0.1 s -> check that a program sends MAVLink 2 to this address" in found
+
+
+def test_devices_and_rights(tmp_path: Path) -> None:
+    dev = tmp_path / "dev"
+    (dev / "v4l/by-id").mkdir(parents=True)
+    (dev / "v4l/by-id/usb-cam-video-index0").touch()
+    (dev / "v4l/by-id/usb-gone-video-index0").symlink_to(tmp_path / "unplugged")
+    findings = list(examine(None, 0.0, dev))
+    assert "usb-cam-video-index0: present and accessible" in told(findings, "camera", "good")
+    assert "usb-gone-video-index0: a link to a device that is gone -> unplug" in told(findings, "camera", "note")
+
+
+def test_a_wrong_config_is_a_finding_and_the_rest_is_still_looked_at(tmp_path: Path) -> None:
+    (tmp_path / "lookback.toml").write_text("[camera]\nfsp = 3\n")
+    findings = list(examine(tmp_path / "lookback.toml", 0.0, tmp_path / "dev"))
+    assert "unknown key `fsp`" in told(findings, "config", "bad")
+    assert told(findings, "clock", "good")
+
+
+def test_a_recorded_feed_needs_no_camera(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(), 0.1, dev=tmp_path / "dev"))
+    if not any("OAK device" in one.words for one in findings):
+        assert '[camera] kind = "feed" needs none' in told(findings, "camera", "good")
+
+
+def test_a_config_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "nowhere.toml"]) == 1
+    printed = capsys.readouterr().out
+    assert "name the config file of `lookback run`" in printed
+    assert printed.endswith(" to fix, marked BAD, before `lookback run` can do all of its work\n")
+
+
+def test_what_is_tried_again_is_not_logged_as_well(
+    write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    main(["doctor", str(write_config()), "--seconds", "0.1"])
+    assert "none: no such port" in capsys.readouterr().out
+    assert caplog.records == []
+
+
+def test_json_and_the_exit_code(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", str(write_config()), "--json", "--seconds", "0.1"]) == 1
+    findings = json.loads(capsys.readouterr().out)
+    assert {"level", "what", "words", "remedy"} == set(findings[0])
+    assert any(one["what"] == "autopilot" and one["level"] == "bad" for one in findings)
+
+
+def test_printed_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["doctor"])
+    assert "lookback doctor CONFIG; `lookback config > lookback.toml` writes one" in capsys.readouterr().out
+
+
+def test_check_needs_a_config(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", "--offline"])
+    assert ended.value.code == 2
+    assert "name a config file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "words"),
+    [
+        ("camera", {"kind": "usb"}, "[camera] kind: unknown camera 'usb'; use one of v4l2, oak, stream, feed, sim"),
+        (
+            "telemetry",
+            {"connection": "udp://127.0.0.1:14550"},
+            "[telemetry] connection: 'udp://127.0.0.1:14550' is not",
+        ),
+    ],
+)
+def test_offline_finds_what_a_run_would_end_with(
+    write_config: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+    section: str,
+    values: dict[str, str],
+    words: str,
+) -> None:
+    assert main(["doctor", "--offline", str(write_config(**{section: values}))]) == 78
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """The port and the camera of this config are not there, and only the links' own words are checked."""
+    config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
+    assert main(["doctor", "--offline", str(config)]) == 0
+    kinds = {line[6:].split()[0] for line in capsys.readouterr().out.splitlines() if line[:4] in ("ok  ", "BAD ")}
+    assert kinds == {"config", "model", "map", "sampling", "link"}
+
+
+def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(), 0.1, tmp_path / "dev"))
+    assert not [one for one in findings if one.what == "way home"]
+    findings = list(examine(write_config(home={"enabled": True}), 0.1, tmp_path / "dev"))
+    assert "back along drive 1 (feed), 2 waypoints for 80 places" in told(findings, "way home", "good")
+    findings = list(examine(write_config(home={"enabled": True, "max_gap_m": 1.0}), 0.1, tmp_path / "dev"))
+    assert told(findings, "way home", "good") == ""
+    assert "from 0 m to 158 m: no position for 2 m; max_gap_m is 1 -> docs/home.md" in told(
+        findings, "way home", "note"
+    )
+
+
+def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
+    assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")
+    assert told(findings, "autopilot", "bad") == ""
+
+
+def test_the_words_of_the_last_run(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config()
+    assert not told(list(examine(config, 0.1, offline=True)), "last run", "note")
+    with closing(Journal(tmp_path / "events.jsonl", unix_time_s=lambda: 1.8e9)) as journal:
+        journal.write(StateChanged("on the map"))
+        journal.write(StateChanged("off the map", "not recognized for 100 m"))
+        journal.write(LinkChanged("up"))
+    words = told(list(examine(config, 0.1, offline=True)), "last run", "note")
+    assert words.startswith("the last run was at 2027-01-1") and ": off the map: not recognized for 100 m" in words

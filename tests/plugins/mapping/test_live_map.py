@@ -1,0 +1,394 @@
+"""The map of this drive: what enters it, what of it is searched, and what the next start makes of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.__main__ import main
+from edge.config import HomeConfig, MappingConfig, SamplingConfig
+from edge.geodesy import VehiclePosition
+from edge.reference_map import Learned, LearnedFolder, MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
+from plugins.home import plan_way_home
+from plugins.layers import KEEP_FILE, DriveTally, delete_oldest, read_tallies, stored_maps
+from plugins.mapping import LiveMap, LogHeader
+from plugins.mapping.builder import MapBuilder, Place
+from plugins.mapping.place_log import OpenLog, logs_in
+from tests.plugins.layers.drives import count
+
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
+IMAGE = np.full((48, 64, 3), 120, np.uint8)
+GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="rtk_fixed")
+START_S = 1_790_000_000.0
+
+
+def raw_of(row: int) -> NDArray[np.float32]:
+    return np.maximum(np.random.default_rng(row).normal(size=(2, 32)), 0).astype(np.float32)
+
+
+def live(folder: Path, unix_s: float = START_S, **changes: object) -> LiveMap:
+    config = MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=50.0)
+    for key, value in changes.items():
+        config = type(config)(**{**{name: getattr(config, name) for name in config.__struct_fields__}, key: value})
+    return LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", lambda: unix_s)
+
+
+def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) -> None:
+    """Places every 2 m, each moved on by its row, no faster than the disk takes them."""
+    for row in rows:
+        at = None if position is None else replace(position, lat_deg=position.lat_deg + row * 2 / 110_800)
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0)
+        while mapped.waiting > 8:
+            os.sched_yield()
+
+
+def test_places_become_searchable_a_fixed_distance_behind(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    drive(mapped, range(40))
+    assert mapped.status.state == "mapping"
+    assert mapped.newly_searchable(78.0) is None, "only 15 are 50 m behind"
+    so_far = mapped.newly_searchable(82.0)
+    assert so_far is not None
+    assert so_far.header.places == 17
+    assert mapped.newly_searchable(90.0) is None
+    assert so_far.places["position_sigma_m"].tolist() == [1.5] * 17
+    mapped.close()
+
+
+@pytest.mark.parametrize(
+    ("position", "keys", "why"),
+    [
+        (None, {}, "the autopilot has no position"),
+        (replace(GPS, source="dead_reckoning"), {}, "no GPS"),
+        (replace(GPS, source="dead_reckoning", sigma_m=None), {"without_gps": "continue"}, "the accuracy"),
+        (replace(GPS, source="dead_reckoning", sigma_m=40.0), {"without_gps": "continue"}, ""),
+        (replace(GPS, source="place_fixes"), {"without_gps": "continue"}, "rests on recognized places"),
+        (replace(GPS, source="unknown"), {"without_gps": "continue"}, "no GPS"),
+        (replace(GPS, sigma_m=8.0), {}, "not known to 5 m"),
+        (replace(GPS, sigma_m=None), {}, "not known to 5 m"),
+    ],
+)
+def test_what_is_no_truth_enters_no_map(
+    tmp_path: Path, position: VehiclePosition | None, keys: dict[str, Any], why: str
+) -> None:
+    mapped = live(tmp_path, **keys)
+    mapped.add(raw_of(0), IMAGE, position, 0.0)
+    assert mapped.status.places == (not why)
+    assert why in mapped.status.why
+    mapped.close()
+    assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
+
+
+def test_gps_that_the_places_call_wrong_enters_no_map(tmp_path: Path) -> None:
+    mapped = live(tmp_path, without_gps="continue")
+    mapped.add(raw_of(0), IMAGE, GPS, 0.0, "GPS is wrong by 40 m north")
+    assert (mapped.status.places, mapped.status.why) == (0, "GPS is wrong by 40 m north")
+    mapped.close()
+
+
+def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
+    """By 2 m/s at 8 m/s to 100 m; also once it stays there, until the odometer begins again."""
+    mapped = live(tmp_path)
+    states = []
+    for row in range(500):
+        off_m = min(100.0, max(0.0, (row - 150) * 2.0 / 8.0 * 2.0))
+        at = replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800, lon_deg=GPS.lon_deg + off_m / 75_600)
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0)
+        states.append(mapped.status.state)
+        while mapped.waiting > 8:
+            os.sched_yield()
+    first = states.index("waiting")
+    assert 150 < first < 200
+    assert states[first + 20 :] == ["waiting"] * (480 - first)
+    assert mapped.status.why == "GPS moves otherwise than the vehicle"
+    mapped.interrupt()
+    mapped.add(raw_of(500), IMAGE, at, 1000.0)
+    assert mapped.status.state == "mapping"
+    mapped.close()
+
+
+def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    for row, missed in ((0, 0), (1, 0), (5, 3), (6, 0), (48, 41), (49, 0)):
+        at = replace(GPS, lat_deg=GPS.lat_deg + row * 1e-5, lon_deg=180.0 - 2e-5 + row * 1e-5)
+        at = replace(at, lon_deg=at.lon_deg - 360.0) if at.lon_deg >= 180.0 else at
+        mapped.add(raw_of(row), IMAGE, at, row * 2.0, missed=missed)
+    whole = mapped.whole()
+    assert whole.places["route_m"].tolist() == [*np.arange(7) * 2.0, 96.0, 98.0]
+    assert whole.places["lat_deg"] == pytest.approx(47.0 + whole.places["route_m"] / 2 * 1e-5)
+    east_deg = (whole.places["lon_deg"] - 180.0 + 2e-5 + 180.0) % 360.0 - 180.0
+    assert east_deg == pytest.approx(whole.places["route_m"] / 2 * 1e-5, abs=1e-9)
+    assert [(segment.start, segment.end) for segment in whole.header.segments] == [(0, 7), (7, 9)]
+    mapped.close()
+    (log,) = logs_in(tmp_path)
+    file = OpenLog(log)
+    seen = [file.raw(row).tolist() for row in range(7)]
+    file.close()
+    assert [row for row in range(7) if seen[row] == seen[1]] == [1, 2, 3]
+    assert [row for row in range(7) if seen[row] == seen[5]] == [4, 5]
+
+
+def test_places_arrive_later_than_the_odometer(tmp_path: Path) -> None:
+    """The position of a frame is known some time after its exposure; what is searched is decided by now."""
+    mapped = live(tmp_path)
+    for row in range(60):
+        assert (mapped.newly_searchable(row * 2.0 + 6.5) is None) or row > 20
+        drive(mapped, range(row, row + 1))
+    assert len(mapped.so_far().header.segments) == 1
+    mapped.close()
+
+
+def test_a_gap_begins_another_drive_and_the_odometer_may_start_again(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    drive(mapped, range(10))
+    drive(mapped, range(10, 15), replace(GPS, source="dead_reckoning", sigma_m=None))
+    drive(mapped, range(15, 20))
+    drive(mapped, range(70, 75))
+    drive(mapped, range(5))  # the odometer began again
+    mapped.newly_searchable(1000.0)
+    header = mapped.so_far().header
+    assert [(one.start, one.end) for one in header.segments] == [(0, 20), (20, 25), (25, 30)]
+    assert (np.diff(mapped.so_far().places["route_m"]) >= 0).all()
+    mapped.close()
+
+
+def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    (file,) = logs_in(tmp_path)
+    os.truncate(file, file.stat().st_size - 1)  # as a power cut would leave it
+    again = live(tmp_path, START_S + 600)
+    assert again.status.places == again.searchable == 59
+    drive(again, range(30))
+    assert again.status.name == first.status.name
+    assert again.status.places == 89
+    again.close()
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+@pytest.mark.parametrize(
+    ("places", "turned_deg", "goes_on", "is_checked"),
+    [(0, 0.0, True, True), (20, 10.0, True, False), (39, 0.0, True, False), (45, 0.0, False, True),
+     (20, 40.0, False, True)],
+    ids=["it stood", "straight", "long", "too long", "turned"],
+)  # fmt: skip
+def test_a_drive_goes_on_after_a_restart_where_the_vehicle_went_straight(
+    tmp_path: Path, places: int, turned_deg: float, goes_on: bool, is_checked: bool
+) -> None:
+    """Nobody measured that way, so that the drive does not count as one that moved as its odometer said."""
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    again = live(tmp_path, START_S + 600)
+    there = GPS.lat_deg + (59 + places) * 2 / 110_800
+    drive(again, range(30), replace(GPS, lat_deg=there, heading_deg=turned_deg))
+    header, found = again.whole().header, again.whole().places
+    again.close()
+    assert [one.start for one in header.segments] == ([0] if goes_on else [0, 60])
+    assert header.segments[0].moved_as_driven == is_checked
+    if goes_on:
+        assert header.places == 60 + max(0, places - 1) + 30
+        moved_m = (found["lat_deg"] - GPS.lat_deg) * 110_800
+        np.testing.assert_allclose(found["route_m"], moved_m, atol=1.0)
+
+
+def test_how_far_the_vehicle_drove_is_known_from_a_place_on(tmp_path: Path) -> None:
+    """Not after a restart of this computer or of the odometer, since nobody knows how far it drove meanwhile."""
+    mapped = live(tmp_path)
+    assert mapped.driven_m(5.0) is None
+    drive(mapped, range(40))
+    assert mapped.driven_m(131.0) == 131.0, "GPS was lost at 78 m"
+    assert mapped.driven_m(None) is None
+    assert mapped.driven_m(3.0) is None, "the odometer began again"
+    drive(mapped, range(2, 12))
+    assert mapped.driven_m(40.0) == 131.0 + 40.0 - 3.0
+    mapped.close()
+    mapped = live(tmp_path, unix_s=START_S + 60)
+    assert mapped.driven_m(4.0) is None
+    mapped.close()
+
+
+def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:
+    """Not where the map begins to be searched; and over a gap in the map it is one drive."""
+    mapped = live(tmp_path)
+    drive(mapped, range(30))
+    drive(mapped, range(36, 60))
+    assert mapped.newly_searchable(118.0) is not None
+    maps = MapSet.of([mapped.so_far()], tmp_path).with_newest(mapped.whole())
+    positions_deg = plan_way_home(maps, None, HomeConfig()).positions_deg
+    assert positions_deg[0] == pytest.approx((47.0 + 59 * 2 / 110_800, 8.0), abs=1e-8)
+    assert positions_deg[-1] == pytest.approx((47.0, 8.0), abs=1e-8)
+    mapped.close()
+
+
+def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
+    first = live(tmp_path / "maps")
+    drive(first, range(60))
+    first.close()
+    assert len(logs_in(tmp_path / "maps")) == 1
+    live(tmp_path / "maps", START_S + 3600).close()
+    assert not logs_in(tmp_path / "maps")
+    made = open_map(tmp_path / "maps" / first.status.name, every_file=True)
+    with MapBuilder(tmp_path / "built", MODEL, REGIONS, SamplingConfig()) as builder:
+        builder.begin_segment(made.header.segments[0].source, "rear")
+        for row in range(60):
+            values = {name: made.places[name][row].item() for name in ("lat_deg", "lon_deg", "alt_m", "heading_deg")}
+            picture = made.thumbnail(row)
+            builder.add(
+                raw_of(row),
+                Place(row, **values, route_m=2.0 * row, thumbnail=picture, position_sigma_m=1.5,
+                      position_source="rtk_fixed"),
+            )  # fmt: skip
+        builder.finish()
+    assert open_map(tmp_path / "built").header.files == made.header.files
+    assert made.header.segments[0].moved_as_driven
+
+
+def test_a_start_that_takes_long_says_so_before(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(60))
+    first.close()
+    told: list[float] = []
+    config = MappingConfig(folder=str(tmp_path), resume_min=0.0)
+    LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", before_long=told.append).close()
+    assert told == [pytest.approx(0.6)]
+
+
+def test_too_short_a_drive_leaves_nothing(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    drive(first, range(5))
+    first.close()
+    live(tmp_path, START_S, resume_min=0.0).close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    mapped = live(tmp_path / "file" / "maps")
+    mapped.add(raw_of(0), IMAGE, GPS, 0.0)
+    assert mapped.status.state == "stopped"
+    mapped.add(raw_of(1), IMAGE, GPS, 2.0)
+    assert mapped.so_far().header.places == 0
+    mapped.close()
+
+
+def test_a_full_disk_stops_mapping_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
+    """The largest file allowed stands in for the disk: the same call fails."""
+    mapped = live(tmp_path)
+    drive(mapped, range(40))
+    while mapped.waiting:
+        os.sched_yield()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    (file,) = logs_in(tmp_path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
+    try:
+        while mapped.status.state != "stopped":
+            drive(mapped, range(40, 41))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert mapped.status.why == "File too large"
+    drive(mapped, range(41, 50))
+    newest = mapped.newly_searchable(1000.0)
+    assert newest is not None
+    assert newest.header.places >= 40
+    mapped.close()
+    again = live(tmp_path)
+    assert again.status.places == 40, "what was written before is whole"
+    again.close()
+
+
+def make_drive(folder: Path, unix_s: float) -> Path:
+    mapped = live(folder, unix_s, resume_min=0.0, quota_mb=1e6)
+    drive(mapped, range(30))
+    mapped.close()
+    live(folder, unix_s, resume_min=0.0, quota_mb=1e6).close()
+    path = folder / mapped.status.name
+    os.utime(path / "map.json", (unix_s, unix_s))
+    return path
+
+
+def test_the_maps_of_a_folder_are_listed_and_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = make_drive(tmp_path, START_S)
+    count(tmp_path, path.name, [0], START_S + 5000)
+    assert main(["map", "list", str(tmp_path)]) == 0
+    assert re.search(
+        rf"{path.name}  2026-09-21 \d\d:\d\d UTC +30 places .* MB  bright  recognized 1 times  may be deleted",
+        capsys.readouterr().out,
+    )
+    assert main(["map", "keep", str(path)]) == 0
+    other = make_drive(tmp_path, START_S + 1000)
+    assert delete_oldest(tmp_path, 0.0) == [other]
+    assert main(["map", "keep", str(path), "--undo"]) == 0
+    assert main(["map", "keep", str(tmp_path)]) == 78
+    make_drive(tmp_path, START_S + 1000)
+    assert delete_oldest(tmp_path, 1.0) == [other], "not recognized since"
+    assert delete_oldest(tmp_path, 0.0) == [], "the last layer of its road"
+
+
+def test_what_is_recognized_on_the_map_of_this_drive_counts_when_it_is_finished(tmp_path: Path) -> None:
+    mapped = live(tmp_path, resume_min=0.0)
+    drive(mapped, range(30))
+    tally = DriveTally(tmp_path, "front", START_S, "run")
+    tally.count(open_map_set(tmp_path, newest=mapped.whole()), 20, "reverse", IMAGE, 80.0, 0)
+    tally.close()
+    mapped.close()
+    live(tmp_path, START_S + 1000, resume_min=0.0).close()
+    (made,) = stored_maps(tmp_path, read_tallies(tmp_path))
+    assert (made.recognized, made.used_unix_s) == (1, START_S)
+
+
+def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: Path) -> None:
+    paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(6)]
+    (paths[0] / KEEP_FILE).touch()
+    (paths[1] / "map.json.sig").write_text("00")
+    own = paths[2].rename(tmp_path / "my own name")
+    count(tmp_path, paths[3].name, [0], START_S + 99_000)
+    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path, [])}
+    assert delete_oldest(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
+    LearnedFolder(tmp_path).add(Learned({paths[3].name: read_header(paths[3]).header_sha256}), {})
+    assert delete_oldest(tmp_path, 0.0) == [paths[3], paths[5]], "3 is retired"
+    assert {path for path in tmp_path.iterdir() if (path / "map.json").exists()} == {paths[0], paths[1], own}
+
+
+def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp_path: Path) -> None:
+    by_clock = make_drive(tmp_path, START_S)
+    without = make_drive(tmp_path, 1000.0)
+    assert delete_oldest(tmp_path, 1.5 * stored_maps(tmp_path, [])[0].size_bytes) == [by_clock]
+    assert without.is_dir()
+
+
+def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path) -> None:
+    """The thread that writes runs only when nothing else does, on one processor: the disk seems slow."""
+    mapped, row = live(tmp_path), 20
+    drive(mapped, range(row))
+    (writer,) = (thread for thread in threading.enumerate() if thread.name == "mapping")
+    mine = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(mine)})
+    os.sched_setaffinity(writer.native_id or 0, {min(mine)})
+    os.sched_setscheduler(writer.native_id or 0, os.SCHED_IDLE, os.sched_param(0))
+    try:
+        while mapped.status.state == "mapping" and row < 5000:
+            mapped.add(raw_of(row), IMAGE, replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800), row * 2.0)
+            row += 1
+    finally:
+        os.sched_setaffinity(0, mine)
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "the disk is too slow")
+    while mapped.waiting:
+        time.sleep(0.01)
+    drive(mapped, range(row, row + 20))
+    assert mapped.status.state == "mapping"
+    mapped.close()
+    again = live(tmp_path)
+    assert again.status.places == mapped.status.places
+    again.close()

@@ -1,0 +1,147 @@
+"""The vehicle's speed from its pictures: its scale is learned from GPS, kept, and silent where nothing is seen."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from edge.config import CameraConfig, Config, MotionConfig, TelemetryConfig
+from edge.journal.records import MotionMeasured, Record
+from plugins.motion import CameraMotion, CameraSpeed
+from plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
+from tests.files_written import wait_for_files
+from tests.plugins.motion.road import HEIGHT, WIDTH, picture
+
+STEP_NS, STEP_M, MPS = 100_000_000, 0.7, 7.0
+
+
+def config(folder: Path | None = None, view: str = "front") -> Config:
+    journal = str(folder / "events.jsonl") if folder else ""
+    camera = msgspec.convert({"view": view}, CameraConfig)
+    return Config(camera=camera, motion=MotionConfig(use="report"), telemetry=TelemetryConfig(journal=journal))
+
+
+def known(motion: CameraMotion) -> CameraMotion:
+    """With a height that GPS has shown on this drive."""
+    motion.height = CameraHeight(KeptHeight("", 0.0), 40)
+    for _ in range(5):
+        motion.height.compare(WINDOW_M, WINDOW_M / 1.4, 0.0, 0)
+    return motion
+
+
+def drive(
+    motion: CameraMotion, steps: int, *, first_ns: int = STEP_NS, gps_mps: float | None = None, step_m: float = STEP_M
+) -> list[CameraSpeed | None]:
+    """One speed for each picture of a drive at MPS."""
+    return [motion.follow(picture(20.0 + step_m * step), first_ns + step * STEP_NS, gps_mps) for step in range(steps)]
+
+
+def test_without_a_height_nothing_is_measured_and_the_reason_is_said() -> None:
+    motion = CameraMotion(config())
+    assert drive(motion, 3) == [None, None, None]
+    assert motion.why == "the height of the camera is not learned yet"
+
+
+def test_the_height_is_learned_from_gps_and_kept(tmp_path: Path) -> None:
+    records: list[Record] = []
+    motion = CameraMotion(config(tmp_path), records.append)
+    for lap in range(round((WINDOWS + 3) * WINDOW_M / STEP_M / 8) + 2):
+        drive(motion, 10, first_ns=(1 + 1000 * lap) * STEP_NS, gps_mps=MPS)
+    assert motion.height.height_m == pytest.approx(1.4, rel=0.02)
+    drive(motion, 12, first_ns=10**6 * STEP_NS)
+    speed = motion.speed
+    assert speed is not None and speed.speed_mps == pytest.approx(MPS, abs=3 * speed.sigma_mps)
+    wait_for_files()
+    again = CameraMotion(config(tmp_path))
+    assert again.height.kept == motion.height.kept
+    assert again.height.share > 0.1 > 5 * motion.height.share, "it may have been mounted anew"
+    assert CameraMotion(config(tmp_path, "rear")).height.height_m is None, "another camera has another height"
+    seen = [one for one in records if isinstance(one, MotionMeasured)]
+    assert seen[-1].speed_mps == pytest.approx(MPS, rel=0.05) and seen[0].why
+
+
+def test_the_stamp_is_the_middle_between_two_exposures_and_the_speed_honest() -> None:
+    motion = known(CameraMotion(config()))
+    speeds = drive(motion, 12)
+    assert speeds[:2] == [None, None], "the first motion that is found may be that of something else"
+    for step, speed in enumerate(speeds[2:], start=2):
+        assert speed is not None
+        assert speed.stamp_ns == (step + 0.5) * STEP_NS
+        assert abs(speed.speed_mps - MPS) < 3 * speed.sigma_mps
+        assert speed.sigma_mps < 0.05 * MPS
+
+
+def test_the_same_pictures_give_the_same_speeds_to_the_last_bit() -> None:
+    assert drive(known(CameraMotion(config())), 8) == drive(known(CameraMotion(config())), 8)
+
+
+def test_a_rear_camera_drives_ahead_where_the_road_goes_away() -> None:
+    speeds = drive(known(CameraMotion(config(view="rear"))), 4, step_m=-STEP_M)
+    assert speeds[3] is not None and speeds[3].speed_mps == pytest.approx(MPS, rel=0.03)
+
+
+@pytest.mark.parametrize(("view", "sign"), [("front", 1.0), ("rear", -1.0)])
+def test_what_lifts_the_nose_lowers_the_view_of_a_rear_camera(view: str, sign: float) -> None:
+    dive_rad, asked = math.radians(1.0), []
+
+    def turned_rad(since_ns: int, until_ns: int) -> tuple[float, float]:
+        asked.append((since_ns, until_ns))
+        return (-sign * dive_rad if len(asked) == 3 else 0.0), 0.0
+
+    motion = known(CameraMotion(config(view=view), turned_rad=turned_rad))
+    for step in range(4):
+        pitch_rad = dive_rad if step == 3 else 0.0
+        speed = motion.follow(picture(20.0 + sign * STEP_M * step, pitch_rad=pitch_rad), (1 + step) * STEP_NS, None)
+    assert asked[2] == (3 * STEP_NS, 4 * STEP_NS)
+    assert speed is not None and speed.speed_mps == pytest.approx(MPS, rel=0.02)
+
+
+def test_it_is_silent_at_the_first_picture_without_light_and_measures_again_with_the_second_that_has_it() -> None:
+    motion = known(CameraMotion(config()))
+    assert drive(motion, 4)[-1] is not None
+    assert motion.follow(picture(25.0, light=0.0), 5 * STEP_NS, None) is None
+    assert motion.why == "too few corners of the ground to be tracked"
+    assert motion.follow(picture(20.0), 6 * STEP_NS, None) is None
+    assert motion.follow(picture(20.7), 7 * STEP_NS, None) is not None
+
+
+def test_after_half_a_second_of_darkness_a_motion_must_be_found_twice() -> None:
+    motion = known(CameraMotion(config()))
+    drive(motion, 4)
+    for dark in range(6):
+        motion.follow(picture(25.0, light=0.0, seed=dark), (5 + dark) * STEP_NS, None)
+    lit = [motion.follow(picture(20.0 + STEP_M * step), (11 + step) * STEP_NS, None) for step in range(3)]
+    assert lit[:2] == [None, None] and lit[2] is not None
+
+
+def test_a_picture_that_comes_soon_is_passed_over_and_a_late_one_begins_anew() -> None:
+    motion = known(CameraMotion(config()))
+    first = drive(motion, 3)[-1]
+    assert motion.follow(picture(21.7), 3 * STEP_NS + 30_000_000, None) is None
+    assert motion.speed == first is not None
+    assert motion.follow(picture(21.4), 20 * STEP_NS, None) is None
+    assert motion.why == "no picture shortly before"
+
+
+def test_a_speed_that_no_vehicle_reaches_so_soon_is_not_published() -> None:
+    motion = known(CameraMotion(config()))
+    assert drive(motion, 4)[-1] is not None
+    assert motion.follow(picture(22.35, seed=7), 5 * STEP_NS, None) is None, "2.5 after 7 m/s"
+    assert motion.why == "the ground has not moved alike twice in a row"
+
+
+def test_dirt_on_the_lens_in_the_dark_is_no_halt_and_a_halt_is_one() -> None:
+    motion = known(CameraMotion(config()))
+    dirt = np.random.default_rng(3).integers(0, 60, (HEIGHT, WIDTH, 3), np.uint8)
+    assert drive(motion, 4)[-1] is not None
+    seen = [motion.follow(dirt + picture(20.0, light=0.0, seed=n) // 8, (5 + n) * STEP_NS, None) for n in range(20)]
+    assert seen == [None] * 20
+    assert motion.why == "nothing moves: it stands, or sees no road"
+    motion = known(CameraMotion(config()))
+    places_m = 20.0 + np.cumsum([0.4, 0.4, 0.4, 0.34, 0.28, 0.22, 0.16, 0.1, 0.04, 0.0, 0.0])
+    halt = [motion.follow(picture(at_m, seed=n), n * STEP_NS, None) for n, at_m in enumerate(places_m, start=30)]
+    assert halt[-1] is not None and abs(halt[-1].speed_mps) < 3 * halt[-1].sigma_mps + 0.05

@@ -1,0 +1,287 @@
+"""The live page of a real `lookback run`, in headless Chromium, at the width of a phone and of a desk.
+
+The daemon recognizes a real corridor in real time, with a simulated autopilot at its link, or with none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+pytest.importorskip("starlette")
+pytest.importorskip("selenium")
+
+from selenium import webdriver
+from selenium.webdriver.support import expected_conditions
+from selenium.webdriver.support.wait import WebDriverWait
+
+from edge.config import DescriptorConfig, PageConfig, SamplingConfig
+from edge.feed import FeedImages, FeedRow, FeedWriter, read_feed
+from edge.telemetry import LinkStatus
+from plugins.mapping import MappingView
+from plugins.mapping.status import MappingStatus
+from plugins.page import map_view
+from plugins.page.server import StatusPage
+from plugins.page.snapshot import Snapshot
+from sim.maps.command import build_map
+from tests.plugins.page.test_server import TOKEN, Loop, snapshot
+from tests.sim.coverage.roads import road, walk
+from tests.udp_port import free_port
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+DRIVER = shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(
+    not CHROMIUM or not DRIVER, reason="needs Chromium and its driver: apt-get install chromium chromium-driver"
+)
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+)
+PATIENCE_S = 120
+PICTURES = os.environ.get("LOOKBACK_PICTURES", "")
+"""A folder for the screenshots, for people who want to look at them."""
+
+
+@pytest.fixture(scope="module")
+def config(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A config whose camera plays the corridor at 8 frames a second, for longer than the test takes."""
+    folder = tmp_path_factory.mktemp("page")
+    corridor = read_feed(shared / "feeds/corridor_reference")
+    build_map([corridor], folder / "corridor.map", DescriptorConfig(), SamplingConfig(by="frames"))
+    query = read_feed(shared / "feeds/corridor_query")
+    with FeedWriter(folder / "walk", replace(query.header, video="", name="walk")) as writer:
+        images = FeedImages(query)
+        for number in range(8 * len(query.rows)):
+            writer.write(images.read(number % len(query.rows)), FeedRow("", number * 125_000_000))
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    file = folder / "lookback.toml"
+    file.write_text(
+        '[camera]\nkind = "feed"\ndevice = "walk"\n[sampling]\nby = "frames"\n[map]\npath = "corridor.map"\n'
+        "[sequence]\nlength = 10\n[acceptance]\nwindow_m = 10.0\n"
+        f'[telemetry]\nconnection = "udpin:127.0.0.1:{free_port()}"\njournal = ""\n[page]\nport = {port}\n'
+    )
+    return file
+
+
+def url_of(config: Path) -> str:
+    return f"http://127.0.0.1:{config.read_text().rsplit('= ', 1)[1].strip()}/"
+
+
+@contextlib.contextmanager
+def daemon(config: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with subprocess.Popen([sys.executable, "-m", "edge", "run", str(config)], stderr=subprocess.PIPE) as process:
+        try:
+            wait = WebDriverWait[Any](None, PATIENCE_S, poll_frequency=0.05)
+            wait.until(lambda _: is_up(url_of(config)))
+            yield process
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=60)
+
+
+@contextlib.contextmanager
+def autopilot(config: Path) -> Iterator[None]:
+    link = re.findall(r"udpin:([\d.:]+)", config.read_text())[0]
+    command = [sys.executable, "-m", "edge", "dev", "sim", "autopilot", "--udp", link, "--speed", "8"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()  # not SIGINT, which a program that was started in the background ignores
+
+
+def is_up(url: str) -> bool:
+    with contextlib.suppress(urllib.error.URLError, ConnectionError):
+        return bool(urllib.request.urlopen(url, timeout=60).status == 200)
+    return False
+
+
+@contextlib.contextmanager
+def browser(width: int, height: int, *, dark: bool = False) -> Iterator[Any]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM or ""
+    for option in (*OPTIONS, f"--window-size={width},{height}"):
+        options.add_argument(option)
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
+        yield driver
+    finally:
+        driver.quit()
+
+
+def text(driver: Any, name: str) -> str:
+    return str(driver.find_element("id", name).text)
+
+
+def until(driver: Any, script: str) -> Any:
+    return WebDriverWait(driver, PATIENCE_S, poll_frequency=0.1).until(lambda d: d.execute_script(f"return {script}"))
+
+
+DRAWN = """[...document.querySelectorAll('canvas')].every((one) =>
+    one.getContext('2d').getImageData(0, 0, one.width, one.height).data.some((value) => value))"""
+PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).naturalWidth > 50)"
+
+
+def save_whole(driver: Any, width: int, name: str) -> None:
+    whole = driver.execute_script("return document.documentElement.scrollHeight")
+    metrics = {"width": width, "height": whole, "deviceScaleFactor": 1, "mobile": width < 600}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    until(driver, DRAWN)
+    driver.save_screenshot(str(Path(PICTURES) / name))
+
+
+@pytest.mark.parametrize(("width", "height", "dark"), [(390, 844, True), (1280, 900, False)])
+def test_it_loads_draws_and_updates(config: Path, width: int, height: int, dark: bool) -> None:
+    with daemon(config), autopilot(config), browser(width, height, dark=dark) as driver:
+        driver.get(url_of(config))
+        until(driver, "status !== null && newestMatch() !== null && newestMatch().accepted && past.length > 20")
+        until(driver, PICTURES_SHOWN)
+        assert not driver.find_element("id", "health").is_displayed()
+        driver.execute_script("document.getElementById('details').open = true")
+        assert until(driver, DRAWN)
+        until(driver, f"status.frames_used > {driver.execute_script('return status.frames_used')}")
+        until(driver, "status.state === 'on the map'")
+        assert "place" in text(driver, "answer")
+        until(driver, "document.getElementById('health').textContent.includes('up, udpin:')")
+        health = text(driver, "health")
+        assert "running" in health
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        background = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, background[4:-1].split(","))) < 200) == dark
+        assert [line for line in driver.get_log("browser") if line["level"] == "SEVERE"] == []
+        if PICTURES:
+            save_whole(driver, width, f"page_{width}.png")
+
+
+def test_it_survives_a_restart_and_says_what_is_wrong(config: Path) -> None:
+    with browser(800, 600) as driver:
+        with daemon(config):
+            driver.get(url_of(config))
+            until(driver, "status !== null && status.frames_used > 3")
+            first = driver.execute_script("return status.started_unix_s")
+            assert not driver.find_element("id", "silent").is_displayed()
+        until(driver, "!document.getElementById('silent').hidden")
+        assert driver.find_element("id", "silent").is_displayed()
+        assert "stale" in driver.find_element("id", "main").get_attribute("class")
+        until(driver, "document.getElementById('state').textContent === 'no answer'")
+        with daemon(config):
+            until(driver, f"document.getElementById('silent').hidden && status.started_unix_s > {first}")
+            assert until(driver, "past.length > 0 && past.length <= status.frames_used")
+            until(driver, "status.state === 'degraded'")  # there is no autopilot
+            assert "link: no autopilot heard" in text(driver, "answer")
+            assert driver.find_element("id", "state").get_attribute("class") == "warn"
+
+
+def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
+    lost = tmp_path / "lost.toml"
+    port = url_of(config).rsplit(":", 1)[1].strip("/")
+    lost.write_text(
+        f'[camera]\ndevice = "/dev/no-such-camera"\n[map]\npath = "{config.parent / "corridor.map"}"\n'
+        f'[telemetry]\nconnection = "serial:/dev/no-such-port:57600"\njournal = ""\n[page]\nport = {port}\n'
+    )
+    with daemon(lost), browser(390, 844) as driver:
+        driver.get(url_of(config))
+        until(driver, "status !== null && status.state === 'degraded'")
+        assert "/dev/no-such-camera: No such file" in text(driver, "answer")
+        assert driver.find_element("id", "state").get_attribute("class") == "bad"
+        assert text(driver, "frame-words") == "no frame yet"
+
+
+def on_the_road(number: int) -> Snapshot:
+    """A vehicle 200 m along a road that leads north, whose drive is mapped."""
+    at = 200 / 110_574, 0.0
+    link = LinkStatus("up", "udpin:127.0.0.1:1", "report", *at, heading_deg=0.0)
+    mapping = MappingView(MappingStatus("mapping", "", "drive", 40, 20, 80.0), ((0.0018, 0.0), at), 1, None)
+    shown = snapshot(number)
+    status = shown.status
+    newest = replace(status.newest, lat_deg=at[0], lon_deg=at[1], map=msgspec.UNSET) if status.newest else None
+    history = tuple(replace(one, vehicle=at) for one in status.history)
+    status = replace(status, link=link, mapping=mapping, newest=newest, history=history)
+    return dataclasses.replace(shown, status=status)
+
+
+def click(driver: Any, name: str) -> None:
+    (button,) = driver.find_elements("css selector", name)
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
+    button.click()
+
+
+def answer_prompt(driver: Any, given: str) -> None:
+    prompt = WebDriverWait(driver, PATIENCE_S).until(expected_conditions.alert_is_present())
+    prompt.send_keys(given)
+    prompt.accept()
+
+
+def test_every_button_does_what_it_says(tmp_path: Path) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0, token=TOKEN), map_view(maps))) as page,
+        contextlib.closing(Loop(page, on_the_road)),
+        browser(390, 844) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        until(driver, "status !== null && status.may_write")
+        until(driver, "!document.getElementById('place').hasAttribute('src')")  # this map has no pictures
+        near = driver.execute_script("return document.getElementById('route').toDataURL()")
+        click(driver, "#fit")
+        assert text(driver, "fit") == "track"
+        assert driver.execute_script("return document.getElementById('route').toDataURL()") != near
+        click(driver, "#fit")
+        assert text(driver, "fit") == "whole map"
+
+        click(driver, "[data-ask=home]")
+        answer_prompt(driver, "not the token")
+        until(driver, "document.getElementById('said').textContent === 'this is not [page] token\\n'")
+        assert page.requested() is None
+        click(driver, "[data-ask=home]")
+        answer_prompt(driver, TOKEN)
+        wait = WebDriverWait[Any](None, PATIENCE_S, poll_frequency=0.05)
+        assert wait.until(lambda _: page.requested()) == "home"
+        for button, request in (("[data-ask=restore]", "restore"), ("#mapping-ask", "pause")):
+            click(driver, button)  # without another question for the token
+            assert wait.until(lambda _: page.requested()) == request
+        until(driver, "document.getElementById('said').textContent.startsWith('requested')")
+
+        driver.find_element("id", "coverage-light").send_keys("day")
+        driver.find_element("id", "coverage-for").send_keys("the")
+        click(driver, "#coverage-ask")
+        assert driver.find_element("id", "coverage-ask").get_attribute("disabled")
+        until(driver, "!document.getElementById('coverage-bar').hidden")
+        until(driver, "document.getElementById('coverage-state').textContent.startsWith('done in ')")
+        assert text(driver, "coverage-state").endswith(" s: again by day")
+        assert not driver.find_element("id", "coverage-bar").is_displayed()
+        assert "drive 1, 0 to 100 m" in text(driver, "coverage")
+        click(driver, "#details summary")
+        assert until(driver, DRAWN)
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+        if PICTURES:
+            save_whole(driver, 390, "buttons_390.png")

@@ -1,0 +1,394 @@
+"""The live page's server: what it answers, what it refuses, and that it waits for nobody."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import http.client
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+
+from prometheus_client.parser import text_string_to_metric_families
+
+from edge.camera import CameraHealth
+from edge.config import PageConfig
+from edge.journal.records import FrameUsed
+from edge.sequence import CostView
+from edge.telemetry import LinkStatus
+from plugins.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
+from plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
+
+PATIENCE_S = 0.5
+CUT_OFF_S = 20.0
+"""After this long the other side has not ended the connection; a busy machine takes its time."""
+THUMBNAIL = cv2.imencode(".jpg", np.full((9, 12, 3), 90, np.uint8))[1].tobytes()
+MAP = MapView(
+    500,
+    {"north": 0, "south": 300},
+    (((1.0, 2.0), (1.001, 2.0)), ()),
+    lambda place: THUMBNAIL if place < 400 else b"",
+    Path("/none.map"),
+)
+
+
+def snapshot(number: int) -> Snapshot:
+    history = tuple(
+        HistoryFrame(
+            FrameUsed(k, 1000 * k, True, k == 2, place=k, uniqueness=1.1 + k / 100, confidence=k / 10), (1.0, 2.0)
+        )
+        for k in range(1, 4)
+    )
+    status = Status(
+        stamp_ns=5000,
+        started_unix_s=1.5,
+        version="0",
+        map_name="a map",
+        model="a model",
+        state="on the map",
+        why="",
+        newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2, confidence=0.9),
+        slope=1.0,
+        frames_used=number,
+        events=1,
+        fps=4.0,
+        confidence_from=0.92,
+        stages_ms={"network": 9.5},
+        journal_lost=0,
+        camera=CameraHealth("running", "", 0, delivered=10, overwritten=2, bad=1),
+        link=LinkStatus("closed", "serial:/dev/none:57600", "report"),
+        history=history,
+    )
+    costs = np.arange(2 * 500, dtype=np.int32).reshape(2, 500) % 997
+    image = np.full((480, 640, 3), (10, 120, 240), np.uint8)
+    return Snapshot(status, image, CostView(costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4))
+
+
+class Loop:
+    """The daemon's side: hands over a snapshot when one is wanted, and counts them."""
+
+    def __init__(self, page: StatusPage, shown: Callable[[int], Snapshot] = snapshot) -> None:
+        self.handed_over = 0
+        self._page, self._shown = page, shown
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.002):
+            if self._page.wanted:
+                self.handed_over += 1
+                self._page.show(self._shown(self.handed_over))
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def page() -> Iterator[StatusPage]:
+    with closing(StatusPage(PageConfig(port=0), MAP, answer_s=0.3, patience_s=PATIENCE_S)) as page:
+        yield page
+
+
+@pytest.fixture
+def loop(page: StatusPage) -> Iterator[Loop]:
+    with closing(Loop(page)) as loop:
+        yield loop
+
+
+def get(page: StatusPage, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, http.client.HTTPMessage]:
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=CUT_OFF_S)
+    with closing(connection):
+        connection.request(method, path, headers=headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read(), answer.headers
+
+
+def test_the_status_has_all_of_the_snapshot(page: StatusPage, loop: Loop) -> None:
+    code, body, headers = get(page, "/status.json")
+    status = json.loads(body)
+    assert (code, headers["content-type"], headers["cache-control"]) == (200, "application/json", "no-store")
+    assert (status["state"], status["newest"]["place"], status["camera"]["overwritten"]) == ("on the map", 7, 2)
+    assert status["window"] == {"start": 4, "rows": [[500] * 5] * 3}
+    row = status["row"]
+    assert len(row["places"]) == len(row["orders"][0]) == len(row["orders"][1]) == 300
+    assert row["places"][0] == 0
+    assert min(row["orders"][1]) == 0  # the lowest of each stretch, not any of it: 997 % 997 is at place 497
+    assert [one["used"]["stamp_ns"] for one in status["history"]] == [1000, 2000, 3000]
+
+
+def test_history_is_sent_once(page: StatusPage, loop: Loop) -> None:
+    assert [one["used"]["stamp_ns"] for one in json.loads(get(page, "/status.json?since=1000")[1])["history"]] == [
+        2000,
+        3000,
+    ]
+    assert get(page, "/status.json?since=yesterday")[0] == 400
+
+
+def test_the_picture_comes_with_the_status_to_who_has_not_shown_it(page: StatusPage, loop: Loop) -> None:
+    status = json.loads(get(page, "/status.json?shown=0")[1])
+    picture: Any = cv2.imdecode(np.frombuffer(base64.b64decode(status["picture"]), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (240, 320, 3)
+    shown = 0
+    while status["newest"]["stamp_ns"] != shown:  # another snapshot where the last is no longer fresh
+        assert status["picture"]
+        shown = status["newest"]["stamp_ns"]
+        status = json.loads(get(page, f"/status.json?shown={shown}")[1])
+    assert status["picture"] == ""
+    assert json.loads(get(page, "/status.json")[1])["picture"] == ""
+    assert get(page, "/status.json?shown=it")[0] == 400
+
+
+def test_pictures(page: StatusPage, loop: Loop) -> None:
+    code, body, headers = get(page, "/frame.jpg")
+    picture: Any = cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR)
+    assert (code, headers["content-type"], picture.shape) == (200, "image/jpeg", (240, 320, 3))
+    assert np.abs(picture[180, 240].astype(int) - (10, 120, 240)).max() < 6
+    assert get(page, "/thumbnail/3.jpg")[:2] == (200, THUMBNAIL)
+    assert get(page, "/thumbnail/450.jpg")[0] == get(page, "/thumbnail/500.jpg")[0] == 404
+
+
+def test_the_route_and_the_page_itself(page: StatusPage) -> None:
+    assert json.loads(get(page, "/route.json")[1]) == {
+        "places": 500,
+        "starts": {"north": 0, "south": 300},
+        "drives": [[[1.0, 2.0], [1.001, 2.0]], []],
+        "stale": [],
+    }
+    code, body, headers = get(page, "/")
+    assert code == 200
+    assert b"<title>Lookback</title>" in body
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert b"http://" not in body.replace(b"http://www.w3.org", b"")  # nothing from elsewhere
+    assert b"https://" not in body
+
+
+def test_blueos_finds_a_service_and_opens_it_without_a_frame(page: StatusPage) -> None:
+    service = json.loads(get(page, "/register_service")[1])
+    assert (service["name"], service["avoid_iframes"]) == ("Lookback", True)
+    assert {"description", "icon", "company", "version", "webpage", "api"} <= set(service)
+
+
+def test_metrics_are_what_prometheus_reads(page: StatusPage, loop: Loop) -> None:
+    families = {family.name: family for family in text_string_to_metric_families(get(page, "/metrics")[1].decode())}
+    assert families["lookback_frames_used"].samples[0].value == 1
+    frames = {sample.labels["outcome"]: sample.value for sample in families["lookback_camera_frames"].samples}
+    assert frames == {"delivered": 10, "overwritten": 2, "bad": 1}
+    states = {sample.labels["state"]: sample.value for sample in families["lookback_state"].samples}
+    assert states["on the map"] == 1
+    assert sum(states.values()) == 1
+    assert families["lookback_stage_seconds"].samples[0].value == pytest.approx(0.0095)
+    assert [(sample.labels, sample.value) for sample in families["lookback_place"].samples] == [({"map": "south"}, 7)]
+    assert families["lookback_link_up"].samples[0].value == 0
+
+
+def test_nothing_is_made_until_somebody_looks_and_many_share_one(page: StatusPage, loop: Loop) -> None:
+    get(page, "/")
+    get(page, "/route.json")
+    assert (page.wanted, loop.handed_over) == (False, 0)
+    started_s = time.monotonic()
+    frames = [json.loads(get(page, "/status.json")[1])["frames_used"] for _ in range(10)]
+    fresh = 1 + int((time.monotonic() - started_s) / 0.2)
+    assert loop.handed_over == frames[-1] <= fresh
+
+
+def test_a_loop_that_hangs_is_said(page: StatusPage) -> None:
+    assert get(page, "/status.json")[:2] == (503, b"the recognizer does not answer\n")
+    assert get(page, "/")[0] == 200
+
+
+@pytest.mark.parametrize("host", ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example", "", "a:b:c", "@"])
+def test_a_foreign_name_is_refused(page: StatusPage, host: str) -> None:
+    """A web site that points its name at this computer (DNS rebinding) gets nothing."""
+    assert get(page, "/", Host=host)[0] in (400, 421)
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST:8642", "127.0.0.1", "192.168.7.2:80", "[::1]:8642", "[fe80::1]"]
+)
+def test_addresses_and_localhost_are_served(page: StatusPage, host: str) -> None:
+    assert get(page, "/", Host=host)[0] == 200
+
+
+def test_a_name_in_the_config_is_served() -> None:
+    with closing(StatusPage(PageConfig(port=0, hosts=("Rover.local",)), MAP)) as page:
+        assert get(page, "/", Host="rover.local:8642")[0] == 200
+        assert get(page, "/", Host="other.local")[0] == 421
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/thumbnail/../page.py",
+        "/thumbnail/-1.jpg",
+        "/thumbnail/1e3.jpg",
+        "//",
+        "/page.py",
+    ],
+)
+def test_there_are_no_other_paths(page: StatusPage, path: str) -> None:
+    assert get(page, path)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
+def test_it_is_read_only(page: StatusPage, method: str) -> None:
+    assert get(page, "/status.json", method)[0] == 405
+
+
+def raw(page: StatusPage, data: bytes) -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", page.port), timeout=CUT_OFF_S)
+    connection.sendall(data)
+    return connection
+
+
+def test_two_host_headers_and_none_are_refused(page: StatusPage) -> None:
+    for head in (b"Host: localhost\r\nHost: evil.example\r\n", b""):
+        with closing(raw(page, b"GET / HTTP/1.1\r\n" + head + b"\r\n")) as connection:
+            assert connection.recv(64).split()[1] in (b"400", b"421")
+
+
+def test_a_head_without_end_is_cut_off(page: StatusPage) -> None:
+    with closing(raw(page, b"GET / HTTP/1.1\r\nX: " + b"a" * 100_000)) as connection:
+        answer = b""
+        try:
+            while piece := connection.recv(4096):
+                answer += piece
+        except ConnectionResetError:
+            pass
+        assert answer in (b"",) or answer.startswith(b"HTTP/1.1 4")
+
+
+def wait_for_end(connection: socket.socket) -> None:
+    """Return when the other side ends the connection; TimeoutError if it does not."""
+    with contextlib.suppress(ConnectionResetError):
+        while connection.recv(65536):
+            pass
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"GET /", b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc"]
+)
+def test_a_slow_sender_is_cut_off(page: StatusPage, data: bytes) -> None:
+    with closing(raw(page, data)) as connection:
+        wait_for_end(connection)
+
+
+def test_who_trickles_bytes_is_cut_off_as_well(page: StatusPage) -> None:
+    started_s = time.monotonic()
+    with closing(raw(page, b"GET / HTTP/1.1\r\n")) as connection, pytest.raises(OSError):
+        while time.monotonic() - started_s < CUT_OFF_S:
+            connection.sendall(b"X: a\r\n")
+            time.sleep(0.05)
+
+
+def test_many_idle_connections_keep_nobody_out_for_long(page: StatusPage, loop: Loop) -> None:
+    idle: list[socket.socket] = []
+    answers: list[int] = []
+    while 503 not in answers and len(answers) < 10:  # a busy machine may cut the first off before it accepts the last
+        idle += [raw(page, b"GET /") for _ in range(CONNECTIONS + 8)]
+        answers.append(get(page, "/")[0])
+    assert answers[-1] == 503
+    for connection in idle:
+        wait_for_end(connection)
+        connection.close()
+    assert get(page, "/status.json")[0] == 200
+
+
+def test_half_sent_requests_keep_nobody_out_for_long() -> None:
+    """However patient the page is with those who read slowly."""
+    with closing(StatusPage(PageConfig(port=0), MAP, patience_s=100 * CUT_OFF_S)) as page:
+        half = [raw(page, b"GET / HTTP/1.1\r\n") for _ in range(CONNECTIONS)]
+        for connection in half:
+            with closing(connection):
+                wait_for_end(connection)
+        assert get(page, "/")[0] == 200
+
+
+def test_a_foreign_site_begins_no_job(page: StatusPage) -> None:
+    path = "/coverage.json?for=home&light=day&view=front"
+    for site in ("cross-site", "same-site"):
+        assert get(page, path, **{"Sec-Fetch-Site": site})[0] == 403
+    assert get(page, path, **{"Sec-Fetch-Site": "same-origin"})[0] == 200
+
+
+TOKEN = "twelve-letters"
+
+
+@pytest.fixture
+def writable() -> Iterator[StatusPage]:
+    with closing(StatusPage(PageConfig(port=0, token=TOKEN), MAP, patience_s=CUT_OFF_S)) as page:
+        yield page
+
+
+def test_a_request_is_handed_over_and_answered(writable: StatusPage) -> None:
+    assert get(writable, "/home", "POST", **{TOKEN_HEADER: TOKEN})[0] == 202
+    assert [writable.requested(), writable.requested()] == ["home", None]
+    with closing(Loop(writable)):
+        assert json.loads(get(writable, "/status.json")[1])["said"] == "requested"
+        writable.reply("5 items uploaded")
+        status = json.loads(get(writable, "/status.json")[1])
+    assert (status["said"], status["may_write"]) == ("5 items uploaded", True)
+
+
+@pytest.mark.parametrize(
+    ("method", "headers", "code"),
+    [
+        ("POST", {}, 401),
+        ("POST", {TOKEN_HEADER: "another-token"}, 401),
+        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "cross-site"}, 403),
+        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "same-site"}, 403),
+        ("POST", {TOKEN_HEADER: TOKEN, "Host": "evil.example"}, 421),
+        ("OPTIONS", {"Origin": "http://evil.example", "Access-Control-Request-Headers": TOKEN_HEADER}, 405),
+        ("GET", {TOKEN_HEADER: TOKEN}, 405),
+    ],
+)
+def test_no_other_request_is_handed_over(writable: StatusPage, method: str, headers: dict[str, str], code: int) -> None:
+    found, _, answered = get(writable, "/pause", method, **headers)
+    assert found == code
+    assert writable.requested() is None
+    assert not [name for name in answered if name.lower().startswith("access-control")]
+
+
+def test_without_a_token_nothing_can_be_requested(page: StatusPage, loop: Loop) -> None:
+    assert get(page, "/home", "POST", **{TOKEN_HEADER: ""})[0] == 403
+    assert page.requested() is None
+    assert not json.loads(get(page, "/status.json")[1])["may_write"]
+
+
+def test_what_is_shown_to_a_page_that_has_stopped_is_dropped(page: StatusPage, loop: Loop) -> None:
+    get(page, "/status.json")
+    page.close()
+    page.show(snapshot(1))
+
+
+def test_a_restart_takes_the_same_port_at_once(page: StatusPage, loop: Loop) -> None:
+    get(page, "/status.json")
+    page.close()
+    with closing(StatusPage(PageConfig(port=page.port), MAP)) as again:
+        assert again.port == page.port
+        assert get(again, "/")[0] == 200
+
+
+def test_a_port_in_use_is_an_os_error(page: StatusPage) -> None:
+    with pytest.raises(OSError, match="Address already in use"):
+        StatusPage(PageConfig(port=page.port), MAP)
+
+
+def test_closing_ends_the_thread(page: StatusPage) -> None:
+    page.close()
+    page.close()
+    assert "page" not in [thread.name for thread in threading.enumerate()]
