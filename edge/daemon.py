@@ -59,16 +59,14 @@ class Daemon:
         frame = None if frame is None else self._dated(frame)
         is_usable = frame is not None and self._is_usable(frame)
         if not (frame is not None and is_usable and self._process_if_place(frame)):
-            for plugin in parts.plugins:
-                plugin.spare_turn(waited_s, self._describe)
+            parts.plugins.each(lambda plugin: plugin.spare_turn(waited_s, self._describe))
             if not (is_usable or parts.verification.checksums.is_done):
                 self._check_maps(self._recognizer.matcher.search.folders_in_use)
         self._autopilot.history.release()
         if self._update_health():
             self._reset()
         self._publish_position()
-        for plugin in parts.plugins:
-            plugin.turn()
+        parts.plugins.each(lambda plugin: plugin.turn())
         parts.monitor.feed_watchdog()
         return not parts.camera.ended
 
@@ -91,8 +89,7 @@ class Daemon:
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
-        for plugin in self.parts.plugins:
-            plugin.frame(frame)
+        self.parts.plugins.each(lambda plugin: plugin.frame(frame))
         distance_m = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns)
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
@@ -188,20 +185,17 @@ class Daemon:
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
         self._estimator.use_maps(self.parts.verification.as_uncertain(self._recognizer.map_set))
-        for plugin in self.parts.plugins:
-            plugin.maps_changed()
+        self.parts.plugins.each(lambda plugin: plugin.maps_changed())
 
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
         parts = self.parts
-        for plugin in parts.plugins:
-            newest = plugin.grown_map()
-            if newest is not None:
-                maps = self._recognizer.map_set.with_newest(newest)
-                self._recognizer.grow_maps(maps)
-                self._estimator.grow(parts.verification.as_uncertain(maps))
-                for other in parts.plugins:
-                    other.maps_changed()
+        grown = parts.plugins.each(lambda plugin: plugin.grown_map())
+        for newest in (one for one in grown if one is not None):
+            maps = self._recognizer.map_set.with_newest(newest)
+            self._recognizer.grow_maps(maps)
+            self._estimator.grow(parts.verification.as_uncertain(maps))
+            parts.plugins.each(lambda plugin: plugin.maps_changed())
 
     def _describe(self, frame: Frame) -> NDArray[np.float32]:
         """Describe a frame of another camera; timed as the others are."""
@@ -217,14 +211,12 @@ class Daemon:
         if parts.config.telemetry.journal_frames:
             parts.record(record)
         used = UsedFrame(frame, distance_m, missed, match, record)
-        for plugin in parts.plugins:
-            plugin.frame_used(used)
+        parts.plugins.each(lambda plugin: plugin.frame_used(used))
         if match is not None and match.event:
             fix = self._estimator.place_fix(match, frame.stamp_ns)
             parts.record(fix)
             self._autopilot.publish_place(fix)
-            for plugin in parts.plugins:
-                plugin.place(fix)
+            parts.plugins.each(lambda plugin: plugin.place(fix))
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, and what follows."""
@@ -286,8 +278,7 @@ class Daemon:
         parts = self.parts
         self._autopilot.restore_sources()
         self._autopilot.history.release(all_of_them=True)
-        for plugin in parts.plugins:
-            plugin.stop()
+        parts.plugins.each(lambda plugin: plugin.stop())
         health = parts.camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(parts.frames_used, parts.events, parts.times.medians_ms(), counts)

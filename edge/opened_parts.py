@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TypeVar
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import Frames
 from edge.camera.newest import NewestFrame
@@ -17,10 +18,10 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
-from edge.journal.records import Record
+from edge.journal.records import PluginFailed, Record
 from edge.localization import PositionEstimator
 from edge.map_verification import MapVerification
-from edge.plugin import Plugin, plugin_openers
+from edge.plugin import Plugins
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSoFar
 from edge.telemetry.autopilot import AutopilotConnection
@@ -28,7 +29,6 @@ from edge.warm_start import WarmStart
 
 FEED_WAITS_S, POLL_S = 3.0, 0.02  # heartbeats come each second, and a speed half a second after it is asked for
 
-PluginKind = TypeVar("PluginKind", bound=Plugin)
 log = logging.getLogger(__name__)
 
 
@@ -65,29 +65,23 @@ class OpenedParts:
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)
         self.monitor = HealthMonitor(links, self.journal, clock_ns)
-        self.plugins: list[Plugin] = []
+        self.plugins = parts.enter_context(closing(Plugins(self._plugin_failed)))
         self.mapping_frames = mapping_frames
         with self.monitor.failures():
             self.network = network or open_network(config.descriptor)
-            self._open_plugins(parts)
+            self.plugins.open(self)
             self._open_recognizer()
             self._open_camera(parts, frames)
-            for plugin in self.plugins:
-                plugin.start()
+            self.plugins.start()
 
-    def _open_plugins(self, parts: ExitStack) -> None:
-        for open_plugin in plugin_openers():
-            plugin = open_plugin(self)
-            if plugin is not None:
-                self.plugins.append(parts.enter_context(closing(plugin)))
-
-    def plugin(self, kind: type[PluginKind]) -> PluginKind | None:
-        """The plug-in of that class, for another one; None where the config does not ask for it."""
-        return next((plugin for plugin in self.plugins if isinstance(plugin, kind)), None)
+    def _plugin_failed(self, name: str, why: str) -> None:
+        self.record(PluginFailed(name, why))
+        self.autopilot.status_text(f"Lookback: {name} failed, goes on without", mavlink.MAV_SEVERITY_WARNING)
 
     def newest_map(self) -> MapSoFar | None:
         """The map of this drive, None where nothing maps it."""
-        return next((newest for plugin in self.plugins if (newest := plugin.newest_map())), None)
+        newest = self.plugins.each(lambda plugin: plugin.newest_map())
+        return next((one for one in newest if one is not None), None)
 
     def _open_recognizer(self) -> None:
         config, newest = self.config, self.newest_map()

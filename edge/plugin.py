@@ -1,15 +1,18 @@
 """What is added to the daemon from outside: a plug-in is opened with the daemon's parts, and called at its moments.
 
-A module `open_plugin(parts: OpenedParts) -> Plugin | None` is all that it takes: None where the config does not ask for
+All that it takes is a function `open_plugin(parts: OpenedParts) -> Plugin | None`: None where the config does not ask for
 it. Those that come with Lookback are listed here; another package adds one by an entry point `lookback.plugins`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import contextlib
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,8 @@ PLUGINS = {
     for name in ("motion", "mapping", "layers", "recording", "home", "ros2", "page")
 }
 """As entry points, in the order in which they are opened and called. Names only: edge imports nothing of plugins."""
+T = TypeVar("T")
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,8 @@ class UsedFrame:
 class Plugin:
     """Does nothing at any moment; a plug-in overrides those that it needs.
 
-    All calls come from the daemon's loop, and none may block: what takes longer belongs in a thread or a process. An
-    exception ends the daemon, and the service starts it again; SetupError, in `open_plugin` and `start`, does not.
+    All calls come from the daemon's loop, and none may block: what takes longer belongs in a thread or a process.
+    What `open_plugin` and `start` raise ends the daemon; what another call raises ends the plug-in, see `Plugins`.
     """
 
     def newest_map(self) -> MapSoFar | None:
@@ -88,9 +93,51 @@ class Plugin:
         """The end, also where `start` was never called; more than once is harmless."""
 
 
-def plugin_openers() -> Iterator[Callable[[Any], Plugin | None]]:
-    """The function `open_plugin` of each plug-in that is installed."""
-    for name, value in PLUGINS.items():
-        yield EntryPoint(name, value, GROUP).load()
-    for point in entry_points(group=GROUP):
-        yield point.load()
+PluginKind = TypeVar("PluginKind", bound=Plugin)
+
+
+class Plugins:
+    """Those that are open. One that fails is closed, and everything else goes on: a page must not cost a position."""
+
+    def __init__(self, failed: Callable[[str, str], object]) -> None:
+        """failed: called with the name of a plug-in that failed, and why."""
+        self._open: dict[str, Plugin] = {}
+        self._failed = failed
+
+    def open(self, parts: Any) -> None:
+        """Open those that the config asks for; parts: the daemon's."""
+        others = {point.name: point.value for point in entry_points(group=GROUP)}
+        for name, value in {**PLUGINS, **others, **PLUGINS}.items():  # ours first, and none of them replaced
+            plugin: Plugin | None = EntryPoint(name, value, GROUP).load()(parts)
+            if plugin is not None:
+                self._open[name] = plugin
+        log.info("plug-ins: %s", ", ".join(self._open))
+
+    def start(self) -> None:
+        """Once everything else is open."""
+        for plugin in self._open.values():
+            plugin.start()
+
+    def find(self, kind: type[PluginKind]) -> PluginKind | None:
+        """The plug-in of a class, for another one; None where it is not open."""
+        return next((plugin for plugin in self._open.values() if isinstance(plugin, kind)), None)
+
+    def each(self, moment: Callable[[Plugin], T]) -> list[T]:
+        """Call each at a moment; what they return."""
+        returned = []
+        for name, plugin in list(self._open.items()):
+            try:
+                returned.append(moment(plugin))
+            except Exception as error:
+                log.exception("plug-in %s failed and is closed; everything else goes on", name)
+                del self._open[name]
+                with contextlib.suppress(Exception):
+                    plugin.close()
+                self._failed(name, f"{type(error).__name__}: {error}")
+        return returned
+
+    def close(self) -> None:
+        """Close all, the last first."""
+        with ExitStack() as stack:
+            for plugin in self._open.values():
+                stack.callback(plugin.close)

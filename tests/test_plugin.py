@@ -5,7 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
+from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,9 +18,9 @@ from edge.config import AcceptanceConfig, Config, MapConfig, PageConfig, Samplin
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.records import PlaceFix
+from edge.journal.records import PlaceFix, PluginFailed, Stopped
 from edge.opened_parts import OpenedParts
-from edge.plugin import PLUGINS, plugin_openers
+from edge.plugin import GROUP, PLUGINS
 from sim.journal import records_of
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.udp_port import free_port
@@ -28,11 +32,13 @@ from edge.plugin import Plugin
 
 class Witness(Plugin):
     def __init__(self):
-        self.seen = []
+        self.seen, self.fails_at = [], None
     def start(self):
         self.seen.append("start")
     def frame(self, frame):
         self.seen.append(("frame", frame.index))
+        if frame.index == self.fails_at:
+            raise KeyError(frame.index)
     def spare_turn(self, waited_s, describe):
         self.seen.append("spare_turn")
     def frame_used(self, used):
@@ -70,37 +76,53 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "lookback_witness", raising=False)
 
 
-@pytest.mark.usefixtures("installed")
-def test_a_plug_in_of_another_package_is_called_at_its_moments(
-    make_street: Callable[..., Path], network: Network, tmp_path: Path
-) -> None:
-    street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
-    now_ns, images = 10**12, FeedImages(read_feed(street / "feed"))
-    frames, journal = ScriptedFrames(lambda: now_ns), tmp_path / "events.jsonl"
-    config = Config(
-        sampling=SamplingConfig(by="frames"),
-        map=MapConfig(path=str(street / "map")),
-        sequence=SequenceConfig(length=10),
-        acceptance=AcceptanceConfig(window_m=10.0, hold_off_s=0.2),
-        telemetry=TelemetryConfig(connection=f"udpin:127.0.0.1:{free_port()}", journal=str(journal)),
-        page=PageConfig(port=0),
-    )
-    with ExitStack() as parts:
-        opened = OpenedParts(config, parts, lambda: now_ns, frames=frames, network=network)
-        (witness,) = [plugin for plugin in opened.plugins if type(plugin).__name__ == "Witness"]
-        daemon = Daemon(opened)
+class Street:
+    """A daemon on a map of a street, which is shown one frame after another."""
+
+    def __init__(self, street: Path, network: Network, folder: Path, parts: ExitStack) -> None:
+        self._now_ns, self._images = 10**12, FeedImages(read_feed(street / "feed"))
+        self._frames, self.journal = ScriptedFrames(self.clock_ns), folder / "events.jsonl"
+        connection = f"udpin:127.0.0.1:{free_port()}"
+        config = Config(
+            sampling=SamplingConfig(by="frames"),
+            map=MapConfig(path=str(street / "map")),
+            sequence=SequenceConfig(length=10),
+            acceptance=AcceptanceConfig(window_m=10.0, hold_off_s=0.2),
+            telemetry=TelemetryConfig(connection=connection, journal=str(self.journal)),
+            page=PageConfig(port=0),
+        )
+        opened = OpenedParts(config, parts, self.clock_ns, frames=self._frames, network=network)
+        self.witness: Any = opened.plugins.find(import_module("lookback_witness").Witness)
+        self.daemon = Daemon(opened)
+
+    def clock_ns(self) -> int:
+        return self._now_ns
+
+    def drive(self) -> None:
         for index in range(FRAMES):
-            now_ns += PERIOD_NS
-            frames.next = Frame(images.read(index), now_ns, index)
-            daemon.turn()
-        daemon.turn()  # without a frame
-        daemon.reopen_maps()
-        daemon.last_words()
-    seen = witness.seen  # type: ignore[attr-defined]
+            self._now_ns += PERIOD_NS
+            self._frames.next = Frame(self._images.read(index), self._now_ns, index)
+            self.daemon.turn()
+
+
+@pytest.fixture
+def open_street(make_street: Callable[..., Path], network: Network, tmp_path: Path, installed: None) -> Any:
+    street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
+    return partial(Street, street, network, tmp_path)
+
+
+def test_a_plug_in_of_another_package_is_called_at_its_moments(open_street: Callable[[ExitStack], Street]) -> None:
+    with ExitStack() as parts:
+        street = open_street(parts)
+        street.drive()
+        street.daemon.turn()  # without a frame
+        street.daemon.reopen_maps()
+        street.daemon.last_words()
+    seen = street.witness.seen
     assert (seen[0], seen[-4:]) == ("start", ["turn", "maps_changed", "stop", "close"])
     assert seen.count("turn") == FRAMES + 1
     assert seen.count("spare_turn") == 1
-    places = [fix.place for fix in records_of(journal, PlaceFix)]
+    places = [fix.place for fix in records_of(street.journal, PlaceFix)]
     assert places
     assert [one[1] for one in seen if one[0] == "place"] == places
     assert [one[1] for one in seen if one[0] == "frame"] == list(range(FRAMES))
@@ -109,7 +131,26 @@ def test_a_plug_in_of_another_package_is_called_at_its_moments(
     assert seen[emitted - 1][2], "the record says that an event followed"
 
 
+def test_a_plug_in_that_fails_costs_no_place(
+    open_street: Callable[[ExitStack], Street], caplog: pytest.LogCaptureFixture
+) -> None:
+    with ExitStack() as parts:
+        street = open_street(parts)
+        street.drive()
+    whole = [fix.place for fix in records_of(street.journal, PlaceFix)]
+    street.journal.unlink()
+    with ExitStack() as parts:
+        street = open_street(parts)
+        street.witness.fails_at = 20
+        street.drive()
+        street.daemon.last_words()
+    (failed,) = records_of(street.journal, PluginFailed)
+    assert (failed.plugin, failed.why) == ("witness", "KeyError: 20")
+    assert street.witness.seen[-2:] == [("frame", 20), "close"]
+    assert [fix.place for fix in records_of(street.journal, PlaceFix)] == whole
+    assert "Traceback" in caplog.text
+    assert next(records_of(street.journal, Stopped)).frames_used == FRAMES
+
+
 def test_those_that_come_with_lookback_can_all_be_loaded() -> None:
-    openers = list(plugin_openers())
-    assert len(openers) >= len(PLUGINS)
-    assert all(callable(opener) for opener in openers)
+    assert all(callable(EntryPoint(name, value, GROUP).load()) for name, value in PLUGINS.items())

@@ -18,14 +18,13 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 import edge
 from edge.errors import ConfigError, reason
 from edge.files import DISK_ERRORS
-from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record, StateChanged
+from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record
 
 log = logging.getLogger(__name__)
 FILES = 10
@@ -34,7 +33,6 @@ QUEUE_RECORDS = 1000
 """Of the daemon's journal: about 20 s of a drive with [telemetry] journal_frames, minutes without."""
 FLUSH_S = 3.0
 """How long the end waits for a disk that does not answer; systemd kills after 10 s (TimeoutStopSec=)."""
-TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
 
 
 class Journal:
@@ -225,19 +223,3 @@ def rotate(path: Path) -> None:
     path.rename(path.with_name(f"{path.name}.1"))
     for file in earlier_files(path)[FILES - 1 :]:
         file.unlink()
-
-
-def newest_state(path: Path) -> tuple[float | None, StateChanged] | None:
-    """The last state that a journal's newest file has, and its Unix time in seconds; None where it has none.
-
-    Only the end of the file is read. OSError where it cannot be.
-    """
-    with path.open("rb") as stream:
-        stream.seek(max(0, path.stat().st_size - TAIL_BYTES))
-        lines = stream.read().splitlines()
-    for line in reversed(lines):
-        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
-            fields = msgspec.json.decode(line, type=dict[str, Any])
-            if fields.get("event") == "state":
-                return fields.get("unix_s"), msgspec.convert(fields, StateChanged)
-    return None

@@ -73,6 +73,13 @@ class MapExcluded(_Tagged, frozen=True, tag="map_excluded"):
     why: Annotated[str, unit("", "what is wrong with it")]
 
 
+class PluginFailed(_Tagged, frozen=True, tag="plugin_failed"):
+    """A plug-in is closed until the next start; places and positions go on."""
+
+    plugin: Annotated[str, unit("", "its name")]
+    why: Annotated[str, unit("", "what it failed by")]
+
+
 class MappingChanged(_Tagged, frozen=True, tag="mapping"):
     """Live mapping began, pauses or stopped."""
 
@@ -279,6 +286,7 @@ Record = (
     | StateChanged
     | MapExcluded
     | MappingChanged
+    | PluginFailed
     | DrivesDisagree
     | LinkChanged
     | FrameUsed

@@ -17,8 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import Parallax
-
 Vector = NDArray[np.float64]
 
 FINE = 4
@@ -32,9 +30,6 @@ WRONG = 0.02
 """Probability that the costs of a region say nothing."""
 LEAST_ROWS = 0.6
 """Share of the rows that must be on the map wherever a line is looked for."""
-
-CLEAR, CLEAR_PLACES = 0.7, 1.5
-"""How likely the places around the best one must be for it to be clear, and how many places to each side those are."""
 
 CERTAIN = np.ones(1)
 """Of a motion that is known."""
@@ -112,24 +107,6 @@ def region_line(
     median = float(np.median(best))
     contrast = 1 - float(best.min()) / median if median > 0 else 0.0
     return RegionLine((1 - WRONG) * likely / likely.sum() + WRONG / len(likely), contrast)
-
-
-def lag_places(parallax: Parallax) -> float:
-    """By how many places the line of the left region lies behind that of the right one; NaN where it is not clear.
-
-    For a vehicle that stays as far beside the map's drive as it is.
-    """
-    at = []
-    for costs in parallax.costs:
-        line = region_line(costs, np.zeros((1, len(costs))))
-        if line is None:
-            return float("nan")
-        likely = line.likely
-        near = np.abs(BEYOND_PLACES - BEYOND_PLACES[likely.argmax()]) <= CLEAR_PLACES
-        if likely[near].sum() < CLEAR:
-            return float("nan")
-        at.append(float(likely[near] @ BEYOND_PLACES[near] / likely[near].sum()))
-    return at[1] - at[0]
 
 
 def _between_places(costs: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -54,20 +54,6 @@ def sigmas_m(places: NDArray[np.void]) -> NDArray[np.float64]:
     return sigma_m
 
 
-def spell_accuracy(places: NDArray[np.void]) -> str:
-    """For people: how accurate the known positions are, what measured them, and what is assumed."""
-    known = places[~np.isnan(places["lat_deg"])]
-    if not known.size:
-        return "no positions"
-    given = known["position_sigma_m"][~np.isnan(known["position_sigma_m"])]
-    counts = np.bincount(known["position_source"], minlength=len(POSITION_SOURCES))
-    sources = ", ".join(name for name, count in zip(POSITION_SOURCES, counts, strict=True) if count)
-    parts = [f"{np.median(given):.1f} m median, {given.max():.1f} m at worst"] if given.size else []
-    if given.size < known.size:
-        parts.append(f"not recorded for {known.size - given.size} places, {ASSUMED_SIGMA_M:g} m is assumed")
-    return f"{'; '.join(parts)} (source: {sources})"
-
-
 def check_places(file: Path, places: NDArray[np.void]) -> None:
     """What is known of a place must be possible, whatever its checksum says: positions are computed with it."""
     for name, most in LIMITS.items():

@@ -8,7 +8,9 @@ import time
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from edge.camera import check_kind
@@ -17,22 +19,23 @@ from edge.descriptor.network import Head, Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
 from edge.feed.sampling import spell_spacing
-from edge.journal.journal import newest_state
+from edge.journal.records import StateChanged
 from edge.map_agreement import disagreements
 from edge.recognizer import open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
-from edge.reference_map.place_records import spell_accuracy
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge.toml_file import read_text, toml_values
 from plugins.doctor.findings import Examined, Found, bad, good, note
 from plugins.home import plan_way_home
+from plugins.mapping.builder import spell_accuracy
 from plugins.motion import CameraMotion
 from plugins.motion.camera_motion import LEAST_NS
 from plugins.motion.ground import FARTHEST, GroundView
 from plugins.motion.height import WINDOW_M, WINDOWS
 from plugins.ros2.messages import message_types
 
+TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
 LEAST_GROUND = 0.1
 """Of the picture: of one of 4 : 3 that is level, at 80 degrees, it is 30 %."""
 
@@ -62,7 +65,7 @@ def check_last_state(examined: Examined) -> Iterator[Found]:
     """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
     path = examined.settings.telemetry.journal
     with contextlib.suppress(OSError):
-        newest = newest_state(Path(path)) if path else None
+        newest = _newest_state(Path(path)) if path else None
         if newest is not None:
             unix_s, record = newest
             when = "" if unix_s is None else f" at {datetime.fromtimestamp(unix_s):%Y-%m-%d %H:%M:%S}"
@@ -194,3 +197,19 @@ def check_links(examined: Examined) -> Iterator[Found]:
         else:
             open_to = f"{link.connection}: unsigned, and who reaches it can speak in the autopilot's name"
             yield note(open_to, "set signing_key on both ends (docs/positions.md), or use a wire of its own")
+
+
+def _newest_state(path: Path) -> tuple[float | None, StateChanged] | None:
+    """The last state that a journal's newest file has, and its Unix time in seconds; None where it has none.
+
+    Only the end of the file is read. OSError where it cannot be.
+    """
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - TAIL_BYTES))
+        lines = stream.read().splitlines()
+    for line in reversed(lines):
+        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
+            fields = msgspec.json.decode(line, type=dict[str, Any])
+            if fields.get("event") == "state":
+                return fields.get("unix_s"), msgspec.convert(fields, StateChanged)
+    return None

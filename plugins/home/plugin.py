@@ -37,7 +37,7 @@ class Home(Plugin):
             self._socket.close()
 
     def _plan(self, start: Start) -> WayHome:
-        maps, config, mapping = self._parts.recognizer.map_set, self._parts.config, self._parts.plugin(Mapping)
+        maps, config, mapping = self._parts.recognizer.map_set, self._parts.config, self._parts.plugins.find(Mapping)
         if mapping is not None:  # with the map of this drive up to the vehicle
             maps = maps.with_newest(mapping.mapper.live.whole())
             start = replace(start, route_m=mapping.mapper.driven_m())

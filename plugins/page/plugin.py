@@ -55,7 +55,7 @@ class Page(Plugin):
             self.server.close()
 
     def _request(self, server: StatusPage, wanted: str) -> None:
-        home, mapping = self._parts.plugin(Home), self._parts.plugin(Mapping)
+        home, mapping = self._parts.plugins.find(Home), self._parts.plugins.find(Mapping)
         if wanted in ("home", "restore"):
             assert home is not None
             home.requests.ask(lambda answer: server.reply(answer.text), restore=wanted == "restore")
@@ -68,7 +68,7 @@ class Page(Plugin):
 
     def _show(self, server: StatusPage) -> None:
         parts, live = self._parts, self._live
-        health, maps, mapping = parts.monitor.health, parts.recognizer.map_set, parts.plugin(Mapping)
+        health, maps, mapping = parts.monitor.health, parts.recognizer.map_set, parts.plugins.find(Mapping)
         shown = live.snapshot(
             parts.clock_ns(),
             health.state,

@@ -15,16 +15,19 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
 from edge.localization.place_fix import LineReadings, line_middle
-from edge.localization.region_lines import lag_places
+from edge.localization.region_lines import BEYOND_PLACES, region_line
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
-from edge.sequence import Direction, Order, PlaceMatch, Travel
+from edge.sequence import Direction, Order, Parallax, PlaceMatch, Travel
 from sim.traverse import traverse
 
 ALIKE_M, ALIKE_SHARE = 3.0, 0.2
 """A line is as long as what was driven if both differ by at most so many meters and that share, of which a tenth is for
 the odometer of a recorded drive."""
+
+CLEAR, CLEAR_PLACES = 0.7, 1.5
+"""How likely the places around the best one must be for it to be clear, and how many places to each side those are."""
 
 OFF_ROUTE_M = 30.0
 """A vehicle further than this from the map's drive was not on it."""
@@ -152,3 +155,21 @@ def _project(
     share = np.clip(((point - start) * step).sum(axis=1) / length_sq, 0.0, 1.0)
     distance_m = np.linalg.norm(start + share[:, np.newaxis] * step - point, axis=1)
     return distance_m, along_m[:-1] + share * np.diff(along_m)
+
+
+def lag_places(parallax: Parallax) -> float:
+    """By how many places the line of the left region lies behind that of the right one; NaN where it is not clear.
+
+    For a vehicle that stays as far beside the map's drive as it is.
+    """
+    at = []
+    for costs in parallax.costs:
+        line = region_line(costs, np.zeros((1, len(costs))))
+        if line is None:
+            return float("nan")
+        likely = line.likely
+        near = np.abs(BEYOND_PLACES - BEYOND_PLACES[likely.argmax()]) <= CLEAR_PLACES
+        if likely[near].sum() < CLEAR:
+            return float("nan")
+        at.append(float(likely[near] @ BEYOND_PLACES[near] / likely[near].sum()))
+    return at[1] - at[0]

@@ -27,10 +27,12 @@ from edge.config import (
     TelemetryConfig,
 )
 from edge.daemon import Daemon
+from edge.journal.records import PluginFailed
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
+from sim.journal import records_of
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Draft
 from sim.trial.records import Array, Run, Sent, Track
@@ -118,6 +120,8 @@ class Drive:
                 pass
             if simulation.ended:
                 daemon.last_words()
+        for failed in records_of(self.journal, PluginFailed):
+            raise RuntimeError(f"plug-in {failed.plugin}: {failed.why}")
 
     def judged(self, simulation: Simulation, alone: Simulation) -> Run:
         """Both drives, by the truth."""

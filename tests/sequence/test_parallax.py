@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import BEYOND_PLACES, lag_places, region_line
+from edge.localization.region_lines import BEYOND_PLACES, region_line
 from edge.sequence import Parallax
 from edge.sequence.parallax import REACH, along_line
+from sim.calibration.sightings import lag_places
 
 ROWS, PLACES, END = 24, 90, 60
 AGES = np.arange(ROWS)

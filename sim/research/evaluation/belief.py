@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, cut_regions
 from edge.feed import View
-from edge.localization.region_lines import lag_places
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
 from plugins.mapping.builder import NAN, Place
+from sim.calibration.sightings import lag_places
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.tables import options, publish

@@ -207,7 +207,7 @@ def drive(
     for until_m in sorted({killed_at_m, math.inf}):
         with ExitStack() as open_parts:
             daemon = opened(config, open_parts, world, front, rear)
-            live = daemon.parts.plugin(Mapping)
+            live = daemon.parts.plugins.find(Mapping)
             while not world.is_over and world.driven_m < until_m:
                 world.now_ns += STEP_NS
                 each_turn(world.driven_m)
