@@ -1,7 +1,7 @@
 """What is added to the daemon from outside: a plug-in is opened with the daemon's parts, and called at its moments.
 
-All that it takes is a function `open_plugin(parts: OpenedParts) -> Plugin | None`: None where the config does not ask for
-it. Those that come with Lookback are listed here; another package adds one by an entry point `lookback.plugins`.
+All that it takes is a function `open_plugin(parts: OpenedParts) -> Plugin | None`: None where the config does not ask
+for it. Those that come with Lookback are listed here; another package adds one by an entry point `lookback.plugins`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""Cameras: V4L2, OAK, stream, recorded feed, or an installed plug-in (the simulator); all hand on a `Frame`.
+"""Cameras: V4L2, a recorded feed, or a plug-in (OAK, streams, the simulator); all hand on a `Frame`.
 
-`v4l2` and `oak` are devices; `frame` lists what a device did not accept. `stream` is a video stream from the network
-or from a command (`command_output`), with its own clock. `recorded` plays a feed.
+`v4l2` is a device, and `recorded` plays a feed; `frame` lists what a device did not accept.
 `preprocessing` flips, crops and masks the images of all of them. `newest` is the one thread, which keeps only the
 newest frame of any of them and opens a lost camera again; `picture_check` finds pictures that show nothing, or are old;
-`turns` shows how old.
+`picture_age` says how old.
 A further camera is a class like `Camera`, and a line in CAMERAS; or, outside this package, an entry point
 `lookback.cameras`.
 """

@@ -1,8 +1,7 @@
 """The feed: a recorded traverse that every tool reads and writes.
 
-`format` is the two text files, `reader` and `writer` the folder with its images, `sampling` chooses the frames that are
-places, and `recorder` writes a feed while frames come from a camera. `Frame` is
-the record that feeds and live cameras hand on.
+`format` is the two text files, `reader` and `writer` the folder with its images, and `sampling` chooses the frames that
+are places. `Frame` is the record that feeds and live cameras hand on.
 """
 
 from edge.feed.format import FeedHeader, FeedRow, View

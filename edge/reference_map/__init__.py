@@ -1,4 +1,4 @@
-"""The map of known places: on-disk format, building, and the cost of a query to every place.
+"""The map of known places: on-disk format, and the cost of a query to every place.
 
 `map_set`  a map, or a folder of them, as plain arrays; `map_folder` opens it, `place_index` counts its places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
@@ -7,8 +7,7 @@
 `spatial_index`  which places a known position allows; `route` positions along the drives
 `learned`  which maps are not searched, what is gone, newer positions; `checksums` a piece at a time, between frames
 `gps_motion`  whether positions move as the vehicle does
-`growing_map`  the map of this drive, searched while it grows
-`builder`  adds place after place, then normalizes and writes the whole set, atomically
+`map_so_far`  the map of this drive, searched while it grows
 """
 
 from edge.reference_map.costs import COST_ONE

@@ -1,4 +1,4 @@
-"""The way home: a drive of a reference map, reversed into a mission that an autopilot can follow. Pure.
+"""The way home: a drive of a reference map, reversed into a mission that an autopilot can follow, and uploaded.
 
 `drive_line`  the positions of one drive of a map, as a line on the ground, and fewer points of it
 `passes`      which pass of that drive the vehicle is on
@@ -6,7 +6,8 @@
               of a MAVLink mission, as ArduPilot or PX4 number them
 `checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
 
-Nothing in here communicates with an autopilot: `edge.telemetry` uploads missions.
+These are pure. `home_requests` answers requests, which come by MAVLink, by `local_socket` or from the page;
+`mission_transfer` uploads the mission, and `replaced_mission` keeps the one before. `plugin` is for the daemon.
 """
 
 from __future__ import annotations

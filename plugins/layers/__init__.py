@@ -3,6 +3,7 @@
 `learner` runs that command after the daemon's drives
 `tally`   what the daemon recognized, by map, light and stretch; a file for each run
 `stored`  the maps of a folder on the disk, and which are deleted for want of space
+`plugin`  both of them, for the daemon
 `road`    which drives pass the same road, and how alike they look there
 """
 
