@@ -46,7 +46,7 @@ autopilot's messages, encodes and sends, decides the daemon's health, and serves
 USED_FRAME_FILES_MOST = 38
 """A file counts once, if any function of it is called. Five keep the evidence, which telemetry hid before;
 one compares the turns of the pictures with the vehicle's."""
-TURN_FILES_MOST = 57
+TURN_FILES_MOST = 56
 """Of a turn that reads a local position as well."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 11
 """How many classes may have more attributes than that; records are not counted."""
