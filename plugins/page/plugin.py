@@ -57,8 +57,10 @@ class Page(Plugin):
     def _request(self, server: StatusPage, wanted: str) -> None:
         home, mapping = self._parts.plugins.find(Home), self._parts.plugins.find(Mapping)
         if wanted in ("home", "restore"):
-            assert home is not None
-            home.requests.ask(lambda answer: server.reply(answer.text), restore=wanted == "restore")
+            if home is None:
+                server.reply("the way home has failed: see the log")
+            else:
+                home.requests.ask(lambda answer: server.reply(answer.text), restore=wanted == "restore")
         elif mapping is not None:
             mapper = mapping.mapper
             mapper.paused = "paused on the page" if wanted == "pause" else ""

@@ -14,7 +14,7 @@ from edge.plugin import Plugin, UsedFrame
 from plugins.recording.recorder import Recorder, begun_feed
 
 
-class Recording(Plugin):
+class RecordingPlugin(Plugin):
     """`Recorder` at the daemon's moments."""
 
     def __init__(self, parts: OpenedParts) -> None:
@@ -36,6 +36,6 @@ class Recording(Plugin):
         self._recorder.close()
 
 
-def open_plugin(parts: OpenedParts) -> Recording | None:
+def open_plugin(parts: OpenedParts) -> RecordingPlugin | None:
     """Where [recording] folder is set."""
-    return Recording(parts) if parts.config.recording.folder else None
+    return RecordingPlugin(parts) if parts.config.recording.folder else None

@@ -1,11 +1,12 @@
-"""How often errors exceed their protection levels, counted on seeded drives without pictures.
+"""How often errors exceed their protection levels, by seeded drives without pictures.
 
 The drives have what positions are wrong by: errors of matches and of their parallax that last, an odometer and a
 heading that are wrong, stretches of the map that are shifted as often as `STRETCH_WRONG` says, unmapped stretches of
-which some resemble the map, turn-offs, halts and reversing. Shifted stretches are rare, so that they are sampled more
-often than they occur, and weighted (importance sampling): classes of drives are counted apart.
+which some resemble the map, turn-offs, halts and reversing. What is rare is drawn more often and weighted (importance
+sampling): shifted stretches, in classes of their own, and large errors of odometer and heading. A drive whose error
+comes near to its level goes on several times (`splitting`).
 
-    python -m tests.localization.level_hours --drives 100 --page docs/integrity.md
+    python -m tests.localization.level_hours --drives 250 --page docs/integrity.md
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from edge.localization.claims import STRETCH_WRONG
 from sim.research.trial.table import put_between
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course, Stretch
+from tests.localization.splitting import LEVELS, reached_by
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
 UNMAPPED, RESEMBLES, OFF = 0.1, 0.1, 0.15
@@ -36,7 +38,13 @@ SHIFTED_M = (5.0, 500.0)
 NEAR_M = 40.0
 """Larger shifts are noticed more easily, so that they are a class of their own."""
 CLASSES = {"right": None, "shifted by less": (SHIFTED_M[0], NEAR_M), "shifted by more": (NEAR_M, SHIFTED_M[1])}
+PATHS = {"right": 4, "shifted by less": 2, "shifted by more": 4}
+"""What a path becomes at each level: where a stretch is shifted a little, many come near in any case."""
 CONFIDENCE = 0.95
+SCALE, HEADING_DEG, WIDER = 0.03, 1.5, 1.5
+"""Standard deviations of odometer and heading, and how many times as wide they are drawn."""
+FEW, RESAMPLED = 10, 10_000
+"""A bound is that of the highest level which so many drives came to; it is found by drawing drives anew so often."""
 
 
 def seed_of_run() -> int:
@@ -73,8 +81,15 @@ def stretches(rng: np.random.Generator, shifted_m: tuple[float, float] | None) -
     return found, float(weight)
 
 
+def motion_errors(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Of odometer and heading, as a share and in degrees; and how much more often they are drawn, inverted."""
+    drawn = rng.normal(0.0, WIDER, 2)
+    weight = np.prod(WIDER * np.exp(-(drawn**2) / 2 * (1 - WIDER**-2)))
+    return float(SCALE * drawn[0]), float(HEADING_DEG * drawn[1]), float(weight)
+
+
 def course(seed: int, shifted_m: tuple[float, float] | None = None) -> tuple[Course, float]:
-    """A drive, and its weight, see `stretches`."""
+    """A drive, and its weight, see `stretches` and `motion_errors`."""
     rng = np.random.default_rng([seed, 17])
     mapped, weight = stretches(rng, shifted_m)
     missing = set(np.arange(0.0, ROAD_M, STRETCH_M)) - {one.begins_m for one in mapped}
@@ -83,9 +98,12 @@ def course(seed: int, shifted_m: tuple[float, float] | None = None) -> tuple[Cou
         begins_m = float(rng.choice(sorted(missing))) + 100.0
         alias = begins_m, begins_m + 128.0
     off_how = str(rng.choice(OFF_HOW)) if rng.random() < OFF else ""
+    scale, heading_deg, share = motion_errors(rng)
     drawn = Course(
         road_m=ROAD_M,
         stretches=tuple(mapped),
+        scale=scale,
+        heading_deg=heading_deg,
         off_at_m=float(rng.uniform(600, 2400)) if off_how else math.inf,
         off_how=off_how,
         alias=alias,
@@ -94,26 +112,30 @@ def course(seed: int, shifted_m: tuple[float, float] | None = None) -> tuple[Cou
         parallax=bool(rng.random() < 0.5),
         speed_mps=float(rng.uniform(3, 12)),
     )
-    return drawn, weight
+    return drawn, weight * share
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What a drive showed. bounded: arrays (n, 7) of the fields of `Bounded`. exceeded: episodes."""
+    """What a drive showed. bounded: arrays (n, 7) of the fields of `Bounded`, of one path.
+
+    reached: probability (len(LEVELS),) with which such a drive comes as near as each level; the last one exceeds it.
+    """
 
     hours: float
     weight: float
     parallax: bool
     bounded: np.ndarray
-    exceeded: int
+    reached: np.ndarray
 
 
-def drive(seed: int, shifted_m: tuple[float, float] | None, folder: Path) -> Drive:
-    """Drive a course."""
-    drawn, weight = course(seed, shifted_m)
+def drive(seed: int, name: str, folder: Path) -> Drive:
+    """Drive a course of a class."""
+    drawn, weight = course(seed, CLASSES[name])
     bench = Bench(drawn, seed, folder)
-    bounded = bench.run().bounded
-    return Drive(bench.seconds / 3600, weight, drawn.parallax, np.array(bounded).reshape(-1, 7), exceeded(bounded))
+    near = reached_by(bench, PATHS[name], np.random.default_rng([seed, 99]))
+    bounded = np.array(bench.result.bounded).reshape(-1, 7)
+    return Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
 
 
 def exceeded(bounded: Sequence[Bounded]) -> int:
@@ -126,45 +148,55 @@ def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
     """So many drives of each class, on all processors."""
     found = {}
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for number, (name, shifted_m) in enumerate(CLASSES.items()):
+        for number, name in enumerate(CLASSES):
             seeds = range(first_seed + number * count, first_seed + (number + 1) * count)
-            found[name] = list(pool.map(drive, seeds, [shifted_m] * count, [folder] * count))
+            found[name] = list(pool.map(drive, seeds, [name] * count, [folder] * count))
     return found
 
 
 def rate(found: dict[str, list[Drive]]) -> tuple[float, float]:
-    """Episodes in an hour as drives occur: the estimate, and its upper bound at CONFIDENCE.
+    """Drives an hour in which an error exceeds its level, as drives occur: the estimate, and its bound at CONFIDENCE.
 
-    Of each class at most `most_events` are behind its count; the classes share what may be wrong.
+    The classes share what may be wrong.
     """
     hours = sum(float(np.mean([one.weight * one.hours for one in of_class])) for of_class in found.values())
-    estimate = sum(float(np.mean([one.weight * one.exceeded for one in of_class])) for of_class in found.values())
-    bound = sum(
-        max(one.weight for one in of_class)
-        * most_events(sum(one.exceeded for one in of_class), (1 - CONFIDENCE) / len(found))
-        / len(of_class)
-        for of_class in found.values()
-    )
+    estimate = sum(float(weighted(of_class)[:, -1].mean()) for of_class in found.values())
+    bound = sum(most_likely(of_class, (1 - CONFIDENCE) / len(found)) for of_class in found.values())
     return estimate / hours, bound / hours
 
 
-def most_events(count: int, wrong: float) -> float:
-    """The mean of a Poisson distribution that gives at most `count` with the probability `wrong`."""
-    low, high = 0.0, 10.0 * (count + 10)
-    while high - low > 1e-6:
-        mean = (low + high) / 2
-        terms = np.exp(-mean + np.arange(count + 1) * math.log(mean) - [math.lgamma(k + 1) for k in range(count + 1)])
-        low, high = (mean, high) if terms.sum() > wrong else (low, mean)
-    return high
+def weighted(of_class: Sequence[Drive]) -> np.ndarray:
+    """How often each drive comes as near as each level (n, len(LEVELS)), as such drives occur."""
+    return np.array([one.weight * one.reached for one in of_class])
+
+
+def bounding_level(of_class: Sequence[Drive]) -> int | None:
+    """The highest level to which FEW drives came: what comes to the last comes to it as well. None: none."""
+    enough = np.flatnonzero((weighted(of_class) > 0).sum(axis=0) >= FEW)
+    return int(enough[-1]) if len(enough) else None
+
+
+def most_likely(of_class: Sequence[Drive], wrong: float) -> float:
+    """At most so often, but for a probability of `wrong`: by the bootstrap over drives.
+
+    Where too few come near to a level at all, by the rule of three.
+    """
+    level, count = bounding_level(of_class), len(of_class)
+    if level is None:
+        return max(one.weight for one in of_class) * (FEW - math.log(wrong)) / count
+    shares, rng = weighted(of_class)[:, level], np.random.default_rng(1)
+    drawn = np.array([shares[rng.integers(count, size=count)].mean() for _ in range(RESAMPLED)])
+    return float(np.quantile(drawn, 1 - wrong))
 
 
 def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
     """What was shown, for people."""
     estimate, bound = rate(found)
     count = len(found["right"])
-    counted = ", ".join(
-        f"{sum(one.exceeded for one in of_class)} in {sum(one.hours for one in of_class):.0f} h ({name})"
+    nearest = ", ".join(
+        f"{'-' if level is None else format(LEVELS[level], '.1f')} ({name})"
         for name, of_class in found.items()
+        for level in [bounding_level(of_class)]
     )
     medians = ", ".join(
         f"{along_m:.1f} and {across_m:.1f} m {how} parallax"
@@ -172,9 +204,9 @@ def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
         for along_m, across_m in [median_level_m(found["right"], parallax)]
     )
     text = (
-        f"`python -m tests.localization.level_hours --drives {count} --seed {first_seed}`: levels were exceeded so "
-        f"often: {counted}. "
-        f"As such drives occur, that is {estimate:.4f} an hour, below {bound:.4f} at 95 % confidence. "
+        f"`python -m tests.localization.level_hours --drives {count} --seed {first_seed}`: an error exceeds its level "
+        f"{estimate:.6f} times an hour, below {bound:.6f} at 95 % confidence. That bound is by the share of a level to "
+        f"which at least {FEW} of {count} drives came: {nearest}. "
         f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)
@@ -190,7 +222,7 @@ def median_level_m(of_class: Sequence[Drive], parallax: bool) -> tuple[float, fl
 def main(argv: Sequence[str] | None = None) -> int:
     """Count, print what was shown, and write it into a page."""
     parser = argparse.ArgumentParser(prog="python -m tests.localization.level_hours", description=__doc__)
-    parser.add_argument("--drives", type=int, default=100, metavar="N", help="of each class (default 100)")
+    parser.add_argument("--drives", type=int, default=250, metavar="N", help="of each class (default 250)")
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)

@@ -165,12 +165,12 @@ class Bench:
         stretches = tuple(
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
-        maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
+        self.maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
         self.gates = GatesConfig()
         config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH), gates=self.gates)
         self.estimator = PositionEstimator(config)
-        self.estimator.use_maps(maps)
+        self.estimator.use_maps(self.maps)
         self.motion = DeadReckoning()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
@@ -186,16 +186,25 @@ class Bench:
         self.alias_now = False
 
     def run(self) -> Result:
-        course, rng = self.course, self.rng
-        truth = self._point(0.0, 0.0)
-        self.own = truth + rng.normal(0.0, 1.0, 2) if course.gps else truth + rng.normal(0.0, 20.0, 2)
-        self.alone = self.own.copy()
-        for s, at, speed_mps in self._moves():
-            now = self._truth(s, at)
-            step, truth = now - truth, now
-            self.driven_m += abs(speed_mps) * STEP_S
-            self._step(truth, step, speed_mps, s)
+        """The whole drive."""
+        for move in self.begin():
+            self.advance(move)
         return self.result
+
+    def begin(self) -> Iterator[Move]:
+        """Put the vehicle at its start; the drive, step by step, which `advance` makes."""
+        course, rng = self.course, self.rng
+        self.truth = self._point(0.0, 0.0)
+        self.own = self.truth + rng.normal(0.0, 1.0 if course.gps else 20.0, 2)
+        self.alone = self.own.copy()
+        return self._moves()
+
+    def advance(self, move: Move) -> None:
+        """One step."""
+        s, at, speed_mps = move
+        before, self.truth = self.truth, self._truth(s, at)
+        self.driven_m += abs(speed_mps) * STEP_S
+        self._step(self.truth, self.truth - before, speed_mps, s)
 
     def _moves(self) -> Iterator[Move]:
         """The drive, step by step."""

@@ -19,6 +19,7 @@ from edge.localization.integrity import UNNOTICED
 from edge.localization.protection_level import MODEL_ERROR, Wrong, protection_level
 from tests.localization import level_hours
 from tests.localization.route_bench import Bench, Course, Stretch
+from tests.localization.splitting import LEVELS
 
 FIX = PlaceFix(
     stamp_ns=0, place=3, lat_deg=-27.0, lon_deg=153.0, heading_deg=90.0, sigma_along_m=2.0, sigma_across_m=1.0,
@@ -29,12 +30,16 @@ FIX = PlaceFix(
 def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Path) -> None:
     """On maps that are right; `make soak` drives for hours."""
     first = level_hours.seed_of_run()
-    found = [level_hours.drive(seed, None, tmp_path) for seed in range(first, first + 5)]
-    assert sum(one.exceeded for one in found) == 0
+    found = []
+    for seed in range(first, first + 5):
+        drawn, _ = level_hours.course(seed)
+        bounded = Bench(drawn, seed, tmp_path).run().bounded
+        assert level_hours.exceeded(bounded) == 0
+        found.append((drawn.parallax, np.array(bounded).reshape(-1, 7)))
     # Apart, since levels with parallax are half of those without: a median of both may be of either.
     # 5.1 to 5.5 and 8.2 to 10 times the 95 % error in eight drives; other seeds scatter.
     for parallax, most in ((False, 6), (True, 10)):
-        every = np.concatenate([one.bounded for one in found if one.parallax is parallax])
+        every = np.concatenate([bounded for has_parallax, bounded in found if has_parallax is parallax])
         is_finite = np.isfinite(every[:, 5])
         assert is_finite.mean() > 0.3
         for error, level in ((1, 5), (2, 6)):
@@ -65,31 +70,46 @@ def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(s
     assert level_hours.exceeded(bounded) == 0
 
 
-def test_the_rate_is_weighted_and_its_bound_falls_with_what_was_driven() -> None:
-    def drives(count: int, exceeded: int, weight: float) -> list[level_hours.Drive]:
-        each = (level_hours.Drive(0.1, weight, True, np.zeros((0, 7)), index < exceeded) for index in range(count))
-        return list(each)
+def drives(count: int, weight: float, reached: dict[int, dict[int, float]]) -> list[level_hours.Drive]:
+    """reached: by the number of a drive, how often it comes to a level."""
+    found = []
+    for number in range(count):
+        near = np.zeros(len(LEVELS))
+        for level, share in reached.get(number, {}).items():
+            near[level] = share
+        found.append(level_hours.Drive(0.1, weight, True, np.zeros((0, 7)), near))
+    return found
 
-    found = {
-        "right": drives(100, 0, 0.97),
-        "shifted by less": drives(100, 2, 0.02),
-        "shifted by more": drives(100, 0, 0.01),
-    }
-    estimate, bound = level_hours.rate(found)
-    assert estimate == pytest.approx(0.02 * 0.02 / 0.1)
-    assert bound > 3 * 0.97 / (100 * 0.1), "a class without an event cannot show less than that"
-    assert level_hours.most_events(0, 0.05) == pytest.approx(3.0, abs=0.01)
-    assert level_hours.most_events(2, 0.05) == pytest.approx(6.3, abs=0.01)
+
+def test_the_rate_is_weighted_and_its_bound_falls_with_how_near_drives_came() -> None:
+    none = drives(100, 0.01, {})
+    often = drives(100, 0.02, {number: {-1: 0.5} for number in range(20)})
+    estimate, bound = level_hours.rate({"right": drives(100, 0.97, {}), "less": often, "more": none})
+    assert estimate == pytest.approx(0.02 * 0.2 * 0.5 / 0.1)
+    assert bound > 3 * 0.97 / (100 * 0.1), "a class whose drives come near to nothing cannot show less than that"
+    near = drives(100, 0.97, {number: {3: 1e-3} for number in range(20)})
+    estimate, closer = level_hours.rate({"right": near, "less": often, "more": none})
+    assert estimate == pytest.approx(0.02)
+    assert 0.02 + 0.97 * 2e-3 < closer < bound / 5
 
 
 def test_rare_drives_are_weighted_by_how_often_they_are() -> None:
     """The weights of all classes add up to one, and those of the shifted ones to how often a stretch is shifted."""
     weights = {
-        name: np.mean([level_hours.course(seed, shifted_m)[1] for seed in range(400)])
+        name: np.mean([level_hours.stretches(np.random.default_rng(seed), shifted_m)[1] for seed in range(400)])
         for name, shifted_m in level_hours.CLASSES.items()
     }
     assert sum(weights.values()) == pytest.approx(1.0, abs=0.002)
     assert weights["right"] == pytest.approx((1 - 5e-3) ** 5.5, abs=0.002)
+
+
+def test_errors_of_odometer_and_heading_are_weighted_by_how_often_they_are() -> None:
+    rng = np.random.default_rng(3)
+    scale, heading_deg, weight = np.array([level_hours.motion_errors(rng) for _ in range(20_000)]).T
+    assert weight.mean() == pytest.approx(1.0, abs=0.02)
+    assert np.sqrt((weight * scale**2).mean()) == pytest.approx(level_hours.SCALE, rel=0.03)
+    assert np.sqrt((weight * heading_deg**2).mean()) == pytest.approx(level_hours.HEADING_DEG, rel=0.03)
+    assert scale.std() == pytest.approx(level_hours.SCALE * level_hours.WIDER, rel=0.03)
 
 
 def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tuple[float, float]:

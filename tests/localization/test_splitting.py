@@ -1,0 +1,69 @@
+"""That splitting counts rare events as often as they are, and that the paths share nothing."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.localization.level_hours import CLASSES, course
+from tests.localization.route_bench import Bench
+from tests.localization.splitting import LEVELS, other_drive, reached, reached_by
+
+STEPS, LONGEST_STEP = 50, 0.045
+SPLITS = 1  # the seed of a drive that comes near to a level
+
+
+class Walk:
+    """A random walk; how far it comes is how near the event is."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng, self.at = np.random.default_rng(seed), 0.0
+
+    def begin(self) -> Iterable[int]:
+        return range(STEPS)
+
+    def advance(self, move: int) -> None:
+        self.at += self.rng.normal(0.0, LONGEST_STEP)
+
+    def other(self, rng: np.random.Generator) -> Walk:
+        other = copy.copy(self)
+        other.rng = np.random.default_rng(rng.integers(2**63))
+        return other
+
+
+def test_as_often_as_whole_walks_come_to_each_level() -> None:
+    steps = np.random.default_rng(1).normal(0.0, LONGEST_STEP, (100_000, STEPS))
+    farthest = steps.cumsum(axis=1).max(axis=1)
+    truth = (farthest[:, np.newaxis] >= LEVELS).mean(axis=0)
+    assert 1e-3 < truth[-1] < 3e-3
+    rng = np.random.default_rng(2)
+    found = [reached(Walk(seed), 3, rng, lambda walk: walk.at, Walk.other) for seed in range(1500)]
+    assert np.mean(found, axis=0) == pytest.approx(truth, rel=0.25)
+
+
+def test_a_drive_is_the_same_whether_others_begin_on_its_way_or_not(tmp_path: Path) -> None:
+    drawn, _ = course(SPLITS, CLASSES["shifted by less"])
+    alone, split = (Bench(drawn, SPLITS, tmp_path) for _ in range(2))
+    near = reached_by(split, 2, np.random.default_rng(1))
+    assert near[0] > 0, "else none began"
+    assert split.result.bounded == alone.run().bounded
+
+
+def test_what_follows_differs(tmp_path: Path) -> None:
+    drawn, _ = course(SPLITS, CLASSES["right"])
+    bench, rng = Bench(drawn, SPLITS, tmp_path), np.random.default_rng(1)
+    moves = list(bench.begin())
+    for move in moves[:300]:
+        bench.advance(move)
+    one, two = other_drive(bench, rng), other_drive(bench, rng)
+    assert one.own.tolist() == two.own.tolist()
+    for move in moves[300:310]:
+        one.advance(move)
+        two.advance(move)
+    assert one.right_m != two.right_m
+    assert one.estimator is not two.estimator
+    assert one.maps is two.maps
