@@ -28,7 +28,7 @@ import numpy as np
 from edge.localization.claims import STRETCH_WRONG
 from sim.research.trial.table import put_between
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course, Stretch
-from tests.localization.splitting import LEVELS, reached_by
+from tests.localization.splitting import LEVELS, Split, reached_by
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
 UNMAPPED, RESEMBLES, OFF = 0.1, 0.1, 0.15
@@ -38,8 +38,8 @@ SHIFTED_M = (5.0, 500.0)
 NEAR_M = 40.0
 """Larger shifts are noticed more easily, so that they are a class of their own."""
 CLASSES = {"right": None, "shifted by less": (SHIFTED_M[0], NEAR_M), "shifted by more": (NEAR_M, SHIFTED_M[1])}
-PATHS = {"right": 4, "shifted by less": 2, "shifted by more": 4}
-"""What a path becomes at each level: where a stretch is shifted a little, many come near in any case."""
+SPLITS = {"right": Split(3), "shifted by less": Split(2, begins=0.5), "shifted by more": Split(3)}
+"""Where a stretch is shifted a little, many come near in any case."""
 CONFIDENCE = 0.95
 SCALE, HEADING_DEG, WIDER = 0.03, 1.5, 1.5
 """Standard deviations of odometer and heading, and how many times as wide they are drawn."""
@@ -133,7 +133,7 @@ def drive(seed: int, name: str, folder: Path) -> Drive:
     """Drive a course of a class."""
     drawn, weight = course(seed, CLASSES[name])
     bench = Bench(drawn, seed, folder)
-    near = reached_by(bench, PATHS[name], np.random.default_rng([seed, 99]))
+    near = reached_by(bench, SPLITS[name], np.random.default_rng([seed, 99]))
     bounded = np.array(bench.result.bounded).reshape(-1, 7)
     return Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
 
@@ -194,7 +194,7 @@ def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
     estimate, bound = rate(found)
     count = len(found["right"])
     nearest = ", ".join(
-        f"{'-' if level is None else format(LEVELS[level], '.1f')} ({name})"
+        f"{'-' if level is None else format(LEVELS[level], '.2f')} ({name})"
         for name, of_class in found.items()
         for level in [bounding_level(of_class)]
     )

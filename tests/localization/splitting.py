@@ -9,16 +9,23 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.localization.route_bench import Bench, Result
 
-LEVELS = np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+LEVELS = np.arange(6, 21) / 20
 """Error as a share of the protection level; the last one is the event."""
 Floats = NDArray[np.float64]
+
+
+class Split(NamedTuple):
+    """How many paths a path becomes at each level that it reaches, from one of them on."""
+
+    factor: int
+    begins: float = 0.0
 
 
 class Path(Protocol):
@@ -36,14 +43,14 @@ P = TypeVar("P", bound=Path)
 
 def reached(
     path: P,
-    factor: int,
+    split: Split,
     rng: np.random.Generator,
     near: Callable[[P], float],
     other: Callable[[P, np.random.Generator], P],
 ) -> Floats:
     """Probability (len(LEVELS),) with which a path, from its start, comes as near as each level.
 
-    factor: how many paths it becomes at each level that it reaches. near: how near it is now. other: the same moment,
+    near: how near it is now. other: the same moment,
     after which chance is another. `path` itself goes on to the end, or to the event.
     """
     moves, found = list(path.begin()), np.zeros(len(LEVELS))
@@ -59,14 +66,15 @@ def reached(
             level = now
             if level == len(LEVELS):
                 break
-            weight /= factor
-            waiting += [(other(one, rng), at + 1, weight, level) for _ in range(factor - 1)]
+            if LEVELS[level - 1] >= split.begins:
+                weight /= split.factor
+                waiting += [(other(one, rng), at + 1, weight, level) for _ in range(split.factor - 1)]
     return found
 
 
-def reached_by(bench: Bench, factor: int, rng: np.random.Generator) -> Floats:
+def reached_by(bench: Bench, split: Split, rng: np.random.Generator) -> Floats:
     """The same for the error of a drive's positions as a share of their protection levels."""
-    return reached(bench, factor, rng, lambda one: nearness(one.result), other_drive)
+    return reached(bench, split, rng, lambda one: nearness(one.result), other_drive)
 
 
 def nearness(result: Result) -> float:

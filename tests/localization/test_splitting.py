@@ -11,7 +11,7 @@ import pytest
 
 from tests.localization.level_hours import CLASSES, course
 from tests.localization.route_bench import Bench
-from tests.localization.splitting import LEVELS, other_drive, reached, reached_by
+from tests.localization.splitting import LEVELS, Split, other_drive, reached, reached_by
 
 STEPS, LONGEST_STEP = 50, 0.045
 SPLITS = 1  # the seed of a drive that comes near to a level
@@ -41,14 +41,14 @@ def test_as_often_as_whole_walks_come_to_each_level() -> None:
     truth = (farthest[:, np.newaxis] >= LEVELS).mean(axis=0)
     assert 1e-3 < truth[-1] < 3e-3
     rng = np.random.default_rng(2)
-    found = [reached(Walk(seed), 3, rng, lambda walk: walk.at, Walk.other) for seed in range(1500)]
+    found = [reached(Walk(seed), Split(2, begins=0.3), rng, lambda walk: walk.at, Walk.other) for seed in range(1500)]
     assert np.mean(found, axis=0) == pytest.approx(truth, rel=0.25)
 
 
 def test_a_drive_is_the_same_whether_others_begin_on_its_way_or_not(tmp_path: Path) -> None:
     drawn, _ = course(SPLITS, CLASSES["shifted by less"])
     alone, split = (Bench(drawn, SPLITS, tmp_path) for _ in range(2))
-    near = reached_by(split, 2, np.random.default_rng(1))
+    near = reached_by(split, Split(2), np.random.default_rng(1))
     assert near[0] > 0, "else none began"
     assert split.result.bounded == alone.run().bounded
 
