@@ -11,7 +11,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, one record per line
     health/         the daemon's state, and systemd
-    commands/       run; the table of all commands, most of which are in `plugins` and `sim`
+    commands/       run; the table of all commands, most of which are in `edge_plugins` and `sim`
 
 The files beside them:
 
@@ -19,7 +19,7 @@ The files beside them:
     sequence_matcher  descriptors in, matches out
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
-    plugin            what is added to the daemon: the parts in `plugins/`, which only some vehicles need
+    plugin            what is added to the daemon: the parts in `edge_plugins/`, which only some vehicles need
     config            the one TOML file
     map_verification  which maps are used, and how far their positions are trusted
     map_agreement     whether drives over one road agree about where it is

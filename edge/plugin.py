@@ -24,10 +24,10 @@ from edge.sequence import PlaceMatch
 
 GROUP = "lookback.plugins"
 PLUGINS = {
-    name: f"plugins.{name}.plugin:open_plugin"
+    name: f"edge_plugins.{name}.plugin:open_plugin"
     for name in ("motion", "mapping", "layers", "recording", "home", "ros2", "page")
 }
-"""As entry points, in the order in which they are opened and called. Names only: edge imports nothing of plugins."""
+"""As entry points, in the order in which they are opened and called. Names only: edge imports nothing of them."""
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
@@ -111,10 +111,10 @@ class Plugins:
             plugin: Plugin | None = EntryPoint(name, value, GROUP).load()(parts)
             if plugin is not None:
                 self._open[name] = plugin
-        log.info("plug-ins: %s", ", ".join(self._open))
 
     def start(self) -> None:
         """Once everything else is open."""
+        log.info("plug-ins: %s", ", ".join(self._open))
         for plugin in self._open.values():
             plugin.start()
 

@@ -20,7 +20,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map

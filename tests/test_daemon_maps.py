@@ -33,7 +33,7 @@ from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.maps.tiles import split_map

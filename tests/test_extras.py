@@ -46,7 +46,7 @@ def test_the_command_adds_an_extra_without_a_package_index(tmp_path: Path) -> No
 
 
 def test_no_text_names_the_distribution_of_somebody_else() -> None:
-    folders = ("edge", "plugins", "sim", "docs", "systemd")
+    folders = ("edge", "edge_plugins", "sim", "docs", "systemd")
     files = [ROOT / "README.md", *(path for folder in folders for path in (ROOT / folder).rglob("*"))]
     for file in files:
         if file.suffix in (".py", ".md", ".sh", ".toml"):

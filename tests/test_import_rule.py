@@ -66,7 +66,7 @@ def is_module(name: str) -> bool:
 
 
 def ours(file: Path) -> set[str]:
-    return {name for name in imports(file) if name.split(".")[0] in ("edge", "plugins", "sim")}
+    return {name for name in imports(file) if name.split(".")[0] in ("edge", "edge_plugins", "sim")}
 
 
 def forbidden(stage: str) -> set[tuple[str, str]]:
@@ -95,15 +95,15 @@ def test_shared_tools_import_only_shared_tools() -> None:
 
 def test_edge_imports_neither_plugins_nor_sim() -> None:
     for file in (ROOT / "edge").rglob("*.py"):
-        assert not any(name.split(".")[0] in ("plugins", "sim") for name in imports(file)), file
+        assert not any(name.split(".")[0] in ("edge_plugins", "sim") for name in imports(file)), file
 
 
 def test_plugins_import_only_edge_and_the_plugins_before_them() -> None:
-    for folder in (ROOT / "plugins").glob("*/__init__.py"):
+    for folder in (ROOT / "edge_plugins").glob("*/__init__.py"):
         name = folder.parent.name
         allowed = set(PLUGINS[: PLUGINS.index(name) + 1])
         for file in folder.parent.rglob("*.py"):
-            others = {one.split(".")[1] for one in ours(file) if one.startswith("plugins.")}
+            others = {one.split(".")[1] for one in ours(file) if one.startswith("edge_plugins.")}
             assert others <= allowed, f"{file} imports {others - allowed}"
             assert not any(one.split(".")[0] == "sim" for one in ours(file)), file
 
@@ -116,7 +116,7 @@ def test_what_is_in_the_wheel_never_imports_research() -> None:
 
 def test_the_vehicle_never_loads_what_is_for_the_desk() -> None:
     """Heavy or foreign packages are imported where they are asked for, and pymavlink.mavutil nowhere in edge."""
-    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]:
+    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "edge_plugins").rglob("*.py")]:
         top = {
             name.name if isinstance(node, ast.Import) else node.module or ""
             for node in ast.parse(file.read_text(encoding="utf-8")).body
@@ -148,12 +148,12 @@ def test_no_command_loads_what_only_another_needs(words: list[str] | None, absen
 
 def test_every_module_of_a_vehicle_can_be_imported() -> None:
     """Also on a Python for which a package of an extra is missing: it is asked for only when it is used."""
-    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]:
+    for file in [*(ROOT / "edge").rglob("*.py"), *(ROOT / "edge_plugins").rglob("*.py")]:
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
         import_module(module)
 
 
-@pytest.mark.parametrize("package", ["edge", "plugins"])
+@pytest.mark.parametrize("package", ["edge", "edge_plugins"])
 def test_the_front_door_names_every_room(package: str) -> None:
     doc = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8"))) or ""
     words = {word.strip("`,:;./()") for word in doc.split()}
@@ -165,9 +165,9 @@ def test_the_front_door_names_every_room(package: str) -> None:
 def import_graph() -> dict[str, set[str]]:
     """Every module with those that it names in an import, also for types alone or inside a function.
 
-    That Python imports `edge.camera` before `plugins.cameras.oak` is no import of ours, and is not counted.
+    That Python imports `edge.camera` before `edge_plugins.cameras.oak` is no import of ours, and is not counted.
     """
-    files = [file for package in ("edge", "plugins", "sim") for file in (ROOT / package).rglob("*.py")]
+    files = [file for package in ("edge", "edge_plugins", "sim") for file in (ROOT / package).rglob("*.py")]
     return {module_name(file): {name for name in ours(file) if is_module(name)} for file in files}
 
 
@@ -202,10 +202,10 @@ import edge.daemon
 if TYPE_CHECKING:
     from edge.config import Config
 def load():
-    from plugins.page import server
+    from edge_plugins.page import server
 """
     (tmp_path / "module.py").write_text(hidden, encoding="utf-8")
-    assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "plugins.page.server"}
+    assert ours(tmp_path / "module.py") >= {"edge.daemon", "edge.config", "edge_plugins.page.server"}
     assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
     assert circle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
 
@@ -219,7 +219,7 @@ def test_the_tests_mirror_the_program() -> None:
     beside = {"docs", "faults", "firmware_config", "golden", "hardware", "plugins", "sim", "systemd"}
     assert folders(ROOT / "tests") - beside <= folders(ROOT / "edge")
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
-    assert folders(ROOT / "tests/plugins") <= folders(ROOT / "plugins")
+    assert folders(ROOT / "tests/plugins") <= folders(ROOT / "edge_plugins")
     modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
     whole = {"test_import_rule", "test_one_frame"}
     for file in (ROOT / "tests").glob("test_*.py"):

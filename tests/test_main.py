@@ -127,14 +127,14 @@ def test_a_map_of_another_model_or_other_regions(
 
     from edge.config import SamplingConfig
     from edge.reference_map.store import ModelKey, open_map
-    from plugins.mapping.builder import MapBuilder
+    from edge_plugins.mapping.builder import MapBuilder
 
     original = open_map(street_map)
     other = ModelKey("other-network", "f" * 64, "fc6", 4096)
     with MapBuilder(tmp_path / "other.map", other, original.header.regions, SamplingConfig()) as builder:
         builder.begin_segment("x", "front")
         for index, raw in enumerate(original.raw()):
-            from plugins.mapping.builder import Place
+            from edge_plugins.mapping.builder import Place
 
             builder.add(raw.astype("f4"), Place(row=index))
         builder.finish()

@@ -16,7 +16,7 @@ from edge.geodesy import PositionSource, moved
 from edge.map_agreement import LENGTH, as_uncertain, disagreements
 from edge.reference_map import Route, open_map, open_map_set
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import NAN, MapBuilder, Place
+from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from sim.maps.outvoted import outvoted
 from sim.maps.tiles import split_map
 

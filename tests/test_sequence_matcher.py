@@ -15,7 +15,7 @@ from edge.sequence import Travel
 from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 PLACES, DIMENSIONS, SPACING_M = 200, 256, 2.0

@@ -25,8 +25,8 @@ __all__ = ["Camera", "CameraHealth", "Frame", "Frames", "check_kind", "open_came
 GROUP = "lookback.cameras"
 CAMERAS = {
     "v4l2": "edge.camera.v4l2:V4l2Camera",
-    "oak": "plugins.cameras.oak:OakCamera",
-    "stream": "plugins.cameras.stream:StreamCamera",
+    "oak": "edge_plugins.cameras.oak:OakCamera",
+    "stream": "edge_plugins.cameras.stream:StreamCamera",
     "feed": "edge.camera.recorded:RecordedCamera.of",
 }
 """As entry points: a vehicle without an OAK never loads DepthAI."""

@@ -16,12 +16,12 @@ from edge.extras import install_command
 
 COMMANDS = {
     "run": "edge.commands.run",
-    "record": "plugins.recording.command",
+    "record": "edge_plugins.recording.command",
     "map": "sim.maps.command",
     "replay": "sim.evaluation.replay",
     "home": "sim.home.command",
     "config": "edge.commands.config_file",
-    "doctor": "plugins.doctor.command",
+    "doctor": "edge_plugins.doctor.command",
     "calibrate": "sim.calibration.command",
     "completion": "sim.completion",
     "demo": "sim.demo.command",

@@ -1,4 +1,4 @@
-"""A request to the daemon that runs on this computer, over its socket: see `plugins.home.local_socket`."""
+"""A request to the daemon that runs on this computer, over its socket: see `edge_plugins.home.local_socket`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 
 from edge.errors import LinkLost
-from plugins.home.home_requests import Answer
-from plugins.home.local_socket import Request
+from edge_plugins.home.home_requests import Answer
+from edge_plugins.home.local_socket import Request
 
 ANSWER_S = 180.0
 """How long to wait; an upload that is repeated and cleared takes less."""

@@ -12,9 +12,9 @@ from edge.errors import ConfigError, LinkLost
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import parse_connection
-from plugins.home import Start, WayHome, plan_way_home
-from plugins.home.home_requests import Answer, HomeRequests, Plan
-from plugins.home.local_socket import Request
+from edge_plugins.home import Start, WayHome, plan_way_home
+from edge_plugins.home.home_requests import Answer, HomeRequests, Plan
+from edge_plugins.home.local_socket import Request
 from sim.home.client import ask_for_home
 from sim.home.files import encoder_of, write_way_home
 

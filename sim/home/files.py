@@ -11,8 +11,8 @@ import msgspec
 from edge.config import HomeConfig
 from edge.errors import ConfigError
 from edge.files import replacing
-from plugins.home import MissionItem, WayHome, mission_items
-from plugins.home.way_home import FRAME_RELATIVE_ALT
+from edge_plugins.home import MissionItem, WayHome, mission_items
+from edge_plugins.home.way_home import FRAME_RELATIVE_ALT
 from sim.ground_files import GroundLine, as_geojson
 from sim.output import refusing
 

@@ -20,7 +20,7 @@ from edge.feed import Feed, FeedOptions, read_feed
 from edge.geodesy import POSITION_SOURCES
 from edge.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps import export, layers
 from sim.maps import files as map_files
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed

@@ -31,7 +31,7 @@ from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.reference_map.store import RegionsKey
-from plugins.mapping.builder import MapBuilder, Place, thumbnail
+from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
 from sim.traverse import TraverseFrame, has_odometer, traverse
 
 MEASURED = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "position_sigma_m")

@@ -28,7 +28,7 @@ from edge.files import AtomicFolder, flush_to_disk, replacing
 from edge.reference_map import LearnedFolder, maps_in, open_map, read_header
 from edge.reference_map.map_folder import SIGNATURE, check_signature
 from edge.reference_map.store import HEADER
-from plugins.layers import KEEP_FILE, TALLIES, Tally, read_tally
+from edge_plugins.layers import KEEP_FILE, TALLIES, Tally, read_tally
 from sim.output import refusing
 
 INVENTORY = "inventory.json"

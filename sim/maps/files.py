@@ -17,9 +17,9 @@ from edge.errors import MapError
 from edge.map_agreement import disagreements
 from edge.reference_map import LearnedFolder, ReferenceMap, maps_in, open_map, open_map_set
 from edge.reference_map.store import HEADER, MapHeader
-from plugins.layers import KEEP_FILE, StoredMap, light_of, read_tallies, stored_maps
-from plugins.mapping.builder import spell_accuracy
-from plugins.mapping.place_log import logs_in, map_of
+from edge_plugins.layers import KEEP_FILE, StoredMap, light_of, read_tallies, stored_maps
+from edge_plugins.mapping.builder import spell_accuracy
+from edge_plugins.mapping.place_log import logs_in, map_of
 from sim.maps.keys import make_key, sign_map
 from sim.maps.tiles import split_map
 from sim.output import refusing

@@ -14,7 +14,7 @@ from edge.errors import MapError
 from edge.map_agreement import compared, disagreements_of
 from edge.reference_map import Learned, LearnedFolder, MapSet, Newer, ReferenceMap, open_map_set
 from edge.reference_map.learned import checksum
-from plugins.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
+from edge_plugins.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
 from sim.maps.choice import Choice, choose
 from sim.maps.outvoted import outvoted
 from sim.maps.placing import moved, newer_positions

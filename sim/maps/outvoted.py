@@ -20,7 +20,7 @@ from edge.map_agreement import EXPLAINED_SIGMAS, ONE_VIEW, SEARCHED_M, STEP, Dis
 from edge.reference_map import MapSet, sigmas_m
 
 ALIGNED = 0.5
-"""Cosine of 60 degrees between the courses of two drives of one way, see `plugins.layers`."""
+"""Cosine of 60 degrees between the courses of two drives of one way, see `edge_plugins.layers`."""
 Pair = tuple[Path, Path]
 
 

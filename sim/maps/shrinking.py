@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.mapping.builder import Shrink
+from edge_plugins.mapping.builder import Shrink
 
 SPARE = 16
 """More directions than asked for are followed, which makes the last of them come out right sooner."""

@@ -55,7 +55,7 @@ MADE_OF = "made_of.json"
 """Beside the pictures: for each the checksum of what draws it, when it was made."""
 DRAWN_BY = {
     FILM: ("sim/research/film.py",),
-    PAGE: ("plugins/page/page.html", "plugins/page/snapshot.py"),
+    PAGE: ("edge_plugins/page/page.html", "edge_plugins/page/snapshot.py"),
     "layers.png": ("sim/maps/picture.py",),
 }
 """The sources that a picture's look depends on. What it shows is of the day when it was made."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.config import CameraConfig
 from edge.errors import ConfigError
-from plugins.cameras.oak import OakSource, import_depthai
+from edge_plugins.cameras.oak import OakSource, import_depthai
 
 
 def index_of(image: NDArray[np.uint8]) -> int:

@@ -12,7 +12,7 @@ from edge.camera import Camera, Frame
 from edge.camera.recorded import RecordedCamera
 from edge.config import CameraConfig
 from edge.feed import read_feed
-from plugins.cameras.oak import OakCamera, OakSource
+from edge_plugins.cameras.oak import OakCamera, OakSource
 from sim.world.camera import SimCamera
 from sim.world.scenario import Scenario
 

@@ -16,7 +16,7 @@ from edge.camera import open_camera
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
 from edge.extras import install_command
-from plugins.cameras.oak import OakCamera, OakSource
+from edge_plugins.cameras.oak import OakCamera, OakSource
 
 Build = Callable[..., OakSource]
 
@@ -113,7 +113,7 @@ def test_depthai_leaves_the_signals_alone() -> None:
     needs_depthai()
     code = """
 from pathlib import Path
-from plugins.cameras.oak import import_depthai
+from edge_plugins.cameras.oak import import_depthai
 def signals():
     lines = Path("/proc/self/status").read_text().splitlines()
     caught = next(line for line in lines if line.startswith("SigCgt:"))
@@ -131,7 +131,7 @@ def test_depthai_keeps_no_telemetry_files_and_opens_no_socket_to_the_network(vid
     code = """
 import os, sys
 from pathlib import Path
-from plugins.cameras.oak import OakCamera, OakSource, import_depthai
+from edge_plugins.cameras.oak import OakCamera, OakSource, import_depthai
 from edge.config import CameraConfig
 dai = import_depthai()
 def build(config):

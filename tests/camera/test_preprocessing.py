@@ -15,7 +15,7 @@ from edge.camera.preprocessing import FILL, Preprocessor, preprocessed_feed
 from edge.config import CameraConfig, parse_config
 from edge.errors import ConfigError, FrameError
 from edge.feed import FeedImages, read_feed
-from plugins.recording.recorder import Recorder, begun_feed
+from edge_plugins.recording.recorder import Recorder, begun_feed
 
 HERE = Path("lookback.toml")
 

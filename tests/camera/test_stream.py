@@ -25,8 +25,8 @@ from edge.camera import Frame, open_camera
 from edge.camera.newest import NewestFrame
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
-from plugins.cameras.command_output import CommandOutput
-from plugins.cameras.stream import StreamCamera, StreamClock, open_source, size_difference
+from edge_plugins.cameras.command_output import CommandOutput
+from edge_plugins.cameras.stream import StreamCamera, StreamClock, open_source, size_difference
 from tests.camera.conftest import index_of
 
 pytest.importorskip("av")

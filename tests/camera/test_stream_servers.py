@@ -17,7 +17,7 @@ from edge.camera import open_camera
 from edge.camera.newest import NewestFrame
 from edge.config import CameraConfig
 from edge.errors import CameraLost
-from plugins.cameras.stream import StreamCamera
+from edge_plugins.cameras.stream import StreamCamera
 
 pytest.importorskip("av")
 

@@ -22,7 +22,7 @@ import tomli_w
 
 from edge.config import SamplingConfig
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.faults.daemon_process import Process
 from tests.faults.simulated_daemon import Bench, ScriptedFrames

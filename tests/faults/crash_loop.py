@@ -30,7 +30,7 @@ from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
 from edge.warm_start import Moment, StateFile, StateKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.journal import records_of
 
 NOW = Moment(1000.0, "boot", 10.0)

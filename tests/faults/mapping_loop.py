@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from edge.config import MappingConfig, SamplingConfig
 from edge.geodesy import VehiclePosition
 from edge.reference_map import ModelKey, RegionsKey
-from plugins.mapping import LiveMap, LogHeader
-from plugins.mapping.place_log import OpenLog, logs_in
+from edge_plugins.mapping import LiveMap, LogHeader
+from edge_plugins.mapping.place_log import OpenLog, logs_in
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="gps")

@@ -16,7 +16,7 @@ import pytest
 
 from edge.config import MappingConfig, SamplingConfig
 from edge.reference_map import ModelKey, RegionsKey
-from plugins.mapping import LiveMap, LogHeader
+from edge_plugins.mapping import LiveMap, LogHeader
 from tests.faults.mapping_loop import GPS
 
 DIMENSIONS = 128

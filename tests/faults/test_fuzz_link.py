@@ -21,8 +21,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.localization import PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
-from plugins.home import WayHome
-from plugins.home.home_requests import HomeRequests
+from edge_plugins.home import WayHome
+from edge_plugins.home.home_requests import HomeRequests
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty

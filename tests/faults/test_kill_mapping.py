@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from edge.reference_map import open_map
-from plugins.mapping.place_log import logs_in
+from edge_plugins.mapping.place_log import logs_in
 from tests.faults.mapping_loop import open_live
 
 LOOP = Path(__file__).with_name("mapping_loop.py")

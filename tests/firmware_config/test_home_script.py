@@ -22,7 +22,7 @@ from lupa import lua53
 from edge.config import HomeConfig
 from edge.reference_map import open_map_set
 from edge.telemetry.codec import MavlinkCodec
-from plugins.home import plan_way_home
+from edge_plugins.home import plan_way_home
 from tests.plugins.home.home_requests import DRIVING_ITSELF
 from tests.plugins.home.test_way_home import straight
 from tests.telemetry.rig import Rig

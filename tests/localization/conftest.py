@@ -13,7 +13,7 @@ from edge.localization.route_filter import RouteFilter
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, settings
 
 

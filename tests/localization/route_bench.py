@@ -26,7 +26,7 @@ from edge.localization.report import Report
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.sequence import PlaceMatch
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from tests.localization.region_bench import PLACES_APART, RegionViews
 
 HOME = (-27.0, 153.0)

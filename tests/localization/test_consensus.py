@@ -13,7 +13,7 @@ from edge.config import AcceptanceConfig, Config, DescriptorConfig
 from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.reference_map import Drives, ModelKey
 from edge.sequence import Direction
-from plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 SETTINGS = ConsensusSettings()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
 from edge.reference_map import NO_LAP_M, Drives, ModelKey
-from plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 LAP = 100

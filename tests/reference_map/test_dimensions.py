@@ -14,7 +14,7 @@ from edge.reference_map.store import RegionsKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import Moment, StateFile, StateKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.shrinking import shrink_to
 
 PLACES, LENGTH = 40, 10

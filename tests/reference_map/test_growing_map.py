@@ -17,8 +17,8 @@ from edge.map_agreement import as_uncertain
 from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route, open_map
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import MapBuilder, Place
-from plugins.mapping.growing_map import GrowingMap
+from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.growing_map import GrowingMap
 
 DIMENSIONS, SPACING_M = 256, 2.0
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)

@@ -27,7 +27,7 @@ from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, Lanes
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.tiles import split_map
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0

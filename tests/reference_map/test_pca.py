@@ -12,7 +12,7 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.costs import COST_ONE, CostMatcher, project
 from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.shrinking import principal_directions, shrink_to
 
 DIMENSIONS = 64

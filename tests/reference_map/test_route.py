@@ -11,7 +11,7 @@ from edge.config import SamplingConfig
 from edge.geodesy import apart_m, east_north_of, moved
 from edge.reference_map import MapSet, Route, open_map
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import NAN, MapBuilder, Place
+from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 
 SPACING_M = 20.0
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")

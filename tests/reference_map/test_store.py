@@ -34,7 +34,7 @@ from edge.reference_map.store import (
     open_unverified,
     read_header,
 )
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.command import add_map
 from sim.maps.shrinking import shrink_to
 

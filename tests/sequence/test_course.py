@@ -14,7 +14,7 @@ from edge.reference_map import ModelKey
 from edge.sequence import Travel
 from edge.sequence.evidence import Roads
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 NORTH, EAST, SOUTH, WEST = 0.0, math.pi / 2, math.pi, -math.pi / 2

@@ -15,7 +15,7 @@ from edge.sequence import PlaceMatch, Travel
 from edge.sequence.parallax import NO_LAGS, REACH, Lags, Lanes, lags_of, lane_costs
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 
 PLACES, LENGTH, DIMENSIONS = 120, 10, 64

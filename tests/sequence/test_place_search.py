@@ -18,7 +18,7 @@ from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_ma
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import PlaceSearch, is_regular
 from edge.sequence.submap import SLICE_SHARE
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 
 PLACES, LENGTH, LIMIT = 6000, 10, 800
 DEGREES_A_METRE = 1 / 110_800

@@ -19,7 +19,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     checkout = tmp_path_factory.mktemp("checkout")
     shutil.copy(ROOT / "pyproject.toml", checkout)
     (checkout / "README.md").touch()
-    for package in ("edge", "plugins", "sim", "systemd"):
+    for package in ("edge", "edge_plugins", "sim", "systemd"):
         shutil.copytree(ROOT / package, checkout / package, ignore=shutil.ignore_patterns("models", "__pycache__"))
     return checkout
 

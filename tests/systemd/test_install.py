@@ -141,7 +141,10 @@ def test_the_unit_starts_what_was_installed(root: Path) -> None:
 def test_again_from_the_checkout_changes_nothing(root: Path, checkout: Path, python: Path, tmp_path: Path) -> None:
     """The config is the admin's by now; and nothing is left in the checkout."""
     folders = [
-        path.name for package in ("edge", "plugins", "sim") for path in (checkout / package).iterdir() if path.is_dir()
+        path.name
+        for package in ("edge", "edge_plugins", "sim")
+        for path in (checkout / package).iterdir()
+        if path.is_dir()
     ]
     checkout = shutil.copytree(checkout, tmp_path / "checkout", ignore=shutil.ignore_patterns(*folders))
     (root / CONFIG).write_text("[camera]\nkind = 'oak'\n")

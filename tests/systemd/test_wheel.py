@@ -82,7 +82,7 @@ def test_every_command_of_the_readme_is_one(python: Path) -> None:
         "sim.first_try.command",
         "sim.coverage.command",
         "sim.evaluation.replay",
-        "plugins.doctor.command",
+        "edge_plugins.doctor.command",
     } <= set(modules)
     lacks_an_extra = [words for words, module in zip(commands, modules, strict=True) if module.endswith(".parser")]
     assert all(words[:2] == ["dev", "sim"] for words in lacks_an_extra)

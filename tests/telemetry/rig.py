@@ -12,7 +12,7 @@ from edge.journal.journal import Journal
 from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from plugins.home.home_requests import HomeRequests
+from edge_plugins.home.home_requests import HomeRequests
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line

@@ -32,8 +32,8 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import UNBOUNDED_M
 from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
-from plugins.home import MissionItem
-from plugins.home.mission_transfer import MissionTransfer
+from edge_plugins.home import MissionItem
+from edge_plugins.home.mission_transfer import MissionTransfer
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 

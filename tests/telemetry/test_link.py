@@ -19,8 +19,8 @@ from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link import Link, UdpLink, parse_connection
 from edge.telemetry.port import Port
-from plugins.doctor.findings import Examined
-from plugins.doctor.setup import check_links
+from edge_plugins.doctor.findings import Examined
+from edge_plugins.doctor.setup import check_links
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
 

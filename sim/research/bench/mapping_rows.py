@@ -16,10 +16,10 @@ from edge.geodesy import VehiclePosition
 from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.reference_map import RegionsKey, open_map_set
 from edge.sequence import Travel
-from plugins.mapping import LiveMap
-from plugins.mapping.builder import Place
-from plugins.mapping.place_log import create_log, log_of
-from plugins.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
+from edge_plugins.mapping import LiveMap
+from edge_plugins.mapping.builder import Place
+from edge_plugins.mapping.place_log import create_log, log_of
+from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.bench.frames import smooth_picture
 from sim.bench.simulated_map import write_simulated_map

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, MotionConfig
 from edge.descriptor.network import Network
-from plugins.motion import CameraMotion
+from edge_plugins.motion import CameraMotion
 from sim.bench.frames import SIZE_PX
 from sim.bench.timing import race
 from sim.research.bench.rows import Section, Target, against

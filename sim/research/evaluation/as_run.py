@@ -11,7 +11,7 @@ from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig
 from edge.reference_map import ModelKey
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import NAN, Place
+from edge_plugins.mapping.builder import NAN, Place
 from sim.research.evaluation.matching import Matches, gathered
 from sim.research.evaluation.plan import Pair
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map

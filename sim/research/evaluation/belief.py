@@ -29,7 +29,7 @@ from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from plugins.mapping.builder import NAN, Place
+from edge_plugins.mapping.builder import NAN, Place
 from sim.calibration.sightings import lag_places
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.research.evaluation.scores import at_threshold, joined

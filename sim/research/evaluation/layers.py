@@ -34,8 +34,8 @@ from edge.reference_map import LearnedFolder, ModelKey, open_map_set
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from plugins.layers import DriveTally
-from plugins.mapping.builder import NAN, MapBuilder, Place, thumbnail
+from edge_plugins.layers import DriveTally
+from edge_plugins.mapping.builder import NAN, MapBuilder, Place, thumbnail
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
 from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described

@@ -15,7 +15,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.store import RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 
 
 @dataclass(frozen=True)

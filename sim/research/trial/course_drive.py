@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import Config, GatesConfig, MappingConfig, MotionConfig
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
-from plugins.motion import CameraMotion
-from plugins.motion.height import WINDOWS_MOST
+from edge_plugins.motion import CameraMotion
+from edge_plugins.motion.height import WINDOWS_MOST
 from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.research.trial.course import Course, CourseDraft, drafted
 from sim.research.trial.course_map import build_map

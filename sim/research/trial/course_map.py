@@ -13,7 +13,7 @@ from edge.descriptor.network import Network
 from edge.recognizer import model_key
 from edge.reference_map import LearnedFolder
 from edge.reference_map.store import RegionsKey
-from plugins.mapping.builder import NAN, MapBuilder, Place
+from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from sim import ORIGIN_ALT_M, geodetic
 from sim.maps.learning import learn
 from sim.research.trial.course import CourseDraft, Stretch

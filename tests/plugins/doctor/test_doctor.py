@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.__main__ import main
 from edge.journal.journal import Journal
 from edge.journal.records import LinkChanged, StateChanged
-from plugins.doctor.command import examine
-from plugins.doctor.findings import Finding
+from edge_plugins.doctor.command import examine
+from edge_plugins.doctor.findings import Finding
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty

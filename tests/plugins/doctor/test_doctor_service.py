@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from edge.config import Config, MapConfig, TelemetryConfig
-from plugins.doctor.computer import check_home_folders
-from plugins.doctor.findings import Examined
+from edge_plugins.doctor.computer import check_home_folders
+from edge_plugins.doctor.findings import Examined
 
 ACT = """
 import os, sys
 from pathlib import Path
-from plugins.doctor.computer import act_as_service
-from plugins.doctor.findings import Examined
+from edge_plugins.doctor.computer import act_as_service
+from edge_plugins.doctor.findings import Examined
 words = [words for _, words, _ in act_as_service(Examined(Path(sys.argv[1]), Path("/dev"), 0.0))]
 print(os.getuid(), sorted(os.getgroups()), words)
 """

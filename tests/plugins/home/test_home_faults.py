@@ -9,8 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import HomeAnswered
-from plugins.home import MissionItem
-from plugins.home.mission_transfer import MissionTransfer
+from edge_plugins.home import MissionItem
+from edge_plugins.home.mission_transfer import MissionTransfer
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     FAILED,

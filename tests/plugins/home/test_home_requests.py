@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import HomeConfig
 from edge.journal.records import HomeAnswered
-from plugins.home import WayHome
-from plugins.home.home_requests import Answer
+from edge_plugins.home import WayHome
+from edge_plugins.home.home_requests import Answer
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     DENIED,

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import HomeAnswered
-from plugins.home.home_requests import Answer
+from edge_plugins.home.home_requests import Answer
 from tests.plugins.home.home_requests import (
     DRIVING_ITSELF,
     OLD,

@@ -13,8 +13,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError, LinkLost
-from plugins.home.home_requests import Answer
-from plugins.home.local_socket import LocalSocket
+from edge_plugins.home.home_requests import Answer
+from edge_plugins.home.local_socket import LocalSocket
 from sim.home.client import ask_for_home
 
 UPLOADING = Answer(mavlink.MAV_RESULT_IN_PROGRESS, "uploading 300 m")

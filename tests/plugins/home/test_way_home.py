@@ -20,9 +20,9 @@ from edge.config import HomeConfig
 from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.reference_map import open_map_set
-from plugins.home import Start, WayHome, mission_items, plan_way_home
-from plugins.home.checks import BRIEF
-from plugins.home.drive_line import simplified
+from edge_plugins.home import Start, WayHome, mission_items, plan_way_home
+from edge_plugins.home.checks import BRIEF
+from edge_plugins.home.drive_line import simplified
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 
 MapAlong = Callable[..., Path]

@@ -31,8 +31,8 @@ from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.journal.records import FrameUsed, MappingChanged
 from edge.opened_parts import OpenedParts
-from plugins.mapping.place_log import logs_in
-from plugins.mapping.plugin import Mapping
+from edge_plugins.mapping.place_log import logs_in
+from edge_plugins.mapping.plugin import Mapping
 from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot

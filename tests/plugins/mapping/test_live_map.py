@@ -19,11 +19,11 @@ from edge.__main__ import main
 from edge.config import HomeConfig, MappingConfig, SamplingConfig
 from edge.geodesy import VehiclePosition
 from edge.reference_map import Learned, LearnedFolder, MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
-from plugins.home import plan_way_home
-from plugins.layers import KEEP_FILE, DriveTally, delete_oldest, read_tallies, stored_maps
-from plugins.mapping import LiveMap, LogHeader
-from plugins.mapping.builder import MapBuilder, Place
-from plugins.mapping.place_log import OpenLog, logs_in
+from edge_plugins.home import plan_way_home
+from edge_plugins.layers import KEEP_FILE, DriveTally, delete_oldest, read_tallies, stored_maps
+from edge_plugins.mapping import LiveMap, LogHeader
+from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.place_log import OpenLog, logs_in
 from tests.plugins.layers.drives import count
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")

@@ -11,9 +11,9 @@ import pytest
 from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.reference_map import ModelKey, RegionsKey
-from plugins.mapping.builder import Place
-from plugins.mapping.place_log import OpenLog, PlaceLog, create_log
-from plugins.mapping.place_log_records import DriveBegun, LogHeader
+from edge_plugins.mapping.builder import Place
+from edge_plugins.mapping.place_log import OpenLog, PlaceLog, create_log
+from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader
 
 HEADER = LogHeader(ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set"), SamplingConfig(), "test")
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.reference_map import ModelKey, RegionsKey
-from plugins.mapping.builder import Place
-from plugins.mapping.growing_map import GrowingMap
-from plugins.mapping.status import SelfComparison, WayHome
+from edge_plugins.mapping.builder import Place
+from edge_plugins.mapping.growing_map import GrowingMap
+from edge_plugins.mapping.status import SelfComparison, WayHome
 
 SPACING_M = 2.0
 

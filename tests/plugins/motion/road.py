@@ -1,4 +1,4 @@
-"""Pictures of a level road, ray by ray: an obvious camera to hold the fast equations of plugins.motion against."""
+"""Pictures of a level road, ray by ray: an obvious camera to hold the fast equations of edge_plugins.motion against."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ import pytest
 
 from edge.config import CameraConfig, Config, MotionConfig, TelemetryConfig
 from edge.journal.records import MotionMeasured, Record
-from plugins.motion import CameraMotion, CameraSpeed
-from plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
+from edge_plugins.motion import CameraMotion, CameraSpeed
+from edge_plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
 from tests.files_written import wait_for_files
 from tests.plugins.motion.road import HEIGHT, WIDTH, picture
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from plugins.motion.ground import GroundView, Step, measure
+from edge_plugins.motion.ground import GroundView, Step, measure
 from tests.plugins.motion.road import FOV_DEG, HEIGHT, WIDTH, picture
 
 

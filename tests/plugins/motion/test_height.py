@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plugins.motion.height import EARLIER_SHARE, WINDOW_M, CameraHeight, KeptHeight, PassedLine, read_height
-from plugins.motion.velocity_sender import MOST_SCALE
+from edge_plugins.motion.height import EARLIER_SHARE, WINDOW_M, CameraHeight, KeptHeight, PassedLine, read_height
+from edge_plugins.motion.velocity_sender import MOST_SCALE
 
 TRUE_M, STEP_M, STEP_NS, FRAMES = 1.4, 2.0, 200_000_000, 40
 BACK = (FRAMES - 1) / 2

@@ -35,11 +35,11 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, PageConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, FeedWriter, read_feed
 from edge.telemetry import LinkStatus
-from plugins.mapping import MappingView
-from plugins.mapping.status import MappingStatus
-from plugins.page import map_view
-from plugins.page.server import StatusPage
-from plugins.page.snapshot import Snapshot
+from edge_plugins.mapping import MappingView
+from edge_plugins.mapping.status import MappingStatus
+from edge_plugins.page import map_view
+from edge_plugins.page.server import StatusPage
+from edge_plugins.page.snapshot import Snapshot
 from sim.maps.command import build_map
 from tests.plugins.page.test_server import TOKEN, Loop, snapshot
 from tests.sim.coverage.roads import road, walk

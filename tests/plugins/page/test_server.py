@@ -27,8 +27,8 @@ from edge.config import PageConfig
 from edge.journal.records import FrameUsed
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
-from plugins.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
-from plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
+from edge_plugins.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
+from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 
 PATIENCE_S = 0.5
 CUT_OFF_S = 20.0

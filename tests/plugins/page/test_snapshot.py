@@ -23,8 +23,8 @@ from edge.localization.place_fix import frame_used
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
-from plugins.mapping import MappingStatus, MappingView, WayHome
-from plugins.page import LiveStatus, Snapshot, map_view, open_page
+from edge_plugins.mapping import MappingStatus, MappingView, WayHome
+from edge_plugins.page import LiveStatus, Snapshot, map_view, open_page
 from sim.traverse import traverse
 
 FRAMES, LENGTH = 30, 10

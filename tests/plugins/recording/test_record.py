@@ -19,7 +19,7 @@ from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
 from edge.errors import CameraLost, ConfigError, FeedError
 from edge.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
-from plugins.recording.command import record
+from edge_plugins.recording.command import record
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
@@ -156,9 +156,9 @@ def test_a_stream_whose_age_is_not_known_is_not_recorded_with_positions(
         telemetry=TelemetryConfig(connection=f"serial:{drive_north[0]}:921600"),
     )
     stops = StopsAt(UNDATED)
-    logging.getLogger("plugins.recording.command").addHandler(stops)
+    logging.getLogger("edge_plugins.recording.command").addHandler(stops)
     done = record(config, tmp_path / "out", stops.stop, duration_s=60.0)
-    logging.getLogger("plugins.recording.command").removeHandler(stops)
+    logging.getLogger("edge_plugins.recording.command").removeHandler(stops)
     assert (done.why, done.with_position) == ("stopped by a signal", 0)
 
 

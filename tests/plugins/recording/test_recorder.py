@@ -20,7 +20,7 @@ from edge.feed import read_feed
 from edge.files import named_by_time
 from edge.geodesy import VehiclePosition
 from edge.journal.records import Stopped
-from plugins.recording.recorder import QUEUE_FRAMES, Recorder, begun_feed
+from edge_plugins.recording.recorder import QUEUE_FRAMES, Recorder, begun_feed
 from sim.journal import records_of
 
 PATIENCE_S = 60.0

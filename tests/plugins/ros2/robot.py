@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from plugins.ros2.messages import message_types
+from edge_plugins.ros2.messages import message_types
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from cyclonedds.core import Policy, Qos

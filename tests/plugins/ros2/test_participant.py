@@ -15,8 +15,8 @@ from edge.config import Config, Ros2Config
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.telemetry import LinkStatus
-from plugins.ros2 import Ros2
-from plugins.ros2.messages import DEFINITIONS
+from edge_plugins.ros2 import Ros2
+from edge_plugins.ros2.messages import DEFINITIONS
 from tests.plugins.ros2.robot import Clock, Robot
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="the extra eval is not installed")

@@ -10,7 +10,7 @@ import pytest
 from edge.config import SamplingConfig
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.calibration.offset import measure_offsets, measure_parallax, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
 

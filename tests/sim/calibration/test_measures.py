@@ -12,7 +12,7 @@ from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config

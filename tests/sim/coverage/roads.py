@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.reference_map import MapSet, open_map_set
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 
 
 def walk(places: int, rng: np.random.Generator, dimensions: int = 256) -> NDArray[np.float32]:

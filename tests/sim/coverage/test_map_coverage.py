@@ -15,7 +15,7 @@ from edge.config import Config, SamplingConfig
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, Learned, LearnedFolder, MapSet, open_map_set
 from edge.reference_map.store import ModelKey, RegionsKey
-from plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
 from sim.coverage.rehearsal import Light, Way
 from sim.coverage.sheet import longest_gap, spans_of

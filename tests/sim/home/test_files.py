@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import HomeConfig
 from edge.errors import ConfigError
 from edge.reference_map import open_map_set
-from plugins.home import WayHome, plan_way_home
+from edge_plugins.home import WayHome, plan_way_home
 from sim.home.files import write_way_home
 from tests.plugins.home.test_way_home import arc, joined, straight
 from tests.udp_port import free_port

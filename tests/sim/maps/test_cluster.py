@@ -18,7 +18,7 @@ from edge.errors import MapError
 from edge.feed import FeedOptions
 from edge.recognizer import model_key
 from edge.reference_map import RegionsKey, read_header
-from plugins.mapping.builder import MapBuilder
+from edge_plugins.mapping.builder import MapBuilder
 from sim.maps.describing import Work, add_by_cluster
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")

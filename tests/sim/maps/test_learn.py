@@ -15,8 +15,8 @@ from edge.reference_map import open_map, open_map_set
 from edge.reference_map.learned import LEARNED_FILE
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
-from plugins.layers import StoredMap, read_tallies
-from plugins.page.snapshot import map_view
+from edge_plugins.layers import StoredMap, read_tallies
+from edge_plugins.page.snapshot import map_view
 from sim.maps.keys import is_signed_with, make_key, sign_map
 from sim.maps.learning import learn
 from sim.maps.use import HALF_LIFE

@@ -18,7 +18,7 @@ from edge.config import HomeConfig
 from edge.geodesy import east_north
 from edge.reference_map import LearnedFolder, Route, open_map_set
 from edge.reference_map.learned import POSITIONS
-from plugins.home import plan_way_home
+from edge_plugins.home import plan_way_home
 from sim.maps.learning import Lesson, learn
 from tests.plugins.layers.drives import MADE_S, SPACING_M, Driven, build
 

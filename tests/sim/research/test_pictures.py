@@ -15,8 +15,8 @@ pytest.importorskip("matplotlib")
 
 
 from edge.config import PageConfig
-from plugins.page import MapView
-from plugins.page.server import StatusPage
+from edge_plugins.page import MapView
+from edge_plugins.page.server import StatusPage
 from sim.demo.story import laid
 from sim.research.film import PANEL_PX, WINDOW_M, from_above
 from sim.research.pictures import (

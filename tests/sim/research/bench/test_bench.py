@@ -12,7 +12,7 @@ from edge.config import Config, MotionConfig
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
-from plugins.motion import CameraMotion
+from edge_plugins.motion import CameraMotion
 from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
 from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, search_rows

@@ -1,0 +1,215 @@
+"""What `lookback doctor` finds, also with `--offline`, in the config and the files that it names: model, maps, keys."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from edge.camera import check_kind
+from edge.config import LinkConfig, brought_up_to_date, load_config
+from edge.descriptor.network import Head, Network
+from edge.descriptor.open_network import open_network
+from edge.errors import LookbackError
+from edge.feed.sampling import spell_spacing
+from edge.journal.records import StateChanged
+from edge.map_agreement import disagreements
+from edge.recognizer import open_recognizer
+from edge.reference_map import Drives, MapSet, open_map_set
+from edge.telemetry.autopilot import open_port
+from edge.telemetry.link import parse_connection
+from edge.toml_file import read_text, toml_values
+from edge_plugins.doctor.findings import Examined, Found, bad, good, note
+from edge_plugins.home import plan_way_home
+from edge_plugins.mapping.builder import spell_accuracy
+from edge_plugins.motion import CameraMotion
+from edge_plugins.motion.camera_motion import LEAST_NS
+from edge_plugins.motion.ground import FARTHEST, GroundView
+from edge_plugins.motion.height import WINDOW_M, WINDOWS
+from edge_plugins.ros2.messages import message_types
+
+TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
+LEAST_GROUND = 0.1
+"""Of the picture: of one of 4 : 3 that is level, at 80 degrees, it is 30 %."""
+
+
+def check_config(examined: Examined) -> Iterator[Found]:
+    """Whether every key of the config is right."""
+    path = examined.path
+    if path is None:
+        remedy = "lookback doctor CONFIG; `lookback config > lookback.toml` writes one to start from"
+        yield note("no config file was named, so no camera, map or autopilot is checked", remedy)
+        return
+    try:
+        config = load_config(path)
+        check_kind(config.camera)
+        _, outdated = brought_up_to_date(toml_values(read_text(path), path))
+    except LookbackError as error:
+        remedy = "`lookback config --all` prints every key with its range"
+        for mistake in str(error).splitlines():
+            yield bad(mistake, remedy if path.exists() else "name the config file of `lookback run`")
+        return
+    examined.config = config
+    yield good(f"{path}: every key is valid")
+    yield from (note(one, f"edit {path}") for one in outdated)
+
+
+def check_last_state(examined: Examined) -> Iterator[Found]:
+    """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
+    path = examined.settings.telemetry.journal
+    with contextlib.suppress(OSError):
+        newest = _newest_state(Path(path)) if path else None
+        if newest is not None:
+            unix_s, record = newest
+            when = "" if unix_s is None else f" at {datetime.fromtimestamp(unix_s):%Y-%m-%d %H:%M:%S}"
+            yield note(f"the last run was{when}: {record}")
+
+
+def check_model(examined: Examined) -> Iterator[Found]:
+    """Whether the model is complete, and how long it takes."""
+    network = open_network(examined.settings.descriptor)
+    if network.info.labels:
+        Head.load(network)
+    time_ms = _describe_ms(network)
+    yield good(f"{network.info.name}: complete; two regions take {time_ms:.0f} ms here, on {network.provider}")
+    examined.network = network
+
+
+def _describe_ms(network: Network) -> float:
+    images = np.zeros((2, *network.size, 3), dtype=np.uint8)
+    network.describe(images)
+    started_s = time.perf_counter()
+    network.describe(images)
+    return (time.perf_counter() - started_s) * 1e3
+
+
+def check_map(examined: Examined) -> Iterator[Found]:
+    """Each map, whether they fit the model and the config, and whether there are enough places with positions."""
+    config, path = examined.settings, Path(examined.settings.map.path)
+    key = config.map.require_signature_by
+    if config.mapping.folder and not _has_maps(path):
+        yield good(f"{path}: no map yet; the first drive becomes one")
+        return
+    maps = open_map_set(path, require_signature_by=Path(key) if key else None, every_file=True)
+    examined.maps = maps = open_recognizer(config, network=examined.network, map_set=maps).map_set
+    yield good(f"{path}: map of {maps}, all checksums match")
+    for excluded in maps.excluded:
+        yield note(f"{excluded.why}; excluded", "the others are used; build or copy this one again")
+    places, length = maps.index.places, config.sequence_frames
+    if places < 2 * length:
+        found = bad if places < length else note  # with fewer places than frames no sequence ends anywhere
+        words = f"{places} places are too few for sequences of {length}"
+        yield found(words, "record a longer drive, or lower [sequence] length")
+    blank = [index for index, one in enumerate(maps.maps) if np.isnan(one.places["lat_deg"]).any()]
+    if blank:
+        words = f"{maps.spell(blank)}: some places have no position"
+        yield note(words, "they can be recognized, but no position is sent for them")
+
+
+def _has_maps(path: Path) -> bool:
+    return path.exists() and (not path.is_dir() or any(path.glob("map.json")) or any(path.glob("*/map.json")))
+
+
+def check_accuracy(examined: Examined) -> Iterator[Found]:
+    """How well the maps know where their places are, and whether their drives agree."""
+    yield good(spell_accuracy(_maps(examined).places))
+    for one in disagreements(_maps(examined)):
+        yield note(str(one), "find out which drive is wrong, and build the map without it")
+
+
+def check_sampling(examined: Examined) -> Iterator[Found]:
+    """Whether frames are as far apart as places."""
+    sampling = examined.settings.sampling
+    drives = Drives(_maps(examined), sampling.spacing_m)
+    words = spell_spacing(sampling, drives.spacing_m if drives.is_metric else None)
+    if drives.is_metric and sampling.by == "distance":
+        yield good(f"{words}; without the autopilot's speed, drive as fast as when it was made")
+    else:
+        yield note(f"{words}; they must be as far apart", 'set [sampling] by = "distance" where you can')
+
+
+def check_way_home(examined: Examined) -> Iterator[Found]:
+    """Whether the whole of the newest drive can be driven back, where [home] is enabled."""
+    config = examined.settings
+    if not config.home.enabled:
+        return
+    try:
+        way = plan_way_home(_maps(examined), None, config.home, config.rig.left_reverse_m)
+    except LookbackError as error:
+        yield note(str(error), "record a drive with positions")
+        return
+    yield from (note(text, "docs/home.md explains the checks") for text in (*way.refusals, *way.warnings))
+    if not way.refusals:
+        yield good(str(way))
+
+
+def _maps(examined: Examined) -> MapSet:
+    assert examined.maps is not None  # the check needs them
+    return examined.maps
+
+
+def check_motion(examined: Examined) -> Iterator[Found]:
+    """How much of the road the camera of [motion] shows, and whether its height is known."""
+    config = examined.settings
+    if config.motion.use == "off":
+        return
+    camera, height = config.camera, CameraMotion(config).height
+    view = GroundView(config.motion.fov_deg, camera.width, camera.height, math.radians(config.motion.pitch_deg))
+    between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
+    words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
+    words += (
+        f" speeds up to {view.most_ahead * (height.height_m or 1.0) / between_s:.0f} m/s, within 3 to 5 % by simulation"
+    )
+    words += "" if height.height_m else ", for each meter of height"
+    yield good(words) if view.ground_share >= LEAST_GROUND else note(words, "tilt the camera down, or crop less")
+    if height.height_m:
+        yield good(f"the camera was {height.height_m:.2f} m above the ground; {WINDOW_M:g} m with GPS check it")
+    else:
+        yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
+
+
+def check_ros2(examined: Examined) -> Iterator[Found]:
+    """Whether ROS 2 can be spoken, where [ros2] names a domain."""
+    ros2 = examined.settings.ros2
+    if ros2.domain >= 0:
+        message_types()
+        yield good(f"domain {ros2.domain}: /{ros2.namespace}/place, pose and fix, and /diagnostics")
+        if not ros2.odometry:
+            yield note("no odometry is read", "set [ros2] odometry where nothing measures the autopilot's velocity")
+
+
+def check_links(examined: Examined) -> Iterator[Found]:
+    """The connection strings and signing keys of all links; no port is opened."""
+    config = examined.settings.telemetry
+    links = (LinkConfig(config.connection, config.signing_key), *config.links)
+    for number, link in enumerate(links):
+        open_port(config, link, number, time.monotonic_ns)
+    for link in links:
+        if link.signing_key or parse_connection(link.connection).is_local:
+            yield good(f"{link.connection}: a valid connection{', signed' if link.signing_key else ''}")
+        else:
+            open_to = f"{link.connection}: unsigned, and who reaches it can speak in the autopilot's name"
+            yield note(open_to, "set signing_key on both ends (docs/positions.md), or use a wire of its own")
+
+
+def _newest_state(path: Path) -> tuple[float | None, StateChanged] | None:
+    """The last state that a journal's newest file has, and its Unix time in seconds; None where it has none.
+
+    Only the end of the file is read. OSError where it cannot be.
+    """
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - TAIL_BYTES))
+        lines = stream.read().splitlines()
+    for line in reversed(lines):
+        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
+            fields = msgspec.json.decode(line, type=dict[str, Any])
+            if fields.get("event") == "state":
+                return fields.get("unix_s"), msgspec.convert(fields, StateChanged)
+    return None

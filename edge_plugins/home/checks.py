@@ -1,0 +1,182 @@
+"""Whether a vehicle can drive a way: each check is one function, and each finding one line that names the place.
+
+A finding either refuses the way or warns. The positions are those of a drive, so a vehicle has been there; the checks
+find where it may not have driven from one position to the next, or cannot drive back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import HomeConfig
+from edge.reference_map import disagreements
+from edge_plugins.home.drive_line import DriveLine
+
+MEETS_M = 8.0
+"""A way that comes so near to itself meets itself: about the width of a road."""
+MEETS_AGAIN_M = 40.0
+"""Along the way between two points that meet; less is a bend."""
+SHARPEST_RAD = math.radians(95)
+"""Of a single corner: an arc that joins its legs would cut too far across it."""
+SLACK = 4.0
+"""Tolerances by which a leg of the waypoints may be shorter than that of the drive."""
+SHORTEST_M = 5.0
+BRIEF = 40
+"""A line of STATUSTEXT has 50 characters, and begins with "Lookback: "."""
+MOST_WAYPOINTS = 700
+"""ArduPilot stores about 720 items on most boards, PX4 2000 where it has a memory card."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found. refuses: the way must not be driven like this; else it is a warning.
+
+    brief: a warning in at most BRIEF characters, as a pilot reads it while driving.
+    """
+
+    refuses: bool
+    text: str
+    brief: str = ""
+
+    def __str__(self) -> str:
+        return f"{'refused' if self.refuses else 'warning'}: {self.text}"
+
+
+def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig) -> Iterator[Finding]:
+    """The length of the way (N,), in meters along it, and the number of its waypoints."""
+    if way_m[-1] > config.max_length_m:
+        yield Finding(True, f"the way is {way_m[-1]:.0f} m long; max_length_m is {config.max_length_m:g}")
+    if way_m[-1] < SHORTEST_M:
+        yield Finding(True, "the vehicle is at the start of the drive")
+    if waypoints > MOST_WAYPOINTS:
+        yield Finding(
+            True, f"{waypoints} waypoints are more than autopilots store ({MOST_WAYPOINTS}); use a larger tolerance_m"
+        )
+
+
+def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+    """Stretches between places, at (N,) meters of the way, without a position."""
+    apart_m = np.diff(way_m)
+    for run in _runs(apart_m > config.max_gap_m):
+        text = f"no position for {apart_m[run].max():.0f} m; max_gap_m is {config.max_gap_m:g}"
+        yield Finding(True, f"{_stretch(way_m[run[0]], way_m[run[-1] + 1])}: {text}")
+
+
+def motion_check(line: DriveLine, rows: int, length_m: float) -> Iterator[Finding]:
+    """Where positions of the first rows of a drive do not move as the vehicle did. length_m: of the way home."""
+    was_off = False
+    columns = line.points_m[:rows], line.sigma_m[:rows], line.driven_m[:rows], line.heading_deg[:rows]
+    for row, found in enumerate(disagreements(*columns)):
+        if found is not None and not was_off:
+            first_m, last_m = length_m - line.along_m[[row, row - found.since]]
+            yield Finding(True, f"{_stretch(first_m, last_m)}: {found}")
+        was_off = found is not None
+
+
+def accuracy_check(way_m: NDArray[np.float64], sigma_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+    """Stretches whose positions, at (N,) meters of the way, were not measured well: one standard deviation (N,)."""
+    for run in _runs(sigma_m > config.max_sigma_m):
+        text = f"the positions are only known to {sigma_m[run].max():.0f} m; max_sigma_m is {config.max_sigma_m:g}"
+        yield Finding(True, f"{_stretch(way_m[run[0]], way_m[run[-1]])}: {text}")
+
+
+def turn_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+    """Turns at the waypoints (N, 2), at (N,) meters of the way, that need a smaller radius than the vehicle's.
+
+    An arc of radius R joins two legs that differ by an angle a, and touches them R tan(a / 2) from the corner: the arcs
+    at both ends of a leg must fit on it, but for what the tolerance of the waypoints leaves.
+    """
+    legs_m = np.diff(points_m, axis=0)
+    course_rad = np.arctan2(legs_m[:, 0], legs_m[:, 1])
+    turn_rad = np.abs((np.diff(course_rad) + np.pi) % (2 * np.pi) - np.pi)
+    tangents = np.tan(np.r_[0.0, np.minimum(turn_rad, 0.99 * np.pi), 0.0] / 2)
+    for row in np.flatnonzero(turn_rad > SHARPEST_RAD) + 1:
+        yield Finding(
+            True, f"at {way_m[row]:.0f} m: a turn of {math.degrees(turn_rad[row - 1]):.0f} degrees on the spot"
+        )
+    both = np.maximum(tangents[:-1] + tangents[1:], 1e-9)
+    radius_m = (np.hypot(*legs_m.T) + SLACK * config.tolerance_m) / both
+    for row in np.flatnonzero(radius_m < config.turning_radius_m):
+        yield Finding(
+            True,
+            f"{_stretch(way_m[row], way_m[row + 1])}: needs a turning radius of {radius_m[row]:.1f} m;"
+            f" turning_radius_m is {config.turning_radius_m:g}",
+        )
+
+
+def pass_check(along_m: Sequence[float]) -> Iterator[Finding]:
+    """Passes of the drive, in meters from its start, between which nothing decides: none, or more than one."""
+    if along_m:
+        places = " and ".join(f"{meters:.0f} m" for meters in along_m)
+        yield Finding(
+            True,
+            f"the vehicle may be where the drive was at {places} from its start, which are not one road: drive on to"
+            " where it passed once",
+        )
+
+
+def start_check(away_m: float, sigma_m: float | None, turn_rad: float | None, config: HomeConfig) -> Iterator[Finding]:
+    """Where the vehicle is: its distance from the drive, how well that is known, and the turn to the way home."""
+    if away_m > config.max_start_m:
+        yield Finding(True, f"the vehicle is {away_m:.0f} m from the drive; max_start_m is {config.max_start_m:g}")
+    if sigma_m is not None and sigma_m > config.max_start_m:
+        yield Finding(
+            True, f"the vehicle's position is only known to {sigma_m:.0f} m; max_start_m is {config.max_start_m:g}"
+        )
+    if turn_rad is None or turn_rad < math.pi / 2:
+        return
+    needs_m = config.turning_radius_m * (1 - math.cos(turn_rad))
+    degrees = math.degrees(turn_rad)
+    yield Finding(
+        needs_m > config.max_start_m,
+        f"the vehicle points {degrees:.0f} degrees away from the way home: it needs {needs_m:.0f} m beside it to turn,"
+        " or turn it first",
+        f"home is {degrees:.0f} degrees off, turn first",
+    )
+
+
+def loop_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> Iterator[Finding]:
+    """Stretches after which the way (N, 2) is back where it was: loops, and turns in the middle of the drive."""
+    for start_m, end_m in _loops(points_m, way_m):
+        yield Finding(
+            False,
+            f"{_stretch(start_m, end_m)}: a loop or a turn, driven the other way round: check that no road in it is"
+            " one-way",
+            f"one-way roads {_stretch(start_m, end_m)}?",
+        )
+
+
+def _loops(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> Iterator[tuple[float, float]]:
+    """Each stretch between two meetings of the way with itself once, at its first point."""
+    at_m = np.arange(0.0, way_m[-1], MEETS_M / 2)
+    sampled_m = np.column_stack([np.interp(at_m, way_m, points_m[:, column]) for column in (0, 1)])
+    seen: dict[tuple[int, int], list[int]] = {}
+    last_row = -1
+    for row, cell in enumerate(map(tuple, np.floor(sampled_m / MEETS_M).astype(int))):
+        near = [
+            other
+            for east in (-1, 0, 1)
+            for north in (-1, 0, 1)
+            for other in seen.get((cell[0] + east, cell[1] + north), ())
+            if at_m[row] - at_m[other] > MEETS_AGAIN_M and math.dist(sampled_m[row], sampled_m[other]) < MEETS_M
+        ]
+        if near:
+            if row != last_row + 1:  # the first of a run: driving on beside the same stretch is no other loop
+                yield float(at_m[max(near)]), float(at_m[row])
+            last_row = row
+        seen.setdefault(cell, []).append(row)
+
+
+def _runs(is_bad: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+    """The rows of each run that is bad throughout."""
+    rows = np.flatnonzero(is_bad)
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
+
+
+def _stretch(start_m: float, end_m: float) -> str:
+    return f"from {start_m:.0f} m to {end_m:.0f} m"

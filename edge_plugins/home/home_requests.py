@@ -1,0 +1,306 @@
+"""Requests for the way home: a command addressed to us, or a local program's, until the mission is verified.
+
+A request only uploads a mission: nothing in here arms a vehicle, starts a mission or changes a mode. It is rejected
+unless the vehicle is known, in a mode in which it does not drive by itself, and its position is known; and unless every
+check of the way passes.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from edge.config import HomeConfig
+from edge.errors import SetupError
+from edge.journal.records import HomeAnswered
+from edge.telemetry import encoders
+from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.codec import Message
+from edge.telemetry.vehicle import Session
+from edge_plugins.home import MissionItem, Start, WayHome, mission_items
+from edge_plugins.home.mission_transfer import MissionTransfer, Next
+from edge_plugins.home.replaced_mission import ReplacedMission
+
+HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
+"""With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
+ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS."""
+OLD_COMMAND = mavlink.MAV_CMD_USER_1
+"""Before: a script that still sends it is answered that it is not supported."""
+MISSION_MESSAGES = (
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
+    mavlink.MAVLINK_MSG_ID_MISSION_ACK,
+    mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
+    mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+)
+ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+AUTOPILOTS = (ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4)
+ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
+REPEATED_NS = 10_000_000_000
+"""How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
+CHECK_AGAIN_NS = 30_000_000_000
+"""From a check of a mission that may be cut off to the next, where the first came to no end."""
+GIVEN_BACK = "; `lookback home --restore` uploads the one before"
+Plan = Callable[[Start], WayHome]
+Sender = tuple[int, int]
+"""System and component of a command."""
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a request. result: MAV_RESULT; items: of the mission; text: one line for people."""
+
+    result: int
+    text: str
+    items: int = 0
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the autopilot now has the mission."""
+        return bool(self.result == mavlink.MAV_RESULT_ACCEPTED)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether no other answer follows."""
+        return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
+
+
+Asker: TypeAlias = Sender | Callable[[Answer], object]
+"""Whoever requested: a component, or a program of this computer that gets each answer."""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A transfer that is running. items: of the mission. done, failed: words for both of its ends.
+
+    asker: None where nobody has requested it: a mission that may be cut off is checked.
+    """
+
+    transfer: MissionTransfer
+    items: int
+    done: str
+    failed: str
+    asker: Asker | None = None
+
+
+class Rejected(Exception):
+    """A request that cannot be done now; carries its MAV_RESULT and the reason."""
+
+    def __init__(self, result: int, why: str) -> None:
+        super().__init__(why)
+        self.result = result
+
+
+class HomeRequests:
+    """At most one request at a time; messages that are due are returned, and sent by the caller."""
+
+    def __init__(self, config: HomeConfig, link: AutopilotConnection) -> None:
+        """link: whose autopilot gets the mission. The mission that is replaced is kept in a file beside the journal."""
+        self._config, self._link = config, link
+        self._vehicle, self._estimator = link.vehicle, link.estimator
+        self._record, self._send_text = link.record, link.status_text
+        link.services.append(self)
+        self.plan: Plan | None = None
+        """Plans the way home; None while there is no map."""
+        self._upload: Upload | None = None
+        journal = link.config.journal
+        self._replaced = ReplacedMission(Path(journal).with_suffix(".mission") if journal else None)
+        self._check: tuple[Session, int] | None = (
+            None  # where the pilot was warned, and when the mission is looked at next
+        )
+        self._last: tuple[Sender, int, Answer] | None = None  # to whom, when, what
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
+        report = self._vehicle.report(self._link.clock_ns())
+        is_known = report.position is not None and self._estimator.uncertainty_m(report) is not None
+        return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
+
+    def ask(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
+        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last.
+
+        restore: the mission that it has replaced instead.
+        """
+        self._link.send(self._request(reply, self._link.clock_ns(), restore=restore))
+
+    def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
+        """Read a message of any component on the autopilot's link; the messages that are due because of it.
+
+        is_for_us: addressed to this very component, since a broadcast replaces no mission.
+        """
+        kind = message.get_msgId()
+        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in (HOME_COMMAND, OLD_COMMAND):
+            return self._command(message, now_ns) if is_for_us else []
+        if kind not in MISSION_MESSAGES or self._upload is None:
+            return []
+        if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not is_for_us:
+            return []
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
+            return []
+        return [*self._upload.transfer.read(message, now_ns), *self._finished(now_ns)]
+
+    def due(self, now_ns: int) -> list[Message]:
+        """Repetitions of what was not answered; the transfer is canceled if the vehicle begins to drive by itself."""
+        if self._upload is None:
+            return self._check_if_due(now_ns)
+        transfer, why = self._upload.transfer, self._why_not_now()
+        messages = transfer.cancel(why, now_ns) if why else []
+        return [*messages, *transfer.due(now_ns), *self._finished(now_ns)]
+
+    def abandon(self, now_ns: int) -> list[Message]:
+        """End the transfer, if there is one: this program ends. A mission that is being driven is left alone."""
+        if self._upload is None:
+            return []
+        messages = self._upload.transfer.abandon()
+        return [*([] if self._vehicle.drives_itself else messages), *self._finished(now_ns)]
+
+    def _command(self, message: Message, now_ns: int) -> list[Message]:
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if message.command == OLD_COMMAND:
+            unsupported = mavlink.MAV_RESULT_UNSUPPORTED
+            return [encoders.acknowledgement(OLD_COMMAND, unsupported, 0, *sender)]
+        if self._upload is not None and sender == self._upload.asker:
+            return self._reply(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""), now_ns)
+        if message.confirmation and self._last is not None:
+            to, answered_ns, answer = self._last
+            if to == sender and now_ns - answered_ns < REPEATED_NS:
+                return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)]
+        if (message.param1, message.param2) != HOME_PARAMS:
+            denied = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
+            return self._reply(sender, denied, now_ns)
+        return self._request(sender, now_ns)
+
+    def _request(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
+        """Request the way home, or the mission that it replaced: the first answer, and the first of the transfer."""
+        words = ("restored", "not restored") if restore else ("uploaded", "no way home")
+        home_first = self._vehicle.session.autopilot == ARDUPILOT
+        try:
+            self._check_request()
+            items, what = self._kept_items() if restore else self._way_items(now_ns, home_first=home_first)
+        except Rejected as error:
+            return self._reply(asker, self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
+        system_id = self._vehicle.target_id
+
+        def keep(present: list[MissionItem]) -> Next:
+            if self._replaced.begin(system_id, int(home_first), present, items):
+                self._send_text("Lookback: cannot keep the mission that is replaced", mavlink.MAV_SEVERITY_WARNING)
+            return "upload"
+
+        transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
+        done = f"{words[0]} and verified: {what}"
+        self._upload = Upload(transfer, len(items), done, words[1], asker)
+        log.info("uploading %s", what)
+        begun = Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
+        return [*self._reply(asker, begun, now_ns), *transfer.start(now_ns)]
+
+    def _check_request(self) -> None:
+        """Rejected where no request can be done now."""
+        if not self._config.enabled:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
+        why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
+        if why:
+            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
+        if self._vehicle.session.autopilot not in AUTOPILOTS:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
+
+    def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
+        items = self._replaced.items(self._vehicle.target_id)
+        if len(items) <= self._replaced.kept.first:
+            raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
+        return items, f"the mission that was replaced, {len(items)} items"
+
+    def _way_items(self, now_ns: int, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
+        way, config = self._planned(now_ns), self._config
+        for warning in way.briefs:
+            self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
+        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
+        return items, str(way)
+
+    def _check_if_due(self, now_ns: int) -> list[Message]:
+        """Look at the mission where an upload of an earlier run was cut off, and clear it if it is a part of that."""
+        kept, vehicle = self._replaced.kept, self._vehicle
+        if kept.is_settled or not vehicle.connected or vehicle.system_id != kept.system_id:
+            return []
+        if self._check is None or self._check[0] is not vehicle.session:
+            self._check = vehicle.session, now_ns
+            text = "Lookback: upload cut off, do not start the mission"  # 50 characters, one STATUSTEXT
+            log.warning("%s", text)
+            self._send_text(text, mavlink.MAV_SEVERITY_WARNING)
+        if now_ns < self._check[1] or self._why_not_now():
+            return []
+        self._check = vehicle.session, now_ns + CHECK_AGAIN_NS
+
+        def clear_if_cut_off(present: list[MissionItem]) -> Next:
+            return "clear" if self._replaced.is_cut_off(present) else "leave"
+
+        transfer = MissionTransfer((), kept.system_id, first_is_home=bool(kept.first), decide=clear_if_cut_off)
+        self._upload = Upload(transfer, 0, "", "mission checked")
+        return transfer.start(now_ns)
+
+    def _planned(self, now_ns: int) -> WayHome:
+        """The way home from here; Rejected."""
+        if self._vehicle.session.kind not in ON_THE_GROUND and not self._config.altitude_m:
+            raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
+        report = self._vehicle.report(now_ns)
+        position, sigma_m = report.position, self._estimator.uncertainty_m(report)
+        if position is None or sigma_m is None or self.plan is None:
+            what = "there is no map" if self.plan is None else "the vehicle's position is not known"
+            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, what)
+        try:
+            way = self.plan(Start(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
+        except SetupError as error:
+            raise Rejected(mavlink.MAV_RESULT_FAILED, str(error)) from None
+        if way.refusals:
+            more = f" (and {len(way.refusals) - 1} more)" if len(way.refusals) > 1 else ""
+            raise Rejected(mavlink.MAV_RESULT_FAILED, way.refusals[0] + more)
+        return way
+
+    def _why_not_now(self) -> str:
+        """Why no mission may be replaced at the moment; "" if it may."""
+        if not self._vehicle.connected:
+            return "no autopilot is connected"
+        drives = self._vehicle.drives_itself
+        if drives is None:
+            return "the autopilot's mode is not known"
+        return "the vehicle is armed and drives by itself; change the mode first" if drives else ""
+
+    def _finished(self, now_ns: int) -> list[Message]:
+        """The final answer, once the transfer has ended."""
+        upload = self._upload
+        if upload is None or upload.transfer.outcome is None:
+            return []
+        outcome, self._upload = upload.transfer.outcome, None
+        if outcome.is_settled:
+            self._replaced.settle()
+        if outcome.verified:
+            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, upload.done, upload.items))
+        else:
+            more = GIVEN_BACK if outcome.is_settled and upload.asker is None and self._replaced.kept.replaced else ""
+            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
+        return [] if upload.asker is None else self._reply(upload.asker, answer, now_ns)
+
+    def _answered(self, answer: Answer) -> Answer:
+        """Publish a final answer."""
+        log.info("way home: %s", answer.text)
+        self._record(HomeAnswered(answer.is_accepted, answer.text, answer.items))
+        severity = mavlink.MAV_SEVERITY_INFO if answer.is_accepted else mavlink.MAV_SEVERITY_WARNING
+        self._send_text(f"Lookback: {answer.text}", severity)
+        return answer
+
+    def _reply(self, asker: Asker, answer: Answer, now_ns: int) -> list[Message]:
+        """Hand an answer to whoever requested; the messages that are due for it."""
+        if callable(asker):
+            asker(answer)
+            return []
+        if answer.is_final:
+            self._last = asker, now_ns, answer
+        return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *asker)]

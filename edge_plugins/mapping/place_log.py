@@ -1,0 +1,313 @@
+"""The file of a map that is being made: opened after any crash, written by a thread of its own, at last a map.
+
+A process that is killed leaves whole records and at most one that is cut off, which is removed when the file is opened
+again. What is damaged elsewhere is skipped, and stays. Bytes are handed to the kernel with every record, and flushed
+to the disk once a second: a power cut costs the places of the last moments, and a slow disk costs no frame.
+
+The places of an earlier drive become an ordinary map: the same bytes that `lookback map build` would write.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import logging
+import os
+import queue
+import shutil
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.errors import MapError, reason
+from edge.files import replacing
+from edge_plugins.layers import source_of
+from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.place_log_records import (
+    FORMAT,
+    HEAD,
+    VERSION,
+    DriveBegun,
+    LogHeader,
+    LogRecord,
+    PlacePassed,
+    encoded,
+    record_at,
+    whole_records,
+)
+
+QUEUE_PLACES = 256
+"""That may wait to be written: those of an outage of GPS (`outage.MOST_PLACES`) are handed over at once."""
+RECENT = QUEUE_PLACES + 32
+"""Raw descriptors that are kept in memory: more than can be waiting to be written."""
+FLUSHED_EACH_S = 1.0
+FLOATS = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float32)
+"""Every float16: looked up, a descriptor becomes float32 eight times faster than NumPy converts it."""
+DISK_FULL = "the disk is nearly full"
+SUFFIX = ".growing"
+FEWEST_PLACES = 20
+"""A drive of fewer places is no map: nothing can be recognized on it."""
+log = logging.getLogger(__name__)
+
+
+def log_of(map_path: Path) -> Path:
+    """The file in which a map is made; hidden, so that it is no map of its folder yet."""
+    return map_path.with_name(f".{map_path.name}{SUFFIX}")
+
+
+def map_of(file: Path) -> Path:
+    """The map that a file of places will become."""
+    return file.with_name(file.name[1 : -len(SUFFIX)])
+
+
+def logs_in(folder: Path) -> list[Path]:
+    """Files of places of all drives that are not maps yet, the oldest first."""
+    return sorted(folder.glob(f".*{SUFFIX}"))
+
+
+class OpenLog:
+    """A file of places that this process alone has open: the records that were in it, and where to write on.
+
+    places_at: where each place is. drives: with which place each drive begins. written_unix_s: when the last place was
+    written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open it, and cut off what is not whole. MapError if it is no such file, or another process has it."""
+        self.path = path
+        try:
+            self.descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        except OSError as error:
+            raise MapError(f"{path}: cannot open it: {error.strerror}") from None
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.places_at: list[int] = []
+            self.drives: list[tuple[int, DriveBegun]] = []
+            self.written_unix_s = os.fstat(self.descriptor).st_mtime
+            self.header, self.end = self._read()
+            self._remove_what_was_cut_off()
+        except OSError as error:
+            os.close(self.descriptor)
+            why = "another process is writing it" if isinstance(error, BlockingIOError) else error.strerror
+            raise MapError(f"{path}: cannot open it: {why}") from None
+
+    def _read(self) -> tuple[LogHeader, int]:
+        """Its header, and where the last whole record ends. Keeps where each place is, and which begins a drive."""
+        records = whole_records(self.descriptor)
+        start, end, header = next(records, (0, 0, None))
+        if start or not isinstance(header, LogHeader) or (header.format, header.version) != (FORMAT, VERSION):
+            raise OSError(errno.EINVAL, f"damaged, or not a file of places of version {VERSION}; remove it")
+        damaged = 0
+        for start, stop, record in records:
+            if isinstance(record, DriveBegun):
+                self.drives.append((len(self.places_at), record))
+            elif isinstance(record, PlacePassed):
+                if start > end and (record.view or self.drives):
+                    # What was lost may have been more than one place: no line runs over it.
+                    begun = DriveBegun(record.view) if record.view else self.drives[-1][1]
+                    if not self.drives or self.drives[-1][0] < len(self.places_at):
+                        self.drives.append((len(self.places_at), begun))
+                if self.drives:
+                    self.places_at.append(start)
+                    self.written_unix_s = record.unix_s or self.written_unix_s
+            damaged, end = damaged + start - end, stop
+        if damaged:
+            log.warning("%s: %d damaged bytes were skipped, %d places kept", self.path, damaged, len(self.places_at))
+        return header, end
+
+    def _remove_what_was_cut_off(self) -> None:
+        """Remove the last record if the file ends within it; one that is damaged otherwise stays."""
+        size = os.fstat(self.descriptor).st_size
+        head = os.pread(self.descriptor, HEAD.size, self.end)
+        is_cut_off = len(head) < HEAD.size or self.end + HEAD.size + HEAD.unpack(head)[1] > size
+        if size > self.end and is_cut_off:
+            os.ftruncate(self.descriptor, self.end)
+            log.warning("%s: %d bytes of a place that was not written whole were removed", self.path, size - self.end)
+        elif size > self.end:
+            log.warning("%s: the last %d bytes are damaged and were skipped", self.path, size - self.end)
+            self.end = size
+
+    def segments(self) -> Iterator[tuple[int, int, DriveBegun]]:
+        """Places [start, end) of each drive."""
+        starts = [*(first for first, _ in self.drives), len(self.places_at)]
+        yield from ((*rows, drive) for rows, (_, drive) in zip(pairwise(starts), self.drives, strict=True))
+
+    def place(self, row: int) -> PlacePassed:
+        """One of the places; OSError if it cannot be read any more."""
+        record = record_at(self.descriptor, self.places_at[row])
+        if not isinstance(record, PlacePassed):
+            raise OSError(errno.EIO, f"{self.path}: place {row} is damaged")
+        return record
+
+    def raw(self, row: int) -> NDArray[np.float32]:
+        """The raw descriptor (R, D) of one of the places."""
+        return self.raw_of(self.place(row))
+
+    def raw_of(self, passed: PlacePassed) -> NDArray[np.float32]:
+        """The raw descriptor (R, D) of a record."""
+        values = FLOATS.take(np.frombuffer(passed.raw, "<u2"))
+        return values.reshape(self.header.regions.count, self.header.model.dimensions)
+
+    def close(self) -> None:
+        """Close it; more than once is harmless."""
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+        self.descriptor = -1
+
+
+def create_log(path: Path, header: LogHeader) -> OpenLog:
+    """A new file without places. OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as stream:
+        stream.write(encoded(header))
+    return OpenLog(path)
+
+
+class PlaceLog:
+    """Writes places to an open file by a thread; `stopped` says why none is written any more."""
+
+    def __init__(self, file: OpenLog, min_free_bytes: float = 0.0) -> None:
+        """min_free_bytes: writing stops when the disk has less than this left."""
+        self.file = file
+        self._min_free_bytes = min_free_bytes
+        self._end = file.end
+        self._recent: deque[NDArray[np.float32]] = deque(maxlen=RECENT)
+        self._queue: queue.Queue[LogRecord | None] = queue.Queue(QUEUE_PLACES)
+        self.count = len(file.places_at)
+        """Places that were handed over, or were there."""
+        self.stopped = ""
+        self._view = file.drives[-1][1].view if file.drives else None
+        self._thread = threading.Thread(target=self._run, name="mapping", daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """How many records are not written yet."""
+        return self._queue.qsize()
+
+    def begin_drive(self, drive: DriveBegun) -> bool:
+        """Hand over the beginning of a drive; False if the disk is too far behind."""
+        self._view = drive.view
+        return self._put(drive)
+
+    def add(self, raw: NDArray[np.float32], place: Place, unix_s: float = 0.0) -> bool:
+        """Hand a place over without waiting; False if the disk is too far behind, and the place is not in the map.
+
+        unix_s: the time now.
+        """
+        values = raw.astype("<f2")
+        if not self._put(PlacePassed(place, values.tobytes(), unix_s, self._view)):
+            return False
+        self._recent.append(values.astype(np.float32))
+        self.count += 1
+        return True
+
+    def raw_rows(self, rows: Sequence[int]) -> NDArray[np.float32]:
+        """Raw descriptors (n, R, D) of some places, the older ones from the disk. OSError."""
+        first = self.count - len(self._recent)
+        return np.stack([self._recent[row - first] if row >= first else self.file.raw(row) for row in rows])
+
+    def thumbnail(self, row: int) -> bytes:
+        """The small JPEG of a place, b"" if it is not on the disk yet. OSError."""
+        return self.file.place(row).place.thumbnail if row < len(self.file.places_at) else b""
+
+    def close(self, timeout_s: float = 1.0) -> None:
+        """Write what has been handed over, for at most `timeout_s` twice, and flush it; once."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=timeout_s)
+        self._thread.join(timeout_s)
+        if not self._thread.is_alive():  # else the disk hangs, and the file goes with the process
+            self.file.close()
+
+    def _put(self, record: LogRecord) -> bool:
+        if self.stopped:
+            return False
+        try:
+            self._queue.put_nowait(record)
+        except queue.Full:
+            return False
+        return True
+
+    def _run(self) -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        flushed_s, is_flushed = time.monotonic(), True
+        while True:
+            with contextlib.suppress(queue.Empty):
+                record = self._queue.get(timeout=FLUSHED_EACH_S)
+                if record is None:
+                    break
+                is_flushed = not self._write(record) and is_flushed
+            if not is_flushed and time.monotonic() - flushed_s >= FLUSHED_EACH_S:
+                self._flush()
+                flushed_s, is_flushed = time.monotonic(), True
+        self._flush()
+
+    def _write(self, record: LogRecord) -> bool:
+        """Append a record whole, or not at all."""
+        if self.stopped:
+            return False
+        data, descriptor = encoded(record), self.file.descriptor
+        try:
+            if shutil.disk_usage(self.file.path.parent).free - len(data) < self._min_free_bytes:
+                raise OSError(errno.ENOSPC, DISK_FULL)
+            if os.pwrite(descriptor, data, self._end) != len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(descriptor, self._end)
+            self._stop(error)
+            return False
+        if isinstance(record, PlacePassed):
+            self.file.places_at.append(self._end)
+        self._end += len(data)
+        return True
+
+    def _flush(self) -> None:
+        try:
+            os.fdatasync(self.file.descriptor)
+        except OSError as error:
+            self._stop(error)
+
+    def _stop(self, error: OSError) -> None:
+        if not self.stopped:
+            self.stopped = reason(error)
+            log.warning("%s: mapping stopped after %d places: %s", self.file.path, len(self.file.places_at), error)
+
+
+def complete(file: OpenLog) -> Path | None:
+    """Make the map of an earlier drive and remove its file; None where the drive has too few places for one.
+
+    A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
+    """
+    path = map_of(file.path)
+    if len(file.places_at) < FEWEST_PLACES:
+        log.info("%s: %d places are too few for a map; removed", file.path, len(file.places_at))
+        file.path.unlink(missing_ok=True)
+        return None
+    if not path.exists():
+        _build(file, path)
+        log.info("%s: a map of %d places was made of the drive", path, len(file.places_at))
+    file.path.unlink(missing_ok=True)
+    return path
+
+
+def _build(file: OpenLog, path: Path) -> None:
+    header = file.header
+    with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
+        for first, end, drive in file.segments():
+            builder.begin_segment(source_of(path), drive.view, has_odometer=True)
+            for row in range(first, end):
+                try:
+                    passed = file.place(row)
+                    builder.add(file.raw_of(passed), passed.place)
+                except OSError as error:
+                    raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
+        builder.finish()

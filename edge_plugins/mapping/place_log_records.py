@@ -1,0 +1,121 @@
+"""The records of the file of a map that is being made.
+
+A record is 4 bytes of mark, the length and CRC-32 of what follows, and that: a tagged union in MessagePack. The first
+is the header. Where one is damaged, the next is found by its mark.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+import edge
+from edge.config import SamplingConfig
+from edge.reference_map import ModelKey, RegionsKey
+from edge_plugins.mapping.builder import Place
+
+FORMAT, VERSION = "lookback-places", 1
+MARK = b"LBPL"
+HEAD = struct.Struct("<4sII")
+MAX_BODY_BYTES = 4 << 20
+SEARCHED_BYTES = 1 << 20
+"""At once, for the next mark."""
+
+
+class LogHeader(msgspec.Struct, frozen=True, tag="header"):
+    """How the places were made; a map is made of places that were made alike."""
+
+    model: ModelKey
+    regions: RegionsKey
+    sampling: SamplingConfig
+    lookback: str = edge.__version__
+    format: str = FORMAT
+    version: int = VERSION
+
+
+class DriveBegun(msgspec.Struct, frozen=True, tag="drive"):
+    """The places that follow were passed one after another, by a camera that looked that way."""
+
+    view: Literal["front", "rear"]
+
+
+class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
+    """A place, and its raw descriptor (R, D) as little-endian float16.
+
+    unix_s: when it was written, 0 in files of earlier versions. view: of the camera, as in its DriveBegun, which may be
+    damaged; None in such files.
+    """
+
+    place: Place
+    raw: bytes
+    unix_s: float = 0.0
+    view: Literal["front", "rear"] | None = None
+
+
+LogRecord = LogHeader | DriveBegun | PlacePassed
+_decoder = msgspec.msgpack.Decoder(LogRecord)
+
+
+def encoded(record: LogRecord) -> bytes:
+    """The bytes of a record."""
+    body = msgspec.msgpack.encode(record)
+    return HEAD.pack(MARK, len(body), zlib.crc32(body)) + body
+
+
+def whole_records(descriptor: int) -> Iterator[tuple[int, int, LogRecord]]:
+    """The whole records of an open file: where each begins and ends."""
+    at: int | None = 0
+    while at is not None:
+        record = record_at(descriptor, at)
+        if record is None:
+            at = _next_mark(descriptor, at + 1)
+            continue
+        end = at + HEAD.size + HEAD.unpack(os.pread(descriptor, HEAD.size, at))[1]
+        yield at, end, record
+        at = end
+
+
+def _next_mark(descriptor: int, at: int) -> int | None:
+    """Where the next mark of a record is, from a byte on."""
+    while piece := os.pread(descriptor, SEARCHED_BYTES, at):
+        found = piece.find(MARK)
+        if found >= 0:
+            return at + found
+        if len(piece) < len(MARK):
+            return None
+        at += len(piece) - len(MARK) + 1
+    return None
+
+
+def record_at(descriptor: int, at: int) -> LogRecord | None:
+    """The record that begins at a byte, None if none does, or it is damaged."""
+    head = os.pread(descriptor, HEAD.size, at)
+    if len(head) < HEAD.size:
+        return None
+    mark, size, checksum = HEAD.unpack(head)
+    if mark != MARK or size > MAX_BODY_BYTES:
+        return None
+    body = os.pread(descriptor, size, at + HEAD.size)
+    if len(body) < size or zlib.crc32(body) != checksum:
+        return None
+    try:
+        record: LogRecord = _decoder.decode(body)
+    except msgspec.DecodeError:
+        return None
+    return record
+
+
+@dataclass(frozen=True)
+class MappedPlace:
+    """A place and its raw descriptor (R, D)."""
+
+    raw: NDArray[np.float32]
+    place: Place

@@ -1,0 +1,44 @@
+"""[motion] in the daemon: the speed by the ground is the odometer where nothing else measures one, or is sent."""
+
+from __future__ import annotations
+
+from edge.camera import Frame
+from edge.opened_parts import OpenedParts
+from edge.plugin import Plugin, UsedFrame
+from edge_plugins.motion import CameraMotion, PassedLine
+from edge_plugins.motion.velocity_sender import VelocitySender
+
+
+class Motion(Plugin):
+    """`CameraMotion` at the daemon's moments."""
+
+    def __init__(self, parts: OpenedParts) -> None:
+        self._parts = parts
+        self._sender = VelocitySender(parts.autopilot)
+        self._motion = CameraMotion(parts.config, parts.record, parts.autopilot.vehicle.velocity.turned_rad)
+
+    def frame(self, frame: Frame) -> None:
+        """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
+        link, use = self._parts.autopilot, self._parts.config.motion.use
+        speed = self._motion.follow(frame.image, frame.stamp_ns, link.gps_speed_mps())
+        if speed is not None and use != "report":
+            link.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps)
+        if speed is not None and use == "send":
+            self._sender.send(speed)
+
+    def frame_used(self, used: UsedFrame) -> None:
+        """Compare the distance that the camera measures with that between the places which it recognizes."""
+        if not self._parts.recognizer.is_in_line:
+            return
+        match, height = used.match, self._motion.height
+        line = None if match is None else self._parts.estimator.line_of(match)
+        if match is None or line is None:
+            height.use_frame(None)
+            return
+        along_m = line.along_m if match.direction == "forward" else -line.along_m
+        height.use_frame(PassedLine(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
+
+
+def open_plugin(parts: OpenedParts) -> Motion | None:
+    """Where [motion] use is not "off"."""
+    return Motion(parts) if parts.config.motion.use != "off" else None

@@ -1,0 +1,221 @@
+"""What the live page shows: a short history of used frames, the maps, and a snapshot when somebody looks.
+
+The records are immutable: the daemon's loop makes them, and the page's thread reads them and writes them as JSON.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+import edge
+from edge.camera import CameraHealth, Frame
+from edge.journal.records import FrameUsed
+from edge.reference_map import COST_ONE, Bounds, MapSet
+from edge.sequence import CostView, PlaceMatch
+from edge.telemetry import LinkStatus
+from edge_plugins.mapping import MappingView
+
+HISTORY = 2400
+RATE_FRAMES = 20
+ROW_POINTS = 300
+"""A cost row of a large map is drawn as the lowest of so many stretches."""
+
+
+class HistoryFrame(msgspec.Struct, frozen=True):
+    """One used frame, and where the autopilot said the vehicle then was: degrees (WGS 84), None where not known."""
+
+    used: FrameUsed
+    vehicle: tuple[float, float] | None
+
+
+class Status(msgspec.Struct, frozen=True):
+    """Everything about the daemon that is words and numbers.
+
+    stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s identifies the run of the daemon. newest: the newest
+    used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames per
+    second over the recent ones. stages_ms: medians. history: oldest first.
+    """
+
+    stamp_ns: int
+    started_unix_s: float
+    version: str
+    map_name: str
+    model: str
+    state: str
+    why: str
+    newest: FrameUsed | None
+    slope: float | None
+    frames_used: int
+    events: int
+    fps: float
+    confidence_from: float
+    stages_ms: dict[str, float]
+    journal_lost: int
+    camera: CameraHealth
+    link: LinkStatus
+    history: tuple[HistoryFrame, ...]
+    mapping: MappingView | None = None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A status with the newest used frame (H, W, 3) uint8 BGR, and the costs behind its match."""
+
+    status: Status
+    image: NDArray[np.uint8] | None
+    costs: CostView
+
+    def as_json(self, since_ns: int, picture: bytes = b"", others: Mapping[str, object] = {}) -> bytes:
+        """The status, its history after `since_ns`, the cost row, and the cost matrix window; as cosine distances.
+
+        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already. others:
+        further fields.
+        """
+        history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
+        fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
+        row, window = _cost_row(self.costs), _cost_window(self.costs)
+        return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture, **others})
+
+
+class LiveStatus:
+    """Keeps every used frame for a while, which costs microseconds, and makes a snapshot when it is asked for one."""
+
+    def __init__(self, model: str, confidence_from: float, unix_time_s: Callable[[], float] = time.time) -> None:
+        """model: its name, for people. confidence_from: from which on a place is believed."""
+        self._model, self._confidence_from = model, confidence_from
+        self._started_unix_s = round(unix_time_s(), 3)
+        self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
+        self._frame: Frame | None = None
+        self.match: PlaceMatch | None = None
+        self.frames_used = self.events = 0
+
+    def add(self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, vehicle: tuple[float, float] | None) -> None:
+        """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude."""
+        self._frame, self.match = frame, match
+        self.frames_used += 1
+        self.events += used.emitted
+        self._history.append(HistoryFrame(used, vehicle))
+
+    def snapshot(
+        self,
+        now_ns: int,
+        state: str,
+        why: str,
+        *,
+        map_name: str,
+        costs: CostView,
+        camera: CameraHealth,
+        link: LinkStatus,
+        stages_ms: dict[str, float],
+        journal_lost: int,
+        mapping: MappingView | None = None,
+    ) -> Snapshot:
+        """What is to be shown now; state, why: the daemon's. costs: of `match`. Others: see `Status`."""
+        status = Status(
+            stamp_ns=now_ns,
+            started_unix_s=self._started_unix_s,
+            version=edge.__version__,
+            map_name=map_name,
+            model=self._model,
+            state=state,
+            why=why,
+            newest=self._history[-1].used if self._history else None,
+            slope=round(self.match.slope, 4) if self.match else None,
+            frames_used=self.frames_used,
+            events=self.events,
+            fps=self._fps(now_ns),
+            confidence_from=self._confidence_from,
+            stages_ms=stages_ms,
+            journal_lost=journal_lost,
+            camera=camera,
+            link=link,
+            mapping=mapping,
+            history=tuple(self._history),
+        )
+        return Snapshot(status, self._frame.image if self._frame else None, costs)
+
+    def _fps(self, now_ns: int) -> float:
+        stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]
+        if len(stamps_ns) < 2:
+            return 0.0
+        # A camera that stopped shows as a rate that falls.
+        return round((len(stamps_ns) - 1) * 1e9 / max(max(stamps_ns[-1], now_ns - 1e9) - stamps_ns[0], 1), 2)
+
+
+def _cost_row(view: CostView) -> dict[str, Any]:
+    """The lowest cost of each stretch of the map, for each region order, and the place that it is at."""
+    places = view.costs.shape[1]
+    if places == 0:
+        return {"places": [], "orders": []}
+    starts = np.unique(np.linspace(0, places, min(places, ROW_POINTS), endpoint=False).astype(int))
+    lowest = np.minimum.reduceat(view.costs, starts, axis=1) / COST_ONE
+    return {"places": view.place_index[starts].tolist(), "orders": lowest.round(3).tolist()}
+
+
+def _cost_window(view: CostView) -> dict[str, Any]:
+    """Rows of the cost matrix, oldest first, as whole thousandths."""
+    rows = np.rint(view.window * (1000 / COST_ONE)).astype(int)
+    return {"start": view.window_start, "rows": rows.tolist()}
+
+
+DRIVE_POINTS = 2000
+Line = tuple[tuple[float, float], ...]
+"""(latitude, longitude) in degrees (WGS 84)."""
+
+
+@dataclass(frozen=True)
+class MapView:
+    """What the page shows of the map.
+
+    places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
+    drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
+    all maps (any thread may ask); b"" where there is none. path: of the map, or of the folder. stale: stretches that
+    are no longer there, as drives.
+    """
+
+    places: int
+    starts: dict[str, int]
+    drives: tuple[Line, ...]
+    thumbnail: Callable[[int], bytes]
+    path: Path
+    stale: tuple[Line, ...] = ()
+
+    def as_json(self) -> bytes:
+        """All but the thumbnails."""
+        shown = {"places": self.places, "starts": self.starts, "drives": self.drives, "stale": self.stale}
+        return msgspec.json.encode(shown)
+
+
+def map_view(maps: MapSet) -> MapView:
+    """What is shown of these maps."""
+    starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
+    stale = tuple(_line(maps.places[start:end]) for start, end in maps.stale)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, maps.path, stale)
+
+
+def _outline(maps: MapSet) -> tuple[Line, ...]:
+    """The drives of a map, thinned out where they are long; of maps in a folder, their bounds."""
+    if maps.is_folder:
+        return tuple(_rectangle(header.bounds) for header in maps.headers if header.bounds)
+    index = maps.index
+    drives = [maps.places[start:end] for _, start, end in index.by_segment([(0, index.places)])]
+    return tuple(_line(drive[:: max(1, len(drive) // DRIVE_POINTS)]) for drive in drives)
+
+
+def _line(drive: NDArray[np.void]) -> Line:
+    known = drive[~np.isnan(drive["lat_deg"])]
+    return tuple(zip(known["lat_deg"].tolist(), known["lon_deg"].tolist(), strict=True))
+
+
+def _rectangle(bounds: Bounds) -> Line:
+    south, west, north, east = bounds.south, bounds.west, bounds.north, bounds.east
+    return (south, west), (south, east), (north, east), (north, west), (south, west)

@@ -1,0 +1,60 @@
+"""[ros2] in the daemon: odometry from ROS 2, state, places and positions to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from edge.geodesy import first_known
+from edge.journal.records import PlaceFix
+from edge.localization import Limits
+from edge.opened_parts import OpenedParts
+from edge.plugin import Plugin
+from edge_plugins.ros2 import Ros2
+
+OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
+
+
+class Ros2Plugin(Plugin):
+    """Positions by the conditions for an autopilot without GPS: nothing is moved by them here."""
+
+    def __init__(self, parts: OpenedParts) -> None:
+        """ConfigError without the package."""
+        self._parts = parts
+        self._ros2 = Ros2(parts.config, parts.clock_ns)
+
+    def start(self) -> None:
+        """The map frame's origin: that of positions, else the first place that has one."""
+        origin, places = self._parts.config.telemetry.origin, self._parts.recognizer.map_set.places
+        known = (origin[0], origin[1]) if origin else None
+        self._ros2.datum = known or first_known(places["lat_deg"], places["lon_deg"])
+
+    def place(self, fix: PlaceFix) -> None:
+        """Publish a place."""
+        self._ros2.publish_place(fix)
+
+    def turn(self) -> None:
+        """Use odometry, publish the state, and a position where there is a new one that may be published."""
+        parts, ros2, health = self._parts, self._ros2, self._parts.monitor.health
+        vehicle = parts.autopilot.vehicle
+        for odometry in ros2.odometry():
+            vehicle.velocity.use_odometry(*odometry)
+        ros2.publish_state(health.state, health.why, parts.autopilot.status)
+        fix = parts.estimator.position_at_exposure()
+        if fix is None or fix.stamp_ns == ros2.judged_ns:
+            return
+        if health.able != "on the map" or parts.pictures.why_no_position:
+            return
+        ros2.judged_ns, limits = fix.stamp_ns, Limits(parts.config.gates.min_interval_s, OLDEST_S)
+        report = replace(vehicle.report(parts.clock_ns()), gps="not healthy")
+        displacement = vehicle.motion.displacement(fix.stamp_ns)
+        if parts.estimator.decide(fix, limits, ros2.published_ns, report, displacement).refusal is None:
+            ros2.publish_position(fix)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._ros2.close()
+
+
+def open_plugin(parts: OpenedParts) -> Ros2Plugin | None:
+    """Where [ros2] domain is set."""
+    return Ros2Plugin(parts) if parts.config.ros2.domain >= 0 else None
