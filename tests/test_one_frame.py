@@ -116,7 +116,7 @@ class Files:
         self._on_path = self._in_telemetry = 0
 
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
-        if event not in ("call", "return") or not frame.f_code.co_filename.startswith(str(EDGE)):
+        if event not in ("call", "return") or not frame.f_code.co_filename.startswith(f"{EDGE}/"):
             return
         name = str(Path(frame.f_code.co_filename).relative_to(EDGE))
         step = 1 if event == "call" else -1
