@@ -14,8 +14,8 @@ test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
 test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
-SOCKETS := encoders.py host_lookup.py link.py links.py local_socket.py signing.py
-WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py toml_file.py warm_start_file.py
+SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
+WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
 .PHONY: demo test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
@@ -34,7 +34,7 @@ test-core:
 # daemon with a camera and an autopilot.
 test-python:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) \
-		$(addprefix tests/,camera commands feed health journal mission page) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
+		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
 		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
 
 # The tests of edge/ on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
