@@ -26,7 +26,7 @@ demo: $(VENV)/.demo
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
-# The tests of edge/ alone, for a Python beside the one of .venv.
+# The tests of edge/ and its plug-ins alone, for a Python beside the one of .venv.
 test-core:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(NOT_CORE:%=--ignore tests/%)
 
@@ -37,7 +37,7 @@ test-python:
 		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
 		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
 
-# The tests of edge/ on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
+# The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
 LOWEST_PYTHON ?= python3.10
 test-lowest: DEPENDENCIES := --constraint constraints/lowest.txt
 test-lowest: PYTHON := $(LOWEST_PYTHON)

@@ -10,5 +10,5 @@
     page/       [page]: the live page, and metrics for Prometheus
     doctor/     `lookback doctor`: what is wrong with config, devices and the vehicle
 
-A plug-in uses `edge` and those above it; `edge` and `sim` know of it by its name in a table alone, or as a user would.
+A plug-in imports `edge` and the plug-ins above it. `edge` knows them only as names in tables.
 """

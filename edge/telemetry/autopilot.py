@@ -91,6 +91,7 @@ class AutopilotConnection:
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=motion == "send" and config.emit != "report")
         self._gps_news = GpsNews(publisher)
         self.services: list[Service] = []
+        """Further exchanges on the autopilot's link; each adds itself."""
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._was_doubled = False

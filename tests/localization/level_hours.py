@@ -161,7 +161,7 @@ def rate(found: dict[str, list[Drive]]) -> tuple[float, float]:
     """
     hours = sum(float(np.mean([one.weight * one.hours for one in of_class])) for of_class in found.values())
     estimate = sum(float(weighted(of_class)[:, -1].mean()) for of_class in found.values())
-    bound = sum(most_likely(of_class, (1 - CONFIDENCE) / len(found)) for of_class in found.values())
+    bound = sum(upper_bound(of_class, (1 - CONFIDENCE) / len(found)) for of_class in found.values())
     return estimate / hours, bound / hours
 
 
@@ -176,17 +176,28 @@ def bounding_level(of_class: Sequence[Drive]) -> int | None:
     return int(enough[-1]) if len(enough) else None
 
 
-def most_likely(of_class: Sequence[Drive], wrong: float) -> float:
+def upper_bound(of_class: Sequence[Drive], wrong: float) -> float:
     """At most so often, but for a probability of `wrong`: by the bootstrap over drives.
 
-    Where too few come near to a level at all, by the rule of three.
+    Where too few come near to a level at all, by how many do, each as if it exceeded its level for certain.
     """
     level, count = bounding_level(of_class), len(of_class)
     if level is None:
-        return max(one.weight for one in of_class) * (FEW - math.log(wrong)) / count
+        near = int((weighted(of_class)[:, 0] > 0).sum())
+        return max(one.weight for one in of_class) * most_events(near, wrong) / count
     shares, rng = weighted(of_class)[:, level], np.random.default_rng(1)
     drawn = np.array([shares[rng.integers(count, size=count)].mean() for _ in range(RESAMPLED)])
     return float(np.quantile(drawn, 1 - wrong))
+
+
+def most_events(count: int, wrong: float) -> float:
+    """The mean of a Poisson distribution that gives at most `count` with the probability `wrong`."""
+    low, high = 0.0, 10.0 * (count + 10)
+    while high - low > 1e-6:
+        mean = (low + high) / 2
+        terms = np.exp(-mean + np.arange(count + 1) * math.log(mean) - [math.lgamma(k + 1) for k in range(count + 1)])
+        low, high = (mean, high) if terms.sum() > wrong else (low, mean)
+    return high
 
 
 def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
