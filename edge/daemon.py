@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -287,16 +287,10 @@ class Daemon:
         return stopped
 
 
-def run(
-    config: Config, stop: threading.Event, reload: threading.Event, opened: Callable[[], object] = lambda: None
-) -> Stopped:
-    """Run until `stop` is set or the camera comes to its end; `opened` is called when all parts are open.
-
-    reload: set when the maps are to be opened again.
-    """
+def run(config: Config, stop: threading.Event, reload: threading.Event) -> Stopped:
+    """Run until `stop` is set or the camera comes to its end. reload: set when the maps are to be opened again."""
     with ExitStack() as parts:
         daemon = Daemon(OpenedParts(config, parts))
-        opened()
         with daemon.parts.monitor.failures():
             while not stop.is_set() and daemon.turn():
                 if reload.is_set():

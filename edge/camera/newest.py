@@ -28,6 +28,7 @@ BAD_FRAMES_S = 2.0
 """A camera that gives only bad frames for this long is opened again."""
 OPENING_S = 30.0
 """Opening an OAK includes its boot."""
+START_S = 2.0  # the start goes on without a camera that takes longer to open: a signal must be able to end the program
 CLOSING_S = 10.0
 CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending: systemd kills after 10 s
 GRACE_S = 1.0
@@ -47,11 +48,13 @@ class NewestFrame:
         *,
         first_back_off_s: float = FIRST_BACK_OFF_S,
         longest_back_off_s: float = LONGEST_BACK_OFF_S,
+        start_s: float = START_S,
         reopens: bool = True,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """Start the thread and wait for the first opening; SetupError from it is raised here.
+        """Start the thread and wait up to `start_s` for the first opening.
 
+        SetupError of the first opening is raised here, or by `take` if the opening takes longer.
         A missing camera (CameraLost) is reported by `health` and opened again with back-off.
         reopens: whether a camera that gives only bad or frozen images is opened again; a recording would start over.
         """
@@ -77,7 +80,7 @@ class NewestFrame:
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
-        self._opened.wait()
+        self._opened.wait(start_s)
         if isinstance(self._failure, SetupError):
             raise self._failure
 
@@ -101,8 +104,8 @@ class NewestFrame:
     def take(self, timeout_s: float) -> Frame | None:
         """Return the newest frame, once; wait for one up to `timeout_s`.
 
-        None if there is none in that time (see `health`) or the feed has ended. An unexpected exception of the camera's
-        thread (a defect) is raised here.
+        None if there is none in that time (see `health`) or the feed has ended. Raises SetupError of a first opening
+        that took long, and an unexpected exception of the camera's thread (a defect).
         """
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._finished(), timeout_s)

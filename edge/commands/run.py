@@ -24,16 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
-    stop, opened, reload = threading.Event(), threading.Event(), threading.Event()
-
-    def request_stop() -> None:
-        stop.set()
-        if not opened.is_set():
-            raise SystemExit(0)  # opening a camera may take long, and nothing is to be saved yet
-
+    stop, reload = threading.Event(), threading.Event()
     if not os.isatty(0):  # at a terminal it means that the terminal is closed
         signal.signal(signal.SIGHUP, lambda number, at: reload.set())  # systemctl reload lookback
-    with on_stop_signal(request_stop), naming(args.config):
-        stopped = run(config, stop, reload, opened.set)
+    with on_stop_signal(stop.set), naming(args.config):
+        stopped = run(config, stop, reload)
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0

@@ -193,6 +193,22 @@ def test_a_setup_error_of_the_first_opening_is_raised_to_the_caller() -> None:
         NewestFrame(opener(ConfigError("[camera] kind: no camera is called 'x'")))
 
 
+def test_the_start_goes_on_while_a_camera_takes_long_to_open() -> None:
+    allowed = threading.Event()
+
+    def open_slowly() -> Camera:
+        assert allowed.wait(PATIENCE_S)
+        raise ConfigError("[camera] device: no such address")
+
+    newest = NewestFrame(open_slowly, start_s=0.0)
+    assert (newest.health.state, newest.health.reason) == ("lost", "opening")
+    assert newest.take(0.0) is None
+    allowed.set()
+    with pytest.raises(ConfigError, match="no such address"):
+        newest.take(PATIENCE_S)
+    newest.close()
+
+
 def test_a_setup_error_later_on_is_a_camera_that_is_lost() -> None:
     gone = ScriptedCamera(CameraLost("gone"))
     newest = NewestFrame(opener(gone, ConfigError("not a camera"), ScriptedCamera(0)), first_back_off_s=0.001)

@@ -66,6 +66,18 @@ def test_a_burst_of_signals(
         process.close()
 
 
+def test_a_signal_while_a_camera_that_says_nothing_is_opened(
+    write_config: Callable[..., Path], start: Callable[..., Any]
+) -> None:
+    pytest.importorskip("av")
+    process = start(write_config(camera={"kind": "stream", "device": "exec:sleep 60"}))
+    process.wait_for_word("STATUS=")
+    time.sleep(LATEST_S / 4)
+    code, took_s = process.end()
+    assert (code, "Traceback" in process.told()) == (0, False)
+    assert took_s < 5.0, "when systemd kills"
+
+
 def check_files(folder: Path) -> None:
     journal = folder / "events.jsonl"
     if journal.exists():
