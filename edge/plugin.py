@@ -18,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.camera import Frame
+from edge.errors import ConfigError
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.reference_map import MapSoFar
 from edge.sequence import PlaceMatch
 
 GROUP = "lookback.plugins"
-PLUGINS = {
-    name: f"edge_plugins.{name}.plugin:open_plugin"
-    for name in ("motion", "mapping", "layers", "recording", "home", "ros2", "page")
-}
-"""As entry points, in the order in which they are opened and called. Names only: edge imports nothing of them."""
+NAMES = "motion", "mapping", "layers", "recording", "home", "ros2", "page"
+PLUGINS = [EntryPoint(name, f"edge_plugins.{name}.plugin:open_plugin", GROUP) for name in NAMES]
+"""In the order in which they are opened and called. Names only: edge imports nothing of them."""
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
@@ -105,10 +104,14 @@ class Plugins:
         self._failed = failed
 
     def open(self, parts: Any) -> None:
-        """Open those that the config asks for; parts: the daemon's."""
-        others = {point.name: point.value for point in entry_points(group=GROUP)}
-        for name, value in {**PLUGINS, **others, **PLUGINS}.items():  # ours first, and none of them replaced
-            plugin: Plugin | None = EntryPoint(name, value, GROUP).load()(parts)
+        """Open those that the config asks for; ConfigError for one that is not usable. parts: the daemon's."""
+        loaded: dict[str, Any] = {}
+        for point in (*PLUGINS, *entry_points(group=GROUP)):
+            if point.name in loaded:
+                raise ConfigError(f"plug-in {point.name} ({point.value}): another has this name; uninstall one of them")
+            loaded[point.name] = _loaded(point)
+        for name, open_plugin in loaded.items():
+            plugin: Plugin | None = open_plugin(parts)
             if plugin is not None:
                 self._open[name] = plugin
 
@@ -141,3 +144,12 @@ class Plugins:
         with ExitStack() as stack:
             for plugin in self._open.values():
                 stack.callback(plugin.close)
+
+
+def _loaded(point: EntryPoint) -> Any:
+    """Its `open_plugin`; ConfigError where an import fails, whatever the error."""
+    try:
+        return point.load()
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"plug-in {point.name} ({point.value}): {why}; install or uninstall its package") from error

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,11 @@ from edge.camera import Frame
 from edge.config import AcceptanceConfig, Config, MapConfig, PageConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
+from edge.errors import ConfigError
 from edge.feed import FeedImages, read_feed
 from edge.journal.records import PlaceFix, PluginFailed, Stopped
 from edge.opened_parts import OpenedParts
-from edge.plugin import GROUP, PLUGINS
+from edge.plugin import PLUGINS, Plugins
 from sim.journal import records_of
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.udp_port import free_port
@@ -152,5 +152,19 @@ def test_a_plug_in_that_fails_costs_no_place(
     assert next(records_of(street.journal, Stopped)).frames_used == FRAMES
 
 
+@pytest.mark.parametrize(
+    ("point", "why"),
+    [
+        ("page = lookback_witness:open_plugin", "page.*another has this name"),
+        ("broken = lookback_missing:open_plugin", "broken.*ModuleNotFoundError.*uninstall"),
+        ("broken = lookback_witness:missing", "broken.*AttributeError"),
+    ],
+)
+def test_a_plug_in_that_is_not_usable_is_named(point: str, why: str, installed: None, tmp_path: Path) -> None:
+    (tmp_path / "site/lookback_witness-1.0.dist-info/entry_points.txt").write_text(f"[lookback.plugins]\n{point}\n")
+    with pytest.raises(ConfigError, match=why):
+        Plugins(lambda name, why: None).open(None)
+
+
 def test_those_that_come_with_lookback_can_all_be_loaded() -> None:
-    assert all(callable(EntryPoint(name, value, GROUP).load()) for name, value in PLUGINS.items())
+    assert all(callable(point.load()) for point in PLUGINS)
