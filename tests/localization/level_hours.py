@@ -3,10 +3,10 @@
 The drives have what positions are wrong by: errors of matches and of their parallax that last, an odometer and a
 heading that are wrong, stretches of the map that are shifted as often as `STRETCH_WRONG` says, unmapped stretches of
 which some resemble the map, turn-offs, halts and reversing. What is rare is drawn more often and weighted (importance
-sampling): shifted stretches, in classes of their own, and large errors of odometer and heading. A drive whose error
-comes near to its level goes on several times (`splitting`).
+sampling): shifted stretches, in classes of their own, and large errors of odometer and heading. A drive goes on the
+more often the nearer its error is to its level (`splitting`).
 
-    python -m tests.localization.level_hours --drives 250 --page docs/integrity.md
+    python -m tests.localization.level_hours --drives 200 --page docs/integrity.md
 """
 
 from __future__ import annotations
@@ -19,15 +19,18 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 
 from edge.localization.claims import STRETCH_WRONG
 from sim.research.trial.table import put_between
-from tests.localization.route_bench import CORRELATED_M, Bench, Bounded, Course, Stretch
+from tests.localization.route_bench import CORRELATED_M, Bench, Bounded
+from tests.localization.route_course import Course, Stretch
 from tests.localization.splitting import LEVELS, Split, reached_by
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
@@ -35,16 +38,31 @@ UNMAPPED, RESEMBLES, OFF = 0.1, 0.1, 0.15
 OFF_HOW = "turn -90", "turn 180", "stop 45", "reverse 2"
 SHIFTED_M = (5.0, 500.0)
 """Least and greatest shift of a stretch that is wrong; its logarithm is spread evenly."""
-NEAR_M = 40.0
-"""Larger shifts are noticed more easily, so that they are a class of their own."""
-CLASSES = {"right": None, "shifted by less": (SHIFTED_M[0], NEAR_M), "shifted by more": (NEAR_M, SHIFTED_M[1])}
-SPLITS = {"right": Split(3), "shifted by less": Split(2, begins=0.5), "shifted by more": Split(3)}
-"""Where a stretch is shifted a little, many come near in any case."""
+
+
+class Class(NamedTuple):
+    """Drives that have something in common, how they are split, and how many times as many are driven.
+
+    shifted_m: the range of the shift of a stretch that is wrong; None where none is.
+    """
+
+    shifted_m: tuple[float, float] | None
+    split: Split
+    times: int = 1
+
+
+CLASSES = {
+    "right": Class(None, Split(37.0, 0.14), times=2),
+    "shifted by less": Class((SHIFTED_M[0], 8.0), Split(20.0, 0.3)),
+    "shifted by 8 to 40 m": Class((8.0, 40.0), Split(15.0, 0.45), times=4),
+    "shifted by more": Class((40.0, SHIFTED_M[1]), Split(30.0, 0.15)),
+}
+"""Where a shift is hardest to notice, between 8 and 40 m, many drives come near, and some of them much more often."""
 CONFIDENCE = 0.95
 SCALE, HEADING_DEG, WIDER = 0.03, 1.5, 1.5
 """Standard deviations of odometer and heading, and how many times as wide they are drawn."""
 FEW, RESAMPLED = 10, 10_000
-"""A bound is that of the highest level which so many drives came to; it is found by drawing drives anew so often."""
+"""A bound is that of the highest level which so many drives alike came to; drives are drawn anew so often for it."""
 
 
 def seed_of_run() -> int:
@@ -131,9 +149,9 @@ class Drive:
 
 def drive(seed: int, name: str, folder: Path) -> Drive:
     """Drive a course of a class."""
-    drawn, weight = course(seed, CLASSES[name])
+    drawn, weight = course(seed, CLASSES[name].shifted_m)
     bench = Bench(drawn, seed, folder)
-    near = reached_by(bench, SPLITS[name], np.random.default_rng([seed, 99]))
+    near = reached_by(bench, CLASSES[name].split, np.random.default_rng([seed, 99]))
     bounded = np.array(bench.result.bounded).reshape(-1, 7)
     return Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
 
@@ -145,12 +163,13 @@ def exceeded(bounded: Sequence[Bounded]) -> int:
 
 
 def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
-    """So many drives of each class, on all processors."""
+    """So many drives of each class, or a multiple of it, on all processors."""
     found = {}
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for number, name in enumerate(CLASSES):
-            seeds = range(first_seed + number * count, first_seed + (number + 1) * count)
-            found[name] = list(pool.map(drive, seeds, [name] * count, [folder] * count))
+        for name, of_class in CLASSES.items():
+            seeds = range(first_seed, first_seed + of_class.times * count)
+            found[name] = list(pool.map(drive, seeds, repeat(name), repeat(folder)))
+            first_seed = seeds.stop
     return found
 
 
@@ -171,8 +190,13 @@ def weighted(of_class: Sequence[Drive]) -> np.ndarray:
 
 
 def bounding_level(of_class: Sequence[Drive]) -> int | None:
-    """The highest level to which FEW drives came: what comes to the last comes to it as well. None: none."""
-    enough = np.flatnonzero((weighted(of_class) > 0).sum(axis=0) >= FEW)
+    """The highest level to which FEW drives came: what comes to the last comes to it as well. None: none.
+
+    Drives that came to it more often than others count as fewer (Kish's effective sample size).
+    """
+    shares = weighted(of_class)
+    effective = shares.sum(axis=0) ** 2 / np.maximum((shares**2).sum(axis=0), np.finfo(float).tiny)
+    enough = np.flatnonzero(effective >= FEW)
     return int(enough[-1]) if len(enough) else None
 
 
@@ -200,12 +224,11 @@ def most_events(count: int, wrong: float) -> float:
     return high
 
 
-def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
+def statement(found: dict[str, list[Drive]], count: int, first_seed: int) -> str:
     """What was shown, for people."""
-    estimate, bound = rate(found)
-    count = len(found["right"])
+    (estimate, bound), drives = rate(found), sum(map(len, found.values()))
     nearest = ", ".join(
-        f"{'-' if level is None else format(LEVELS[level], '.2f')} ({name})"
+        f"{name} {'-' if level is None else format(LEVELS[level], '.2f')}"
         for name, of_class in found.items()
         for level in [bounding_level(of_class)]
     )
@@ -214,10 +237,11 @@ def statement(found: dict[str, list[Drive]], first_seed: int) -> str:
         for how, parallax in (("with", True), ("without", False))
         for along_m, across_m in [median_level_m(found["right"], parallax)]
     )
+    command = f"python -m tests.localization.level_hours --drives {count} --seed {first_seed}"
     text = (
-        f"`python -m tests.localization.level_hours --drives {count} --seed {first_seed}`: an error exceeds its level "
-        f"{estimate:.6f} times an hour, below {bound:.6f} at 95 % confidence. That bound is by the share of a level to "
-        f"which at least {FEW} of {count} drives came: {nearest}. "
+        f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
+        f"at 95 % confidence below {bound:.2g}. That bound is how often "
+        f"errors come to the highest share of their levels to which {FEW} drives alike came: {nearest}. "
         f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)
@@ -233,13 +257,15 @@ def median_level_m(of_class: Sequence[Drive], parallax: bool) -> tuple[float, fl
 def main(argv: Sequence[str] | None = None) -> int:
     """Count, print what was shown, and write it into a page."""
     parser = argparse.ArgumentParser(prog="python -m tests.localization.level_hours", description=__doc__)
-    parser.add_argument("--drives", type=int, default=250, metavar="N", help="of each class (default 250)")
+    parser.add_argument(
+        "--drives", type=int, default=200, metavar="N", help="of each class, of some a multiple (default 200)"
+    )
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)
     first_seed = int(time.time()) if args.seed is None else args.seed
     with TemporaryDirectory() as folder:
-        text = statement(drives(args.drives, first_seed, Path(folder)), first_seed)
+        text = statement(drives(args.drives, first_seed, Path(folder)), args.drives, first_seed)
     print(text)
     if args.page is not None:
         put_between("level hours", args.page, text)

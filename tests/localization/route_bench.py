@@ -15,70 +15,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from edge.config import Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
+from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
 from edge.localization.consensus import probability
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.sequence import PlaceMatch
-from edge_plugins.mapping.builder import MapBuilder, Place
 from tests.localization.region_bench import PLACES_APART, RegionViews
+from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
-HOME = (-27.0, 153.0)
-STEP_S, SPACING_M, LENGTH = 0.1, 2.0, 40
+STEP_S, LENGTH = 0.1, 40
 CORRELATED_M, GPS_M = 60.0, 72.0
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 TURN_RADIUS_M = 8.0
-Points = NDArray[np.float64]
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states.
-
-    continues: it is no segment of its own, but of one with the stretch before, which ends where it begins.
-    """
-
-    begins_m: float
-    ends_m: float
-    east_m: float = 0.0
-    north_m: float = 0.0
-    sigma_m: float = math.sqrt(2)
-    continues: bool = False
-
-
-@dataclass(frozen=True)
-class Course:
-    """What is driven, and what is wrong. scale, heading_deg: of the autopilot's velocity; None draws them by seed.
-
-    off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
-    looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
-    """
-
-    road_m: float = 1200.0
-    stretches: tuple[Stretch, ...] = (Stretch(0.0, 1200.0),)
-    scale: float | None = None
-    heading_deg: float | None = None
-    gps: bool = True
-    off_at_m: float = math.inf
-    off_how: str = ""
-    alias: tuple[float, float] = (math.inf, math.inf)
-    alias_from_m: float = 0.0
-    steers: bool = False
-    speed_mps: float = 8.0
-    bias_m: float = 1.5
-    match_sigma_m: float = 2.5
-    laps: int = 1
-    parallax: bool = False
 
 
 class Bounded(NamedTuple):
@@ -106,49 +61,6 @@ class Result:
     predicted_sigmas: list[float] = field(default_factory=list)
     withheld: dict[str, int] = field(default_factory=dict)
     bounded: list[Bounded] = field(default_factory=list)
-
-
-def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:
-    """East and north (n, 2) of a winding road at each meter, and its headings in radians (n,)."""
-    s = np.arange(0.0, length_m + 1.0)
-    phase = rng.uniform(0, 2 * np.pi, 3)
-    heading = phase[0] + 0.7 * np.sin(2 * np.pi * s / 520 + phase[1]) + 0.25 * np.sin(2 * np.pi * s / 170 + phase[2])
-    steps = np.column_stack([np.sin(heading), np.cos(heading)])
-    return np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)[:-1]]), heading
-
-
-def lap_line(length_m: float, laps: int) -> tuple[Points, Points]:
-    """Laps of a circle."""
-    s = np.arange(0.0, length_m * laps + 1.0)
-    heading = 2 * np.pi * s / length_m
-    steps = np.column_stack([np.sin(heading), np.cos(heading)])
-    return np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)[:-1]]), heading
-
-
-def build_maps(
-    path: Path, line: Points, heading: Points, stretches: tuple[Stretch, ...]
-) -> tuple[MapSet, list[tuple[int, float, float, int]]]:
-    """A map whose segments are those stretches; for each its first place, its first and last meter of the road."""
-    raw = np.zeros((2, 4), np.float32)
-    found: list[tuple[int, float, float, int]] = []
-    index = 0
-    key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set")
-    with MapBuilder(path, *key, SamplingConfig(), replace=True) as builder:
-        for number, stretch in enumerate(stretches):
-            before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
-            if not stretch.continues:
-                builder.begin_segment(f"stretch {number}", "rear")
-            at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
-            for row, s in enumerate(at_m):
-                east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]
-                lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
-                route_m = (before[3] + row) * SPACING_M
-                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, route_m
-                builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
-            found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
-            index += len(at_m)
-        builder.finish()
-    return MapSet.of(open_map(path)), found
 
 
 class Bench:

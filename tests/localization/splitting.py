@@ -1,13 +1,15 @@
-"""Rare events by multilevel splitting: a drive that comes near to one goes on several times, each with less weight.
+"""Rare events by splitting and Russian roulette: the nearer a drive is to one, the more paths follow it.
 
-What follows differs by chance alone, so that a path reaches the next level far more often than a new drive would, and
-the sum of the weights that reach a level is the probability of reaching it, without a bias (RESTART, Villen-Altamirano
-and Villen-Altamirano 1991).
+Paths that come nearer go on several times, each with less weight, and what follows differs by chance alone; of those
+that fall back a few go on, with more weight. The sum of the weights of paths that have reached a level is then the
+probability of reaching it, without a bias, whatever the number of paths (Kahn and Harris 1951, "Estimation of particle
+transmission by random sampling").
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -16,16 +18,26 @@ from numpy.typing import NDArray
 
 from tests.localization.route_bench import Bench, Result
 
-LEVELS = np.arange(6, 21) / 20
+LEVELS = np.arange(10, 101) / 100
 """Error as a share of the protection level; the last one is the event."""
+MOST_STEPS = 20
+"""Paths go on only once each when all together are so many times as long as the drive."""
 Floats = NDArray[np.float64]
 
 
 class Split(NamedTuple):
-    """How many paths a path becomes at each level that it reaches, from one of them on."""
+    """How many paths are to follow a drive, see `weight`; from `begins` on there are several.
 
-    factor: int
-    begins: float = 0.0
+    strength: one over twice the variance of the error as a share of its level; as many paths as that of a normal
+    distribution then come to each level.
+    """
+
+    strength: float
+    begins: float
+
+    def weight(self, near: float) -> float:
+        """That a path is to have there."""
+        return math.exp(-self.strength * max(0.0, near**2 - self.begins**2))
 
 
 class Path(Protocol):
@@ -50,25 +62,30 @@ def reached(
 ) -> Floats:
     """Probability (len(LEVELS),) with which a path, from its start, comes as near as each level.
 
-    near: how near it is now. other: the same moment,
-    after which chance is another. `path` itself goes on to the end, or to the event.
+    near: how near it is now. other: the same moment, after which chance is another. `path` itself goes on to the end,
+    or to the event.
     """
-    moves, found = list(path.begin()), np.zeros(len(LEVELS))
+    moves, found, steps = list(path.begin()), np.zeros(len(LEVELS)), 0
     waiting = [(path, 0, 1.0, 0)]
     while waiting:
-        one, number, weight, level = waiting.pop()
+        one, number, weight, nearest = waiting.pop()
         for at in range(number, len(moves)):
             one.advance(moves[at])
+            steps += 1
             now = int((near(one) >= LEVELS).sum())
-            if now <= level:
-                continue
-            found[level:now] += weight
-            level = now
-            if level == len(LEVELS):
+            found[nearest:now] += weight
+            nearest = max(nearest, now)
+            if nearest == len(LEVELS):
                 break
-            if LEVELS[level - 1] >= split.begins:
-                weight /= split.factor
-                waiting += [(other(one, rng), at + 1, weight, level) for _ in range(split.factor - 1)]
+            wanted = split.weight(near(one))
+            paths = int(weight / wanted)
+            if paths > 1 and steps < MOST_STEPS * len(moves):
+                weight /= paths
+                waiting += [(other(one, rng), at + 1, weight, nearest) for _ in range(paths - 1)]
+            elif weight < wanted / 4 and one is not path:  # not at once, since it may come nearer again
+                if rng.random() > weight / wanted:
+                    break
+                weight = wanted
     return found
 
 

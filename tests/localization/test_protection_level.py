@@ -18,7 +18,8 @@ from edge.localization.bound import Anchor, Reckoned
 from edge.localization.integrity import UNNOTICED
 from edge.localization.protection_level import MODEL_ERROR, Wrong, protection_level
 from tests.localization import level_hours
-from tests.localization.route_bench import Bench, Course, Stretch
+from tests.localization.route_bench import Bench
+from tests.localization.route_course import Course, Stretch
 from tests.localization.splitting import LEVELS
 
 FIX = PlaceFix(
@@ -49,8 +50,8 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Pat
 @pytest.mark.soak
 def test_errors_exceed_protection_levels_no_more_often_than_stated_on_maps_that_are_shifted(tmp_path: Path) -> None:
     """Weighted by how often they are: see docs/integrity.md for what so many drives can show."""
-    found = level_hours.drives(200, level_hours.seed_of_run(), tmp_path)
-    print(level_hours.statement(found, level_hours.seed_of_run()))
+    found = level_hours.drives(60, level_hours.seed_of_run(), tmp_path)
+    print(level_hours.statement(found, 60, level_hours.seed_of_run()))
     estimate, _ = level_hours.rate(found)
     assert estimate <= GatesConfig().risk_per_hour
 
@@ -98,8 +99,10 @@ def test_the_rate_is_weighted_and_its_bound_falls_with_how_near_drives_came() ->
 def test_rare_drives_are_weighted_by_how_often_they_are() -> None:
     """The weights of all classes add up to one, and those of the shifted ones to how often a stretch is shifted."""
     weights = {
-        name: np.mean([level_hours.stretches(np.random.default_rng(seed), shifted_m)[1] for seed in range(400)])
-        for name, shifted_m in level_hours.CLASSES.items()
+        name: np.mean(
+            [level_hours.stretches(np.random.default_rng(seed), of_class.shifted_m)[1] for seed in range(400)]
+        )
+        for name, of_class in level_hours.CLASSES.items()
     }
     assert sum(weights.values()) == pytest.approx(1.0, abs=0.002)
     assert weights["right"] == pytest.approx((1 - 5e-3) ** 5.5, abs=0.002)

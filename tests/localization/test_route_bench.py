@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.localization.route_bench import Bench, Course, Result, Stretch
+from tests.localization.route_bench import Bench, Result
+from tests.localization.route_course import Course, Stretch
 
 WHOLE = (Stretch(0.0, 1200.0),)
 

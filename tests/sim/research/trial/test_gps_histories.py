@@ -13,7 +13,7 @@ from edge.sequence import PlaceMatch
 from sim.research.trial import gps_command, gps_histories
 from sim.research.trial.gps_drives import Outcome, PlacedDrive, PlacedFrame, judge
 from sim.vehicle.position_inputs import east_north_m
-from tests.localization.route_bench import HOME, Stretch, build_maps, road_line
+from tests.localization.route_course import HOME, Stretch, build_maps, road_line
 
 TIME_S = np.arange(0.0, 200.0, 0.1)
 NORTH_M = np.column_stack([np.zeros(2000), 8.0 * TIME_S])
