@@ -151,5 +151,5 @@ def _loaded(point: EntryPoint) -> Any:
     try:
         return point.load()
     except Exception as error:
-        why = f"{type(error).__name__}: {error}"
+        why = " ".join(f"{type(error).__name__}: {error}".split())  # numpy's has many lines
         raise ConfigError(f"plug-in {point.name} ({point.value}): {why}; install or uninstall its package") from error

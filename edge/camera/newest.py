@@ -30,7 +30,7 @@ OPENING_S = 30.0
 """Opening an OAK includes its boot."""
 START_S = 2.0  # the start goes on without a camera that takes longer to open: a signal must be able to end the program
 CLOSING_S = 10.0
-CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending: systemd kills after 10 s
+CLOSE_S = 1.5  # a camera that cannot be closed must not keep the program from ending: systemd kills after 5 s
 GRACE_S = 1.0
 FUTURE_NS = 100_000_000
 """Tolerance: cameras estimate the offset of their clocks to ours."""

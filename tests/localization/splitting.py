@@ -72,12 +72,13 @@ def reached(
         for at in range(number, len(moves)):
             one.advance(moves[at])
             steps += 1
-            now = int((near(one) >= LEVELS).sum())
+            here = near(one)
+            now = int((here >= LEVELS).sum())
             found[nearest:now] += weight
             nearest = max(nearest, now)
             if nearest == len(LEVELS):
                 break
-            wanted = split.weight(near(one))
+            wanted = split.weight(here)
             paths = int(weight / wanted)
             if paths > 1 and steps < MOST_STEPS * len(moves):
                 weight /= paths
