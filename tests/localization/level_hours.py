@@ -23,47 +23,17 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
-from edge.localization.claims import STRETCH_WRONG
 from sim.research.trial.table import put_between
+from tests.localization.level_course import CLASSES, course
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded
-from tests.localization.route_course import Course, Stretch
-from tests.localization.splitting import LEVELS, Split, reached_by
+from tests.localization.splitting import LEVELS, reached_by
 
-ROAD_M, STRETCH_M = 3000.0, 500.0
-UNMAPPED, RESEMBLES, OFF = 0.1, 0.1, 0.15
-OFF_HOW = "turn -90", "turn 180", "stop 45", "reverse 2"
-SHIFTED_M = (5.0, 500.0)
-"""Least and greatest shift of a stretch that is wrong; its logarithm is spread evenly."""
-
-
-class Class(NamedTuple):
-    """Drives that have something in common, how they are split, and how many times as many are driven.
-
-    shifted_m: the range of the shift of a stretch that is wrong; None where none is.
-    """
-
-    shifted_m: tuple[float, float] | None
-    split: Split
-    times: int = 1
-
-
-CLASSES = {
-    "right": Class(None, Split(37.0, 0.14), times=2),
-    "shifted by less": Class((SHIFTED_M[0], 8.0), Split(20.0, 0.3)),
-    "shifted by 8 to 40 m": Class((8.0, 40.0), Split(15.0, 0.45), times=4),
-    "shifted by more": Class((40.0, SHIFTED_M[1]), Split(30.0, 0.15)),
-}
-"""Where a shift is hardest to notice, between 8 and 40 m, many drives come near, and some of them much more often.
-
-Strengths were tried on 30 to 40 drives of each class: higher levels are reached, in three times the time of a drive.
-"""
 CONFIDENCE = 0.95
-SCALE, HEADING_DEG, WIDER = 0.03, 1.5, 1.5
-"""Standard deviations of odometer and heading, and how many times as wide they are drawn."""
+SEEDS = 250_000  # of a class
 FEW, RESAMPLED = 10, 10_000
 """A bound is that of the highest level which so many drives alike came to; drives are drawn anew so often for it."""
 
@@ -71,69 +41,6 @@ FEW, RESAMPLED = 10, 10_000
 def seed_of_run() -> int:
     """The first seed of this run, another one where LOOKBACK_SEED says so; drives add less than a million to it."""
     return int(os.environ.get("LOOKBACK_SEED") or 1) * 1_000_000
-
-
-def share_of(shifted_m: tuple[float, float]) -> float:
-    """Of all shifts, those of a class."""
-    return math.log(shifted_m[1] / shifted_m[0]) / math.log(SHIFTED_M[1] / SHIFTED_M[0])
-
-
-def stretches(rng: np.random.Generator, shifted_m: tuple[float, float] | None) -> tuple[list[Stretch], float]:
-    """Of a map, some missing, in one drive or several; and how much more often it is drawn than it occurs, inverted.
-
-    shifted_m: none is shifted, or one and by chance others.
-    """
-    begins_m = [at for at in np.arange(0.0, ROAD_M, STRETCH_M) if at == 0 or rng.random() >= UNMAPPED]
-    several = rng.random() < 0.3
-    count = len(begins_m)
-    is_shifted = np.zeros(count, bool) if shifted_m is None else rng.random(count) < STRETCH_WRONG
-    weight = (1 - STRETCH_WRONG) ** count
-    least, most = np.log(SHIFTED_M)
-    far_m = np.exp(rng.uniform(least, most, count))
-    if shifted_m is not None:
-        one = int(rng.integers(count))
-        is_shifted[one], far_m[one] = True, math.exp(rng.uniform(*np.log(shifted_m)))
-        weight = count * STRETCH_WRONG * share_of(shifted_m) / is_shifted.sum()
-    found: list[Stretch] = []
-    for begins, by_m, angle in zip(begins_m, far_m * is_shifted, rng.uniform(0, 2 * math.pi, count), strict=True):
-        continues = bool(found) and found[-1].ends_m == begins and not several
-        shift = by_m * math.sin(angle), by_m * math.cos(angle)
-        found.append(Stretch(float(begins), float(begins) + STRETCH_M, *shift, continues=continues))
-    return found, float(weight)
-
-
-def motion_errors(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Of odometer and heading, as a share and in degrees; and how much more often they are drawn, inverted."""
-    drawn = rng.normal(0.0, WIDER, 2)
-    weight = np.prod(WIDER * np.exp(-(drawn**2) / 2 * (1 - WIDER**-2)))
-    return float(SCALE * drawn[0]), float(HEADING_DEG * drawn[1]), float(weight)
-
-
-def course(seed: int, shifted_m: tuple[float, float] | None = None) -> tuple[Course, float]:
-    """A drive, and its weight, see `stretches` and `motion_errors`."""
-    rng = np.random.default_rng([seed, 17])
-    mapped, weight = stretches(rng, shifted_m)
-    missing = set(np.arange(0.0, ROAD_M, STRETCH_M)) - {one.begins_m for one in mapped}
-    alias = (math.inf, math.inf)
-    if missing and rng.random() < RESEMBLES:
-        begins_m = float(rng.choice(sorted(missing))) + 100.0
-        alias = begins_m, begins_m + 128.0
-    off_how = str(rng.choice(OFF_HOW)) if rng.random() < OFF else ""
-    scale, heading_deg, share = motion_errors(rng)
-    drawn = Course(
-        road_m=ROAD_M,
-        stretches=tuple(mapped),
-        scale=scale,
-        heading_deg=heading_deg,
-        off_at_m=float(rng.uniform(600, 2400)) if off_how else math.inf,
-        off_how=off_how,
-        alias=alias,
-        alias_from_m=30.0,
-        steers=bool(rng.random() < 0.5),
-        parallax=bool(rng.random() < 0.5),
-        speed_mps=float(rng.uniform(3, 12)),
-    )
-    return drawn, weight * share
 
 
 @dataclass(frozen=True)
@@ -151,12 +58,21 @@ class Drive:
 
 
 def drive(seed: int, name: str, folder: Path) -> Drive:
-    """Drive a course of a class."""
-    drawn, weight = course(seed, CLASSES[name].shifted_m)
-    bench = Bench(drawn, seed, folder)
-    near = reached_by(bench, CLASSES[name].split, np.random.default_rng([seed, 99]))
-    bounded = np.array(bench.result.bounded).reshape(-1, 7)
-    return Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
+    """Drive a course of a class, or read from `folder` what it showed before."""
+    kept = folder / f"{seed}.npz"
+    if not kept.exists():
+        of_class = CLASSES[name]
+        drawn, weight = course(seed, of_class)
+        with TemporaryDirectory() as maps:
+            bench = Bench(drawn, seed, Path(maps))
+        near = reached_by(bench, of_class.split, np.random.default_rng([seed, 99]))
+        bounded = np.array(bench.result.bounded).reshape(-1, 7)
+        found = Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
+        partly = kept.with_suffix(".part.npz")
+        np.savez(partly, **vars(found))
+        partly.replace(kept)
+    with np.load(kept) as of:
+        return Drive(float(of["hours"]), float(of["weight"]), bool(of["parallax"]), of["bounded"], of["reached"])
 
 
 def exceeded(bounded: Sequence[Bounded]) -> int:
@@ -166,13 +82,13 @@ def exceeded(bounded: Sequence[Bounded]) -> int:
 
 
 def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
-    """So many drives of each class, or a multiple of it, on all processors."""
+    """So many drives of each class, or a multiple of it, on all processors; those in `folder` are read from there."""
     found = {}
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for name, of_class in CLASSES.items():
-            seeds = range(first_seed, first_seed + of_class.times * count)
-            found[name] = list(pool.map(drive, seeds, repeat(name), repeat(folder)))
-            first_seed = seeds.stop
+        for number, (name, of_class) in enumerate(CLASSES.items()):
+            seeds = range(first_seed + number * SEEDS, first_seed + number * SEEDS + of_class.times * count)
+            every = pool.map(drive, seeds, repeat(name), repeat(folder))
+            found[name] = list(tqdm(every, name, len(seeds), leave=False))
     return found
 
 
@@ -204,27 +120,17 @@ def bounding_level(of_class: Sequence[Drive]) -> int | None:
 
 
 def upper_bound(of_class: Sequence[Drive], wrong: float) -> float:
-    """At most so often, but for a probability of `wrong`: by the bootstrap over drives.
+    """At most so often, but for a probability of `wrong`: by the bootstrap over drives; infinite where few come near.
 
-    Where too few come near to a level at all, by how many do, each as if it exceeded its level for certain.
+    With one drive more, like that which came nearest: most of a sum of such shares may be in a drive not yet drawn.
     """
     level, count = bounding_level(of_class), len(of_class)
     if level is None:
-        near = int((weighted(of_class)[:, 0] > 0).sum())
-        return max(one.weight for one in of_class) * most_events(near, wrong) / count
+        return math.inf
     shares, rng = weighted(of_class)[:, level], np.random.default_rng(1)
-    drawn = np.array([shares[rng.integers(count, size=count)].mean() for _ in range(RESAMPLED)])
+    shares = np.append(shares, shares.max())
+    drawn = [shares[rng.integers(count + 1, size=count + 1)].sum() / count for _ in range(RESAMPLED)]
     return float(np.quantile(drawn, 1 - wrong))
-
-
-def most_events(count: int, wrong: float) -> float:
-    """The mean of a Poisson distribution that gives at most `count` with the probability `wrong`."""
-    low, high = 0.0, 10.0 * (count + 10)
-    while high - low > 1e-6:
-        mean = (low + high) / 2
-        terms = np.exp(-mean + np.arange(count + 1) * math.log(mean) - [math.lgamma(k + 1) for k in range(count + 1)])
-        low, high = (mean, high) if terms.sum() > wrong else (low, mean)
-    return high
 
 
 def statement(found: dict[str, list[Drive]], count: int, first_seed: int) -> str:
@@ -264,11 +170,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--drives", type=int, default=200, metavar="N", help="of each class, of some a multiple (default 200)"
     )
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="of drives: those there are not driven again")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)
     first_seed = int(time.time()) if args.seed is None else args.seed
     with TemporaryDirectory() as folder:
-        text = statement(drives(args.drives, first_seed, Path(folder)), args.drives, first_seed)
+        kept = Path(folder) if args.keep is None else args.keep
+        kept.mkdir(parents=True, exist_ok=True)
+        text = statement(drives(args.drives, first_seed, kept), args.drives, first_seed)
     print(text)
     if args.page is not None:
         put_between("level hours", args.page, text)

@@ -20,8 +20,8 @@ from tests.localization.route_bench import Bench, Result
 
 LEVELS = np.arange(10, 101) / 100
 """Error as a share of the protection level; the last one is the event."""
-MOST_STEPS = 20
-"""Paths go on only once each when all together are so many times as long as the drive."""
+MOST_STEPS = 10
+"""Fewer paths go on, the more the longer, once all together are so many times as long as the drive."""
 Floats = NDArray[np.float64]
 
 
@@ -78,9 +78,9 @@ def reached(
             nearest = max(nearest, now)
             if nearest == len(LEVELS):
                 break
-            wanted = split.weight(here)
+            wanted = split.weight(here) * max(1.0, steps / (MOST_STEPS * len(moves))) ** 4
             paths = int(weight / wanted)
-            if paths > 1 and steps < MOST_STEPS * len(moves):
+            if paths > 1:
                 weight /= paths
                 waiting += [(other(one, rng), at + 1, weight, nearest) for _ in range(paths - 1)]
             elif weight < wanted / 4 and one is not path:  # not at once, since it may come nearer again

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from statistics import NormalDist
 
 import msgspec
 import numpy as np
@@ -17,7 +18,7 @@ from edge.localization import Displacement, PlaceFix
 from edge.localization.bound import Anchor, Reckoned
 from edge.localization.integrity import UNNOTICED
 from edge.localization.protection_level import MODEL_ERROR, Wrong, protection_level
-from tests.localization import level_hours
+from tests.localization import level_course, level_hours
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 from tests.localization.splitting import LEVELS
@@ -33,7 +34,7 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Pat
     first = level_hours.seed_of_run()
     found = []
     for seed in range(first, first + 5):
-        drawn, _ = level_hours.course(seed)
+        drawn, _ = level_course.course(seed)
         bounded = Bench(drawn, seed, tmp_path).run().bounded
         assert level_hours.exceeded(bounded) == 0
         found.append((drawn.parallax, np.array(bounded).reshape(-1, 7)))
@@ -83,38 +84,54 @@ def drives(count: int, weight: float, reached: dict[int, dict[int, float]]) -> l
 
 
 def test_the_rate_is_weighted_and_its_bound_falls_with_how_near_drives_came() -> None:
-    none = drives(100, 0.01, {})
     often = drives(100, 0.02, {number: {-1: 0.5} for number in range(20)})
-    estimate, bound = level_hours.rate({"right": drives(100, 0.97, {}), "less": often, "more": none})
+    few = drives(100, 0.98, {number: {3: 1e-3} for number in range(level_hours.FEW - 1)})
+    estimate, bound = level_hours.rate({"right": few, "shifted": often})
     assert estimate == pytest.approx(0.02 * 0.2 * 0.5 / 0.1)
-    assert bound > 3 * 0.97 / (100 * 0.1), "a class whose drives come near to nothing cannot show less than that"
-    near = drives(100, 0.97, {number: {3: 1e-3} for number in range(20)})
-    estimate, closer = level_hours.rate({"right": near, "less": often, "more": none})
-    assert estimate == pytest.approx(0.02)
-    assert 0.02 + 0.97 * 2e-3 < closer < bound / 5
-    assert level_hours.most_events(0, 0.05) == pytest.approx(3.0, abs=0.01)
-    assert level_hours.most_events(2, 0.05) == pytest.approx(6.3, abs=0.01)
+    assert bound == math.inf, "a class of which too few come near may be anything"
+    near = drives(100, 0.98, {number: {3: 1e-3} for number in range(20)})
+    estimate, bound = level_hours.rate({"right": near, "shifted": often})
+    assert estimate + 0.98 * 2e-3 < bound < 2 * estimate
 
 
-def test_rare_drives_are_weighted_by_how_often_they_are() -> None:
+def test_errors_exceed_their_level_less_often_than_the_bound() -> None:
+    """Errors as shares of their levels are normal in each drive, and so are their means: how often is then known.
+
+    Where few drives come near, the level that is chosen is one that they happen to come to; errors exceed it less.
+    """
+    rng, means, errors, count = np.random.default_rng(1), NormalDist(0.3, 0.1), NormalDist(0.0, 0.07), 60
+    every, of_level = means + errors, []
+    for _ in range(count):
+        found = drives(300, 1.0, {})
+        for one, mean in zip(found, rng.normal(means.mean, means.stdev, len(found)), strict=True):
+            one.reached[:] = [errors.cdf(mean - level) for level in LEVELS]
+        level, bound = level_hours.bounding_level(found), level_hours.upper_bound(found, 0.05)
+        assert level is not None
+        assert 0.5 < LEVELS[level] < 0.75
+        assert bound > 1 - every.cdf(1.0)
+        of_level.append(bound > 1 - every.cdf(LEVELS[level]))
+    assert np.mean(of_level) > 0.8
+
+
+def test_what_is_drawn_is_weighted_by_how_often_it_occurs() -> None:
     """The weights of all classes add up to one, and those of the shifted ones to how often a stretch is shifted."""
-    weights = {
-        name: np.mean(
-            [level_hours.stretches(np.random.default_rng(seed), of_class.shifted_m)[1] for seed in range(400)]
-        )
-        for name, of_class in level_hours.CLASSES.items()
+    found = {
+        name: [level_course.course(seed, of_class) for seed in range(3000)]
+        for name, of_class in level_course.CLASSES.items()
     }
-    assert sum(weights.values()) == pytest.approx(1.0, abs=0.002)
-    assert weights["right"] == pytest.approx((1 - 5e-3) ** 5.5, abs=0.002)
-
-
-def test_errors_of_odometer_and_heading_are_weighted_by_how_often_they_are() -> None:
-    rng = np.random.default_rng(3)
-    scale, heading_deg, weight = np.array([level_hours.motion_errors(rng) for _ in range(20_000)]).T
-    assert weight.mean() == pytest.approx(1.0, abs=0.02)
-    assert np.sqrt((weight * scale**2).mean()) == pytest.approx(level_hours.SCALE, rel=0.03)
-    assert np.sqrt((weight * heading_deg**2).mean()) == pytest.approx(level_hours.HEADING_DEG, rel=0.03)
-    assert scale.std() == pytest.approx(level_hours.SCALE * level_hours.WIDER, rel=0.03)
+    weights = {name: np.mean([weight for _, weight in drawn]) for name, drawn in found.items()}
+    assert sum(weights.values()) == pytest.approx(1.0, abs=0.03)
+    assert weights["right"] == pytest.approx((1 - 5e-3) ** 5.5, abs=0.03)
+    for name, drawn in found.items():
+        weight = np.array([weight for _, weight in drawn]) / weights[name] / len(drawn)
+        of = [one for one, _ in drawn]
+        assert weight @ [one.parallax for one in of] == pytest.approx(level_course.OCCUR.parallax, abs=0.05)
+        assert weight @ [one.steers for one in of] == pytest.approx(level_course.OCCUR.steers, abs=0.05)
+        assert weight @ [one.off_how == "reverse 2" for one in of] == pytest.approx(0.0375, abs=0.015)
+        motion = np.array([(one.scale, one.heading_deg) for one in of], float)
+        sigmas = level_course.SCALE, level_course.HEADING_DEG
+        assert np.sqrt(weight @ motion**2) == pytest.approx(sigmas, rel=0.1)
+        assert (motion.std(axis=0) > 1.4 * np.array(sigmas)).all(), "what is rare is drawn often"
 
 
 def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tuple[float, float]:

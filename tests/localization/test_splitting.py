@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.localization.level_hours import CLASSES, course
+from tests.localization.level_course import CLASSES, course
 from tests.localization.route_bench import Bench
 from tests.localization.splitting import LEVELS, Split, other_drive, reached, reached_by
 
@@ -50,7 +50,7 @@ def test_as_often_as_whole_walks_come_to_each_level() -> None:
 
 
 def test_a_drive_is_the_same_whether_others_begin_on_its_way_or_not(tmp_path: Path) -> None:
-    drawn, _ = course(SPLITS, CLASSES["shifted by 8 to 40 m"].shifted_m)
+    drawn, _ = course(SPLITS, CLASSES["by 8 to 40 m"])
     alone, split = (Bench(drawn, SPLITS, tmp_path) for _ in range(2))
     near = reached_by(split, Split(10.0, 0.3), np.random.default_rng(1))
     assert near[LEVELS >= 0.35][0] > 0, "else none began"
@@ -58,7 +58,7 @@ def test_a_drive_is_the_same_whether_others_begin_on_its_way_or_not(tmp_path: Pa
 
 
 def test_what_follows_differs(tmp_path: Path) -> None:
-    drawn, _ = course(SPLITS, CLASSES["right"].shifted_m)
+    drawn, _ = course(SPLITS, CLASSES["right"])
     bench, rng = Bench(drawn, SPLITS, tmp_path), np.random.default_rng(1)
     moves = list(bench.begin())
     for move in moves[:300]:
