@@ -3,8 +3,8 @@
 The drives have what positions are wrong by: errors of matches and of their parallax that last, an odometer and a
 heading that are wrong, stretches of the map that are shifted as often as `STRETCH_WRONG` says, unmapped stretches of
 which some resemble the map, turn-offs, halts and reversing. What is rare is drawn more often and weighted (importance
-sampling): shifted stretches, in classes of their own, and large errors of odometer and heading. A drive goes on the
-more often the nearer its error is to its level (`splitting`).
+sampling, `level_course`): shifted stretches, in classes of their own, and large errors of odometer and heading. The
+nearer an error is to its level, the more paths follow the drive from there (`splitting`).
 
     python -m tests.localization.level_hours --drives 200 --page docs/integrity.md
 """
@@ -47,7 +47,7 @@ def seed_of_run() -> int:
 class Drive:
     """What a drive showed. bounded: arrays (n, 7) of the fields of `Bounded`, of one path.
 
-    reached: probability (len(LEVELS),) with which such a drive comes as near as each level; the last one exceeds it.
+    reached: how often (len(LEVELS),) such a drive comes as near as each level (`splitting`); the last one exceeds it.
     """
 
     hours: float
@@ -93,7 +93,7 @@ def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
 
 
 def rate(found: dict[str, list[Drive]]) -> tuple[float, float]:
-    """Drives an hour in which an error exceeds its level, as drives occur: the estimate, and its bound at CONFIDENCE.
+    """Times an hour that an error exceeds its level, as drives occur: the estimate, and its bound at CONFIDENCE.
 
     The classes share what may be wrong.
     """
@@ -170,7 +170,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--drives", type=int, default=200, metavar="N", help="of each class, of some a multiple (default 200)"
     )
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="of drives: those there are not driven again")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="FOLDER",
+        help="of drives: those there are not driven again; empty it when the code changes",
+    )
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)
     first_seed = int(time.time()) if args.seed is None else args.seed

@@ -1,9 +1,12 @@
 """Rare events by splitting and Russian roulette: the nearer a drive is to one, the more paths follow it.
 
-Paths that come nearer go on several times, each with less weight, and what follows differs by chance alone; of those
-that fall back a few go on, with more weight. The sum of the weights of paths that have reached a level is then the
-probability of reaching it, without a bias, whatever the number of paths (Kahn and Harris 1951, "Estimation of particle
-transmission by random sampling").
+Whenever a drive comes near, paths follow it from there until they fall back. Those that come nearer go on several
+times, each with less weight, and what follows differs by chance alone. Of those that come less near a few go on, with
+more weight. The sum of the weights of paths that have reached a level is then how often it is reached, without a bias
+(Kahn and Harris 1951, "Estimation of particle transmission by random sampling").
+
+The drive itself goes on as if no path had followed it (Villen-Altamirano 1991, "RESTART"). If it were split and thinned
+again at each of its many approaches, chance would soon leave none of its paths, or many.
 """
 
 from __future__ import annotations
@@ -20,8 +23,8 @@ from tests.localization.route_bench import Bench, Result
 
 LEVELS = np.arange(10, 101) / 100
 """Error as a share of the protection level; the last one is the event."""
-MOST_STEPS = 10
-"""Fewer paths go on, the more the longer, once all together are so many times as long as the drive."""
+MOST_PATHS = 300
+"""That follow a drive at once: a drive that stays near would take hours."""
 Floats = NDArray[np.float64]
 
 
@@ -60,33 +63,54 @@ def reached(
     near: Callable[[P], float],
     other: Callable[[P, np.random.Generator], P],
 ) -> Floats:
-    """Probability (len(LEVELS),) with which a path, from its start, comes as near as each level.
+    """How often (len(LEVELS),) a path, from its start, is to be expected to come as near as each level.
 
-    near: how near it is now. other: the same moment, after which chance is another. `path` itself goes on to the end,
-    or to the event.
+    It counts once until it falls back behind `split.begins`. near: how near it is now. other: the same moment, after
+    which chance is another.
     """
-    moves, found, steps = list(path.begin()), np.zeros(len(LEVELS)), 0
-    waiting = [(path, 0, 1.0, 0)]
+    moves, found, is_near = list(path.begin()), np.zeros(len(LEVELS)), False
+    for at, move in enumerate(moves):
+        path.advance(move)
+        was_near, is_near = is_near, near(path) >= split.begins
+        if is_near and not was_near:
+            found += followed(path, moves[at + 1 :], split, rng, near, other)
+    return found
+
+
+def followed(
+    path: P,
+    moves: Sequence[Any],
+    split: Split,
+    rng: np.random.Generator,
+    near: Callable[[P], float],
+    other: Callable[[P, np.random.Generator], P],
+) -> Floats:
+    """Probability (len(LEVELS),) with which a path comes as near as each level before it falls back."""
+    found, paths = np.zeros(len(LEVELS)), 1
+    waiting = [(other(path, rng), 0, 1.0, 0)]
     while waiting:
-        one, number, weight, nearest = waiting.pop()
-        for at in range(number, len(moves)):
-            one.advance(moves[at])
-            steps += 1
+        one, at, weight, nearest = waiting.pop()
+        while True:
             here = near(one)
             now = int((here >= LEVELS).sum())
             found[nearest:now] += weight
             nearest = max(nearest, now)
-            if nearest == len(LEVELS):
+            if here < split.begins or nearest == len(LEVELS):
                 break
-            wanted = split.weight(here) * max(1.0, steps / (MOST_STEPS * len(moves))) ** 4
-            paths = int(weight / wanted)
-            if paths > 1:
-                weight /= paths
-                waiting += [(other(one, rng), at + 1, weight, nearest) for _ in range(paths - 1)]
-            elif weight < wanted / 4 and one is not path:  # not at once, since it may come nearer again
+            wanted = split.weight(here)
+            more = min(int(weight / wanted) - 1, MOST_PATHS - paths)
+            if more > 0:
+                weight /= 1 + more
+                paths += more
+                waiting += [(other(one, rng), at, weight, nearest) for _ in range(more)]
+            elif weight < wanted / 4:  # not at once, since it may come nearer again
                 if rng.random() > weight / wanted:
                     break
                 weight = wanted
+            if at == len(moves):
+                break
+            one.advance(moves[at])
+            at += 1
     return found
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.localization.level_course import CLASSES, course
 from tests.localization.route_bench import Bench
@@ -35,16 +36,24 @@ class Walk:
         return other
 
 
+def excursions(walks: NDArray[np.float64], begins: float) -> NDArray[np.float64]:
+    """How far walks (n, steps) came, each time they came to `begins`, until they fell back."""
+    farthest, found = np.zeros(len(walks)), []
+    for at in (*walks.T, np.zeros(len(walks))):
+        found.append(farthest[(at < begins) & (farthest > 0)])
+        farthest = np.where(at < begins, 0.0, np.maximum(farthest, at))
+    return np.concatenate(found)
+
+
 def test_as_often_as_whole_walks_come_to_each_level() -> None:
-    steps = np.random.default_rng(1).normal(0.0, LONGEST_STEP, (100_000, STEPS))
-    farthest = steps.cumsum(axis=1).max(axis=1)
-    truth = (farthest[:, np.newaxis] >= LEVELS).mean(axis=0)
+    split = Split(6.0, 0.2)
+    walks = np.random.default_rng(1).normal(0.0, LONGEST_STEP, (100_000, STEPS)).cumsum(axis=1)
+    came = excursions(walks, split.begins)
+    truth = (came[:, np.newaxis] >= LEVELS).sum(axis=0) / len(walks)
     assert 1e-3 < truth[-1] < 3e-3
     rng = np.random.default_rng(2)
-    found = np.array(
-        [reached(Walk(seed), Split(6.0, 0.2), rng, lambda walk: walk.at, Walk.other) for seed in range(WALKS)]
-    )
-    sigma = np.hypot(found.std(axis=0) / WALKS**0.5, truth**0.5 / 100_000**0.5)
+    found = np.array([reached(Walk(seed), split, rng, lambda walk: walk.at, Walk.other) for seed in range(WALKS)])
+    sigma = np.hypot(found.std(axis=0) / WALKS**0.5, truth**0.5 / len(walks) ** 0.5)
     assert sigma[-1] < 0.3 * truth[-1]
     assert np.abs(found.mean(axis=0) - truth)[::10] / sigma[::10] == pytest.approx(0.0, abs=3.0)
 
