@@ -50,8 +50,10 @@ class Class(NamedTuple):
 
 SELDOM_OFF = 0.94, 0.01, 0.01, 0.02, 0.02
 CLASSES = {
-    "right": Class(shares=Shares(0.25, 0.5, 0.6, SELDOM_OFF), times=3),
-    "shifted by 5 to 8 m": Class((5.0, 6.3, 8.0), (0.15, 0.85), Shares(0.5, 0.2, 0.65, SELDOM_OFF), Split(22.0, 0.3)),
+    "right": Class(shares=Shares(0.25, 0.5, 0.6, SELDOM_OFF), times=4),
+    "shifted by 5 to 8 m": Class(
+        (5.0, 6.3, 8.0), (0.15, 0.85), Shares(0.5, 0.2, 0.65, SELDOM_OFF), Split(22.0, 0.3), times=4
+    ),
     "by 8 to 40 m": Class(
         (8.0, 10.0, 25.0, 40.0),
         (0.1, 0.8, 0.1),
@@ -64,7 +66,7 @@ CLASSES = {
         (0.9, 0.1),
         Shares(several=0.6, off=(0.82, 0.02, 0.02, 0.1, 0.04)),
         Split(28.0, 0.2),
-        times=3,
+        times=4,
     ),
 }
 """Where a shift is hardest to notice, between 8 and 40 m, many drives come near, and some of them much more often.

@@ -92,15 +92,15 @@ def drives(count: int, first_seed: int, folder: Path) -> dict[str, list[Drive]]:
     return found
 
 
-def rate(found: dict[str, list[Drive]]) -> tuple[float, float]:
-    """Times an hour that an error exceeds its level, as drives occur: the estimate, and its bound at CONFIDENCE.
+def rate(found: dict[str, list[Drive]]) -> tuple[float, dict[str, float]]:
+    """Times an hour that an error exceeds its level, as drives occur: the estimate, and the most of each class.
 
-    The classes share what may be wrong.
+    The sum of these is the bound at CONFIDENCE: the classes share what may be wrong.
     """
     hours = sum(float(np.mean([one.weight * one.hours for one in of_class])) for of_class in found.values())
     estimate = sum(float(weighted(of_class)[:, -1].mean()) for of_class in found.values())
-    bound = sum(upper_bound(of_class, (1 - CONFIDENCE) / len(found)) for of_class in found.values())
-    return estimate / hours, bound / hours
+    wrong = (1 - CONFIDENCE) / len(found)
+    return estimate / hours, {name: upper_bound(of_class, wrong) / hours for name, of_class in found.items()}
 
 
 def weighted(of_class: Sequence[Drive]) -> np.ndarray:
@@ -135,9 +135,9 @@ def upper_bound(of_class: Sequence[Drive], wrong: float) -> float:
 
 def statement(found: dict[str, list[Drive]], count: int, first_seed: int) -> str:
     """What was shown, for people."""
-    (estimate, bound), drives = rate(found), sum(map(len, found.values()))
+    (estimate, bounds), drives = rate(found), sum(map(len, found.values()))
     nearest = ", ".join(
-        f"{name} {'-' if level is None else format(LEVELS[level], '.2f')}"
+        f"{name} {'-' if level is None else format(LEVELS[level], '.2f')} (below {bounds[name]:.1g})"
         for name, of_class in found.items()
         for level in [bounding_level(of_class)]
     )
@@ -149,7 +149,7 @@ def statement(found: dict[str, list[Drive]], count: int, first_seed: int) -> str
     command = f"python -m tests.localization.level_hours --drives {count} --seed {first_seed}"
     text = (
         f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
-        f"at 95 % confidence below {bound:.2g}. That bound is how often "
+        f"at 95 % confidence below {sum(bounds.values()):.2g}. That bound is how often "
         f"errors come to the highest share of their levels to which {FEW} drives alike came: {nearest}. "
         f"Median levels on right maps, along and across: {medians}."
     )
