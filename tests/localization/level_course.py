@@ -59,7 +59,7 @@ CLASSES = {
         (0.1, 0.8, 0.1),
         Shares(off=(0.86, 0.01, 0.01, 0.02, 0.10), underreads=0.3),
         Split(10.0, 0.35),
-        times=6,
+        times=8,
     ),
     "by 40 to 500 m": Class(
         (40.0, 250.0, 500.0),
