@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class Class(NamedTuple):
     """Drives that have something in common, and how many times as many are driven.
 
     shifts_m: limits of the shift of a stretch that is wrong; shifts: the share of each range between them that is
-    drawn. None: no stretch is wrong. shares: of what else is drawn.
+    drawn. Empty: no stretch is wrong. shares: of what else is drawn.
     """
 
     shifts_m: tuple[float, ...] = ()
@@ -75,22 +76,9 @@ What the drives that come near have in common is drawn more often, as 1,600 driv
 seven tried on four right drives, four times each, how often a drive comes to 0.6 of its level differed least with this
 one. Those of the other classes begin where one in two or three of their drives comes.
 """
-
-
-class Normal(NamedTuple):
-    """A normal distribution."""
-
-    mean: float
-    sigma: float
-
-    def density(self, at: float) -> float:
-        """Without the constant that all have."""
-        return math.exp(-(((at - self.mean) / self.sigma) ** 2) / 2) / self.sigma
-
-
 SCALE, HEADING_DEG, WIDER = 0.03, 1.5, 1.5
 """Standard deviations of odometer and heading, and how many times as wide they are drawn."""
-UNDERREADS = Normal(2.2, 0.7)
+UNDERREADS = NormalDist(2.2, 0.7)
 """In SCALE: of 1,600 drives those that came nearest had such an odometer, which a shift hides, and which hides it."""
 
 
@@ -115,9 +103,11 @@ class Drawn:
 
     def normal(self, underreads: float = 0.0) -> float:
         """Of a standard normal distribution: drawn from one that is wider, and a share from UNDERREADS."""
-        both = (1 - underreads, Normal(0.0, WIDER)), (underreads, UNDERREADS)
-        drawn = float(self.rng.normal(*both[int(self.rng.random() < underreads)][1]))
-        self.weight *= Normal(0.0, 1.0).density(drawn) / sum(share * one.density(drawn) for share, one in both)
+        wider = NormalDist(0.0, WIDER)
+        of = UNDERREADS if self.rng.random() < underreads else wider
+        drawn = float(self.rng.normal(of.mean, of.stdev))
+        often = (1 - underreads) * wider.pdf(drawn) + underreads * UNDERREADS.pdf(drawn)
+        self.weight *= NormalDist().pdf(drawn) / often
         return drawn
 
     def shift_m(self, of_class: Class) -> float:

@@ -27,6 +27,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from tqdm import tqdm
 
+from edge.files import replacing
 from sim.research.trial.table import put_between
 from tests.localization.level_course import CLASSES, course
 from tests.localization.route_bench import CORRELATED_M, Bench, Bounded
@@ -35,7 +36,7 @@ from tests.localization.splitting import LEVELS, reached_by
 CONFIDENCE = 0.95
 SEEDS = 250_000  # of a class
 FEW, RESAMPLED = 10, 10_000
-"""A bound is that of the highest level which so many drives alike came to; drives are drawn anew so often for it."""
+"""Drives alike that must come to a level for a bound (`bounding_level`), and how often drives are drawn anew for it."""
 
 
 def seed_of_run() -> int:
@@ -68,9 +69,8 @@ def drive(seed: int, name: str, folder: Path) -> Drive:
         near = reached_by(bench, of_class.split, np.random.default_rng([seed, 99]))
         bounded = np.array(bench.result.bounded).reshape(-1, 7)
         found = Drive(bench.seconds / 3600, weight, drawn.parallax, bounded, near)
-        partly = kept.with_suffix(".part.npz")
-        np.savez(partly, **vars(found))
-        partly.replace(kept)
+        with replacing(kept) as file:
+            np.savez(file, **vars(found))
     with np.load(kept) as of:
         return Drive(float(of["hours"]), float(of["weight"]), bool(of["parallax"]), of["bounded"], of["reached"])
 
@@ -109,14 +109,15 @@ def weighted(of_class: Sequence[Drive]) -> np.ndarray:
 
 
 def bounding_level(of_class: Sequence[Drive]) -> int | None:
-    """The highest level to which FEW drives came: what comes to the last comes to it as well. None: none.
+    """The highest level to which, and to each lower one, FEW drives came: what comes to the last comes to it as well.
 
-    Drives that came to it more often than others count as fewer (Kish's effective sample size).
+    None: none. Drives that came to one more often than others count as fewer (Kish's effective sample size). Where few
+    come to a lower one, those that come to a higher one say little: what made the former rare was not yet drawn.
     """
     shares = weighted(of_class)
     effective = shares.sum(axis=0) ** 2 / np.maximum((shares**2).sum(axis=0), np.finfo(float).tiny)
-    enough = np.flatnonzero(effective >= FEW)
-    return int(enough[-1]) if len(enough) else None
+    count = int((effective >= FEW).cumprod().sum())
+    return count - 1 if count else None
 
 
 def upper_bound(of_class: Sequence[Drive], wrong: float) -> float:
@@ -150,7 +151,7 @@ def statement(found: dict[str, list[Drive]], count: int, first_seed: int) -> str
     text = (
         f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
         f"at 95 % confidence below {sum(bounds.values()):.2g}. That bound is how often "
-        f"errors come to the highest share of their levels to which {FEW} drives alike came: {nearest}. "
+        f"errors come to the highest share of their levels up to which {FEW} drives alike came: {nearest}. "
         f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)

@@ -78,7 +78,7 @@ def drives(count: int, weight: float, reached: dict[int, dict[int, float]]) -> l
     for number in range(count):
         near = np.zeros(len(LEVELS))
         for level, share in reached.get(number, {}).items():
-            near[level] = share
+            near[: level % len(LEVELS) + 1] = share
         found.append(level_hours.Drive(0.1, weight, True, np.zeros((0, 7)), near))
     return found
 
@@ -93,6 +93,13 @@ def test_the_rate_is_weighted_and_its_bound_falls_with_how_near_drives_came() ->
     near = drives(100, 0.98, {number: {3: 1e-3} for number in range(20)})
     _, bounds = level_hours.rate({"right": near, "shifted": often})
     assert 0.98 * 2e-3 < bounds["right"] < 2 * 0.98 * 2e-3
+
+
+def test_a_level_to_which_few_drives_come_hides_those_above() -> None:
+    even = drives(100, 1.0, {number: {30: 1e-3} for number in range(20)})
+    assert level_hours.bounding_level(even) == 30
+    even[50].reached[20] = 0.5
+    assert level_hours.bounding_level(even) == 19
 
 
 def test_errors_exceed_their_level_less_often_than_the_bound() -> None:
