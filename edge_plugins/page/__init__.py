@@ -22,6 +22,8 @@ log = logging.getLogger(__name__)
 
 def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:
     """The live page, or None and a line in the log: without it places are recognized just as well."""
+    if config.port == 0:
+        return None
     try:
         # Imported here: a vehicle without the page never loads a web server.
         from edge_plugins.page.server import StatusPage

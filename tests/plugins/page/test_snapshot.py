@@ -138,6 +138,7 @@ def test_the_map_of_the_page_is_thinned_out(street: ReferenceMap) -> None:
 
 
 def test_no_page_is_no_reason_to_stop(street: ReferenceMap, caplog: pytest.LogCaptureFixture) -> None:
+    assert open_page(PageConfig(port=0), map_view(MapSet.of(street))) is None
     with socket.create_server(("127.0.0.1", 0)) as taken, caplog.at_level(logging.INFO):
         assert open_page(PageConfig(port=taken.getsockname()[1]), map_view(MapSet.of(street))) is None
         assert "no live page: [page] 127.0.0.1:" in caplog.text
