@@ -24,7 +24,7 @@ from tests.localization.route_bench import Bench, Result
 LEVELS = np.arange(10, 101) / 100
 """Error as a share of the protection level; the last one is the event."""
 MOST_PATHS = 300
-"""That follow a drive at once: a drive that stays near would take hours."""
+"""In all of one approach, after which paths go on without being split: a drive that stays near would take hours."""
 Floats = NDArray[np.float64]
 
 
