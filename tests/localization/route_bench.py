@@ -27,7 +27,7 @@ from tests.localization.region_bench import PLACES_APART, RegionViews
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
-CORRELATED_M, GPS_M = 60.0, 72.0
+CORRELATED_M, GPS_M, LANE_M = 60.0, 72.0, 0.7
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
@@ -73,7 +73,8 @@ class Bench:
             self.line, self.heading = lap_line(course.road_m, course.laps)
         else:
             self.line, self.heading = road_line(course.road_m, rng)
-        shift = rng.normal(0.0, course.stretches[0].sigma_m / math.sqrt(2), 2)  # of the map, by the GPS that made it
+        sigma_m = course.stretches[0].sigma_m / math.sqrt(2)
+        shift = course.map_off_m or tuple(rng.normal(0.0, sigma_m, 2))  # of the map, by the GPS that made it
         stretches = tuple(
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
@@ -88,7 +89,7 @@ class Bench:
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
         self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
         self.wander_m = rng.normal(0.0, course.match_sigma_m)
-        self.lane_m = rng.normal(0.0, 0.7)
+        self.lane_m = rng.normal(0.0, LANE_M) if course.lane_m is None else course.lane_m
         self.regions = RegionViews(rng, SPACING_M)
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()

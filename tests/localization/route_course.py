@@ -39,6 +39,7 @@ class Stretch:
 class Course:
     """What is driven, and what is wrong. scale, heading_deg: of the autopilot's velocity; None draws them by seed.
 
+    map_off_m: east and north, of the whole map; lane_m: right of the map's drive. None draws them by seed as well.
     off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
     looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
     """
@@ -47,6 +48,8 @@ class Course:
     stretches: tuple[Stretch, ...] = (Stretch(0.0, 1200.0),)
     scale: float | None = None
     heading_deg: float | None = None
+    map_off_m: tuple[float, float] | None = None
+    lane_m: float | None = None
     gps: bool = True
     off_at_m: float = math.inf
     off_how: str = ""
