@@ -6,7 +6,7 @@ which some resemble the map, turn-offs, halts and reversing. What is rare is dra
 sampling, `level_course`): shifted stretches, in classes of their own, and large errors of odometer and heading. Where
 errors come near to their levels, paths go on from there (`splitting`).
 
-    python -m tests.localization.level_hours --groups 40 --page docs/integrity.md
+    python -m tests.localization.level_hours --groups 10 --page docs/integrity.md
 """
 
 from __future__ import annotations
@@ -133,8 +133,8 @@ def upper_bound(of_class: Sequence[Group], wrong: float) -> float:
     """At most so often, but for a probability of `wrong`: by the bootstrap over groups; infinite where few come near.
 
     With one group more, like that which came nearest: most of a sum of such shares may be in one not yet drawn. Where
-    their logarithms have a sigma of 2, a level that 40 groups suggest is reached up to twice as often as this (95 %).
-    Errors exceed their levels far less often than they come to that one.
+    their logarithms have a sigma of 2, a level that 40 groups suggest is reached up to 2.1 times as often as this
+    (95 %). Errors exceed their levels far less often than they come to that one.
     """
     level, count = bounding_level(of_class), len(of_class)
     if level is None:
