@@ -121,6 +121,19 @@ def test_errors_exceed_their_level_less_often_than_the_bound() -> None:
     assert np.mean(of_level) > 0.8
 
 
+def test_where_groups_differ_widely_a_level_is_reached_2_2_times_as_often_as_the_bound_at_most() -> None:
+    """Logarithms with a sigma of 2: mostly too few groups are alike; where they are, what is rare is missing."""
+    rng, sigma, found, tried = np.random.default_rng(1), 2.0, [], 0
+    while len(found) < 300:
+        drawn = rng.lognormal(0.0, sigma, 40)
+        every = [level_hours.Group(0.05, np.full(len(LEVELS), share), np.zeros((0, 3))) for share in drawn]
+        tried += 1
+        if level_hours.bounding_level(every) is not None:
+            found.append(math.exp(sigma**2 / 2) / level_hours.upper_bound(every, 0.05 / 4))
+    assert len(found) < 0.2 * tried
+    assert np.quantile(found, 0.95) == pytest.approx(2.2, abs=0.1)
+
+
 def test_what_is_drawn_is_weighted_by_how_often_it_occurs() -> None:
     """The weights of all classes add up to one, and those of the shifted ones to how often a stretch is shifted."""
     found = {
