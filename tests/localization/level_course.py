@@ -61,14 +61,14 @@ CLASSES = {
         (8.0, 10.0, 25.0, 40.0),
         (0.1, 0.8, 0.1),
         Shares(off=(0.86, 0.01, 0.01, 0.02, 0.10), underreads=0.3),
-        times=4,
+        times=5,
     ),
     "by 40 to 500 m": Class(
         (40.0, 80.0, 250.0, 500.0),
         (0.6, 0.3, 0.1),
         Shares(several=0.7, off=(0.82, 0.02, 0.02, 0.1, 0.04), wider=2.0, further=0.05),
         together=50,
-        times=4,
+        times=3,
     ),
 }
 """Where a shift is hardest to notice, between 8 and 40 m, many drives come near, and some of them much more often.
