@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 
 from edge.localization.claims import STRETCH_WRONG
-from tests.localization.route_bench import LANE_M
-from tests.localization.route_course import Course, Stretch
+from tests.localization.route_bench import GPS_M, LANE_M, rng_of
+from tests.localization.route_course import Course, Stretch, road_line
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
 UNMAPPED, RESEMBLES = 0.1, 0.1
@@ -43,11 +44,13 @@ class Class(NamedTuple):
     """Drives that have something in common, how many are a group, and how many times as many groups are driven.
 
     shifts_m: limits of the shift of a stretch that is wrong; shifts: the share of each range between them that is
-    drawn. Empty: no stretch is wrong. shares: of what else is drawn.
+    drawn; hides: the share that is drawn near to what odometer and heading are wrong by there. Empty: no stretch is
+    wrong. shares: of what else is drawn.
     """
 
     shifts_m: tuple[float, ...] = ()
     shifts: tuple[float, ...] = ()
+    hides: float = 0.0
     shares: Shares = OCCUR
     together: int = 20
     times: int = 1
@@ -55,17 +58,19 @@ class Class(NamedTuple):
 
 SELDOM_OFF = 0.94, 0.01, 0.01, 0.02, 0.02
 CLASSES = {
-    "right": Class(shares=Shares(parallax=0.1, steers=0.8, wider=1.0, beside=1.4), together=50, times=4),
-    "shifted by 5 to 8 m": Class((5.0, 6.3, 8.0), (0.15, 0.85), Shares(0.5, 0.2, 0.65, SELDOM_OFF), times=3),
+    "right": Class(shares=Shares(parallax=0.1, steers=0.8, wider=1.0, beside=1.4), together=50, times=5),
+    "shifted by 5 to 8 m": Class((5.0, 6.3, 8.0), (0.15, 0.85), 0.0, Shares(0.5, 0.2, 0.65, SELDOM_OFF), times=3),
     "by 8 to 40 m": Class(
         (8.0, 10.0, 25.0, 40.0),
         (0.1, 0.8, 0.1),
+        0.6,
         Shares(off=(0.86, 0.01, 0.01, 0.02, 0.10), underreads=0.3),
-        times=5,
+        times=4,
     ),
     "by 40 to 500 m": Class(
         (40.0, 80.0, 250.0, 500.0),
         (0.6, 0.3, 0.1),
+        0.6,
         Shares(several=0.7, off=(0.82, 0.02, 0.02, 0.1, 0.04), wider=2.0, further=0.05),
         together=50,
         times=3,
@@ -82,6 +87,9 @@ that came to 0.6 most often had one of 45 to 129 m, and odometer and heading wer
 """
 SCALE, HEADING_DEG = 0.03, 1.5
 """Standard deviations of odometer and heading."""
+HIDES = 0.4, 0.5
+"""Standard deviations of a shift's size, of its logarithm, and of its direction, in radians, from what it hides. Of the
+drives that came nearest to their levels most had an odometer or a heading that was wrong by about as much."""
 UNDERREADS = NormalDist(2.2, 0.7)
 """In SCALE: of 1,600 drives those that came nearest had such an odometer, which a shift hides, and which hides it."""
 
@@ -114,25 +122,44 @@ class Drawn:
         self.weight *= NormalDist().pdf(drawn) / often
         return drawn
 
-    def shift_m(self, of_class: Class) -> float:
-        """Of a stretch that is wrong."""
-        limits, whole = [math.log(limit) for limit in of_class.shifts_m], math.log(SHIFTED_M[1] / SHIFTED_M[0])
-        part = self.choice([(limits[n + 1] - limits[n]) / whole for n in range(len(of_class.shifts))], of_class.shifts)
-        return math.exp(self.rng.uniform(limits[part], limits[part + 1]))
+    def shift_m(self, of_class: Class, drift_m: tuple[float, float]) -> tuple[float, float]:
+        """East and north of a stretch that is wrong; drift_m: of where the vehicle is there by reckoning alone."""
+        rng, limits, whole = (
+            self.rng,
+            [math.log(limit) for limit in of_class.shifts_m],
+            math.log(SHIFTED_M[1] / SHIFTED_M[0]),
+        )
+        least, most, hides = limits[0], limits[-1], of_class.hides
+        size = NormalDist(min(max(math.log(max(math.hypot(*drift_m), SHIFTED_M[0])), least), most), HIDES[0])
+        below, inside, aside = size.cdf(least), size.cdf(most) - size.cdf(least), NormalDist(0.0, HIDES[1])
+        toward = math.atan2(*drift_m)
+        if rng.random() < hides:
+            found, angle = size.inv_cdf(below + rng.random() * inside), toward + float(rng.normal(0.0, aside.stdev))
+        else:
+            part = int(rng.choice(len(of_class.shifts), p=of_class.shifts))
+            found, angle = float(rng.uniform(limits[part], limits[part + 1])), float(rng.uniform(0, math.tau))
+        part = int(np.searchsorted(limits[1:-1], found))
+        anywhere = of_class.shifts[part] / (limits[part + 1] - limits[part]) / math.tau
+        turned = math.remainder(angle - toward, math.tau)
+        near = size.pdf(found) / inside * sum(aside.pdf(turned + turn * math.tau) for turn in (-1, 0, 1))
+        self.weight *= 1 / (whole * math.tau) / ((1 - hides) * anywhere + hides * near)
+        return math.exp(found) * math.sin(angle), math.exp(found) * math.cos(angle)
 
 
-def stretches(drawn: Drawn, of_class: Class) -> list[Stretch]:
-    """Of a map, some missing, in one drive or several. In a class of shifts one is shifted, and by chance others."""
+def stretches(drawn: Drawn, of_class: Class) -> tuple[list[Stretch], int]:
+    """Of a map, some missing, in one drive or several; and the number of the one that is shifted, -1 if none is.
+
+    By how much that is, `Drawn.shift_m` says; others are shifted by chance.
+    """
     rng = drawn.rng
     begins_m = [at for at in np.arange(0.0, ROAD_M, STRETCH_M) if at == 0 or rng.random() >= UNMAPPED]
     several, count = drawn.whether(OCCUR.several, of_class.shares.several), len(begins_m)
     least, most = map(math.log, SHIFTED_M)
-    far_m, is_shifted = np.exp(rng.uniform(least, most, count)), np.zeros(count, bool)
+    far_m, is_shifted, one = np.exp(rng.uniform(least, most, count)), np.zeros(count, bool), -1
     if of_class.shifts:
         one = int(rng.integers(count))
         further = of_class.shares.further
         is_shifted[:] = [at == one or drawn.whether(STRETCH_WRONG, further) for at in range(count)]
-        far_m[one] = drawn.shift_m(of_class)
         drawn.weight *= count * STRETCH_WRONG / is_shifted.sum()
     else:
         drawn.weight *= (1 - STRETCH_WRONG) ** count
@@ -141,14 +168,23 @@ def stretches(drawn: Drawn, of_class: Class) -> list[Stretch]:
         continues = bool(found) and found[-1].ends_m == begins and not several
         shift = by_m * math.sin(angle), by_m * math.cos(angle)
         found.append(Stretch(float(begins), float(begins) + STRETCH_M, *shift, continues=continues))
-    return found
+    return found, one
+
+
+def drift_m(found: Course, seed: int, at_m: float) -> tuple[float, float]:
+    """By how much odometer and heading are wrong by then, east and north, since GPS was lost."""
+    line, _ = road_line(found.road_m, rng_of(seed))
+    east_m, north_m = line[int(at_m)] - line[int(GPS_M)]
+    turned, scale = math.radians(found.heading_deg or 0.0), 1 + (found.scale or 0.0)
+    sin, cos = math.sin(-turned), math.cos(-turned)
+    return (cos * east_m + sin * north_m) / scale - east_m, (cos * north_m - sin * east_m) / scale - north_m
 
 
 def course(seed: int, of_class: Class = Class()) -> tuple[Course, float]:  # noqa: B008  # frozen
     """A drive of a class, and its weight, see `Drawn`."""
     rng = np.random.default_rng([seed, 17])
     drawn, shares = Drawn(rng), of_class.shares
-    mapped = stretches(drawn, of_class)
+    mapped, shifted = stretches(drawn, of_class)
     missing = set(np.arange(0.0, ROAD_M, STRETCH_M)) - {one.begins_m for one in mapped}
     alias = (math.inf, math.inf)
     if missing and rng.random() < RESEMBLES:
@@ -171,4 +207,11 @@ def course(seed: int, of_class: Class = Class()) -> tuple[Course, float]:  # noq
         parallax=drawn.whether(OCCUR.parallax, shares.parallax),
         speed_mps=float(rng.uniform(3, 12)),
     )
+    if of_class.shifts:
+        wrong = mapped[shifted]
+        east_m, north_m = drawn.shift_m(
+            of_class, drift_m(found, seed, float(rng.uniform(wrong.begins_m, wrong.ends_m)))
+        )
+        mapped[shifted] = replace(wrong, east_m=east_m, north_m=north_m)
+        found = replace(found, stretches=tuple(mapped))
     return found, drawn.weight

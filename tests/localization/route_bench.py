@@ -63,11 +63,16 @@ class Result:
     bounded: list[Bounded] = field(default_factory=list)
 
 
+def rng_of(seed: int) -> np.random.Generator:
+    """Chance on a drive: first its road is drawn."""
+    return np.random.default_rng([seed, 3])
+
+
 class Bench:
     """One seeded drive."""
 
     def __init__(self, course: Course, seed: int, folder: Path, tracking: TrackingConfig = TrackingConfig()) -> None:  # noqa: B008  # frozen
-        self.course, self.rng = course, np.random.default_rng([seed, 3])
+        self.course, self.rng = course, rng_of(seed)
         rng = self.rng
         if course.laps > 1:
             self.line, self.heading = lap_line(course.road_m, course.laps)
