@@ -160,6 +160,30 @@ def test_what_is_drawn_is_weighted_by_how_often_it_occurs() -> None:
         assert (motion.std(axis=0) > 0.95 * wider * np.array(sigmas)).all(), "what is rare is drawn often"
 
 
+def test_a_shift_that_odometer_and_heading_hide_is_drawn_often_and_weighted() -> None:
+    of_class, drawn, found = level_course.CLASSES["by 40 to 500 m"], level_course.Drawn(np.random.default_rng(1)), []
+    for _ in range(20_000):
+        drawn.weight = 1.0
+        east_m, north_m = drawn.shift_m(of_class, (60.0, 0.0))
+        found.append((drawn.weight, math.hypot(east_m, north_m), math.atan2(north_m, east_m)))
+    weight, far_m, aside = np.array(found).T
+    assert ((far_m > 40) & (far_m < 500)).all()
+    assert np.mean((np.abs(far_m - 60) < 30) & (np.abs(aside) < 1)) > 0.5
+    assert weight.mean() == pytest.approx(math.log(500 / 40) / math.log(500 / 5), rel=0.03)
+    weight /= weight.sum()
+    assert weight @ np.log(far_m) == pytest.approx((math.log(40) + math.log(500)) / 2, abs=0.05)
+    assert (weight @ np.cos(aside), weight @ np.sin(aside)) == pytest.approx((0.0, 0.0), abs=0.05)
+
+
+def test_what_odometer_and_heading_are_wrong_by_is_what_the_vehicle_drifts_by(tmp_path: Path) -> None:
+    drawn = Course(road_m=800.0, stretches=(Stretch(0.0, 100.0),), scale=0.05, heading_deg=3.0, speed_mps=10.0)
+    bench = Bench(drawn, 5, tmp_path)
+    bench.run()
+    expected_m = level_course.drift_m(drawn, 5, 798.0)
+    assert math.hypot(*expected_m) > 20
+    assert bench.alone - bench.truth == pytest.approx(expected_m, abs=2.0)
+
+
 def test_what_the_map_and_the_lane_are_off_by_is_weighted_as_well() -> None:
     of_class = level_course.CLASSES["right"]
     found = [level_course.course(seed, of_class) for seed in range(6000)]
