@@ -41,7 +41,7 @@ OCCUR = Shares()
 
 
 class Class(NamedTuple):
-    """Drives that have something in common, how many are a group, and how many times as many groups are driven.
+    """Drives that have something in common, and how many are a group.
 
     shifts_m: limits of the shift of a stretch that is wrong; shifts: the share of each range between them that is
     drawn; hides: the share that is drawn near to what odometer and heading are wrong by there. Empty: no stretch is
@@ -53,19 +53,17 @@ class Class(NamedTuple):
     hides: float = 0.0
     shares: Shares = OCCUR
     together: int = 20
-    times: int = 1
 
 
 SELDOM_OFF = 0.94, 0.01, 0.01, 0.02, 0.02
 CLASSES = {
-    "right": Class(shares=Shares(parallax=0.1, steers=0.8, wider=1.0, beside=1.4), together=50, times=11),
-    "shifted by 5 to 8 m": Class((5.0, 6.3, 8.0), (0.15, 0.85), 0.0, Shares(0.5, 0.2, 0.65, SELDOM_OFF), times=5),
+    "right": Class(shares=Shares(parallax=0.1, steers=0.8, wider=1.0, beside=1.4), together=50),
+    "shifted by 5 to 8 m": Class((5.0, 6.3, 8.0), (0.15, 0.85), 0.0, Shares(0.5, 0.2, 0.65, SELDOM_OFF)),
     "by 8 to 40 m": Class(
         (8.0, 10.0, 25.0, 40.0),
         (0.1, 0.8, 0.1),
         0.6,
         Shares(off=(0.86, 0.01, 0.01, 0.02, 0.10), underreads=0.3),
-        times=5,
     ),
     "by 40 to 500 m": Class(
         (40.0, 80.0, 250.0, 500.0),
@@ -73,7 +71,6 @@ CLASSES = {
         0.6,
         Shares(several=0.7, off=(0.82, 0.02, 0.02, 0.1, 0.04), wider=2.0, further=0.05),
         together=50,
-        times=4,
     ),
 }
 """Where a shift is hardest to notice, between 8 and 40 m, many drives come near, and some of them much more often.

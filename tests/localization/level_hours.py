@@ -6,7 +6,7 @@ which some resemble the map, turn-offs, halts and reversing. What is rare is dra
 sampling, `level_course`): shifted stretches, in classes of their own, and large errors of odometer and heading. Where
 errors come near to their levels, paths go on from there (`splitting`).
 
-    python -m tests.localization.level_hours --groups 10 --page docs/integrity.md
+    python -m tests.localization.level_hours --groups 40 20 30 20 --page docs/integrity.md
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ import math
 import os
 import textwrap
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import msgspec
 import numpy as np
 from tqdm import tqdm
 
-from edge.files import replacing
 from sim.research.trial.table import put_between
-from tests.localization.level_course import CLASSES, Class, course
-from tests.localization.route_bench import CORRELATED_M, Bounded
+from tests.localization.level_course import CLASSES, course
+from tests.localization.route_bench import CORRELATED_M, Bounded, Result
 from tests.localization.splitting import EFFORT, LEVELS, BoundedDrive, begun, reached
 
+KEPT = Path(__file__).with_name("level_groups.jsonl")
+"""The groups behind the page; each is a quarter to six minutes of a processor."""
 CONFIDENCE = 0.95
 SEEDS = 250_000  # of a class
 FEW, RESAMPLED = 10, 10_000
@@ -44,43 +45,56 @@ def seed_of_run() -> int:
     return int(os.environ.get("LOOKBACK_SEED") or 1) * 1_000_000
 
 
-@dataclass(frozen=True)
-class Group:
+class Group(msgspec.Struct, frozen=True):
     """What some drives of a class showed on average, each as often as it occurs.
 
-    reached: how often (len(LEVELS),) one comes as near as each level (`splitting`); the last one exceeds it. levels_m:
-    1 with parallax, else 0, and the protection levels along and across (n, 3) of the positions that have any.
+    reached: how often one comes as near as each of LEVELS (`splitting`); the last one exceeds it. medians_m: of the
+    finite protection levels, along and across, with parallax and without; None where there were none. first_m: all
+    errors of the first drive, which other code would change.
     """
 
+    of_class: str
+    first_seed: int
     hours: float
-    reached: np.ndarray
-    levels_m: np.ndarray
+    reached: list[float]
+    medians_m: tuple[tuple[float, float] | None, tuple[float, float] | None]
+    first_m: float
 
 
-def drive(first_seed: int, name: str, folder: Path) -> Group:
-    """Drive courses of a class, or read from `folder` what they showed before."""
-    kept = folder / f"{first_seed}.npz"
-    if not kept.exists():
-        with replacing(kept) as file:
-            np.savez(file, **vars(driven(first_seed, CLASSES[name])))
-    with np.load(kept) as of:
-        return Group(float(of["hours"]), of["reached"], of["levels_m"])
-
-
-def driven(first_seed: int, of_class: Class) -> Group:
+def driven(first_seed: int, name: str) -> Group:
     """Drive as many courses of a class as a group has, and follow what comes near to a level."""
-    together = of_class.together
-    rng, hours, paths, levels_m = np.random.default_rng([first_seed, 99]), 0.0, [], [np.zeros((0, 3))]
+    of_class, rng = CLASSES[name], np.random.default_rng([first_seed, 99])
+    hours, paths, levels_m, errors_m = 0.0, [], [np.zeros((0, 3))], []
     with TemporaryDirectory() as maps:
-        for seed in range(first_seed, first_seed + together):
+        for seed in range(first_seed, first_seed + of_class.together):
             drawn, weight = course(seed, of_class)
             bench = BoundedDrive(drawn, seed, Path(maps))
-            paths += begun(bench, weight / together, rng)
-            hours += weight / together * bench.seconds / 3600
+            paths += begun(bench, weight / of_class.together, rng)
+            hours += weight / of_class.together * bench.seconds / 3600
+            errors_m.append(summed_m(bench.result))
             every = np.array(bench.result.bounded).reshape(-1, 7)[:, 5:]
-            finite = every[np.isfinite(every[:, 0])]
-            levels_m.append(np.insert(finite, 0, drawn.parallax, axis=1))
-        return Group(hours, reached(paths, EFFORT * together, rng), np.concatenate(levels_m))
+            levels_m.append(np.insert(every[np.isfinite(every[:, 0])], 0, drawn.parallax, axis=1))
+        near = [round_to_6(share) for share in reached(paths, EFFORT * of_class.together, rng)]
+    of_all = np.concatenate(levels_m)
+    with_parallax, without = (_median(of_all[of_all[:, 0] == parallax, 1:]) for parallax in (True, False))
+    return Group(name, first_seed, round_to_6(hours), near, (with_parallax, without), round_to_6(errors_m[0]))
+
+
+def round_to_6(number: float) -> float:
+    """To so many digits."""
+    return float(f"{number:.6g}")
+
+
+def summed_m(result: Result) -> float:
+    """All errors, along and across."""
+    return float(sum(one.along_m + one.across_m for one in result.bounded))
+
+
+def _median(levels_m: np.ndarray) -> tuple[float, float] | None:
+    if not len(levels_m):
+        return None
+    along_m, across_m = np.median(levels_m, axis=0).round(2).tolist()
+    return along_m, across_m
 
 
 def exceeded(bounded: Sequence[Bounded]) -> int:
@@ -89,15 +103,56 @@ def exceeded(bounded: Sequence[Bounded]) -> int:
     return sum(index == 0 or at - at_m[index - 1] > CORRELATED_M for index, at in enumerate(at_m))
 
 
-def groups(count: int, first_seed: int, folder: Path) -> dict[str, list[Group]]:
-    """So many groups of each class, or a multiple of it, on all processors; those in `folder` are read from there."""
+def read(kept: Path) -> dict[int, Group]:
+    """The groups of a file, by their first seed; none if there is no file. ValueError if it is damaged."""
+    decoder, known = msgspec.json.Decoder(Group), {}
+    for number, line in enumerate(kept.read_bytes().splitlines() if kept.exists() else [], start=1):
+        try:
+            one = decoder.decode(line)
+        except msgspec.DecodeError as error:
+            raise ValueError(f"{kept}: line {number}: {error}; delete the line") from error
+        known[one.first_seed] = one
+    return known
+
+
+def check(kept: Path, known: dict[int, Group]) -> None:
+    """ValueError if the first group of a class was driven by other code: its first drive is driven again."""
+    for one in {one.of_class: one for one in reversed(known.values())}.values():
+        drawn, _ = course(one.first_seed, CLASSES[one.of_class])
+        with TemporaryDirectory() as maps:
+            now_m = summed_m(BoundedDrive(drawn, one.first_seed, Path(maps)).run())
+        if not math.isclose(now_m, one.first_m, rel_tol=1e-4):
+            raise ValueError(f"{kept}: group {one.first_seed} was driven by other code; delete the file")
+
+
+def seeds(counts: Sequence[int], first_seed: int) -> dict[str, range]:
+    """The first seeds of so many groups of each class."""
     found = {}
+    for number, ((name, of_class), count) in enumerate(zip(CLASSES.items(), counts, strict=True)):
+        first, together = first_seed + number * SEEDS, of_class.together
+        found[name] = range(first, first + count * together, together)
+    return found
+
+
+def groups(wanted: Mapping[str, range], kept: Path | None = None) -> dict[str, list[Group]]:
+    """The groups of each class that begin with those seeds, on all processors; those in `kept` are not driven again.
+
+    ValueError if `kept` is damaged, or was driven by other code.
+    """
+    known: dict[int, Group] = {}
+    found = {}
+    if kept is not None:
+        known = read(kept)
+        check(kept, known)
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        for number, (name, of_class) in enumerate(CLASSES.items()):
-            first, together = first_seed + number * SEEDS, of_class.together
-            seeds = range(first, first + of_class.times * count * together, together)
-            every = pool.map(drive, seeds, repeat(name), repeat(folder))
-            found[name] = list(tqdm(every, name, len(seeds), leave=False))
+        for name, every in wanted.items():
+            missing = [seed for seed in every if seed not in known]
+            for one in tqdm(pool.map(driven, missing, repeat(name)), name, len(missing), leave=False):
+                known[one.first_seed] = one
+                if kept is not None:
+                    with kept.open("ab") as file:
+                        file.write(msgspec.json.encode(one) + b"\n")
+            found[name] = [known[seed] for seed in every]
     return found
 
 
@@ -145,7 +200,7 @@ def upper_bound(of_class: Sequence[Group], wrong: float) -> float:
     return float(np.quantile(drawn, 1 - wrong))
 
 
-def statement(found: dict[str, list[Group]], count: int, first_seed: int) -> str:
+def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     """What was shown, for people."""
     (estimate, bounds), drives = rate(found), sum(CLASSES[name].together * len(every) for name, every in found.items())
     nearest = ", ".join(
@@ -158,7 +213,8 @@ def statement(found: dict[str, list[Group]], count: int, first_seed: int) -> str
         for how, parallax in (("with", True), ("without", False))
         for along_m, across_m in [median_level_m(found["right"], parallax=parallax)]
     )
-    command = f"python -m tests.localization.level_hours --groups {count} --seed {first_seed}"
+    counts = " ".join(str(len(every)) for every in found.values())
+    command = f"python -m tests.localization.level_hours --groups {counts} --seed {first_seed}"
     text = (
         f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
         f"at 95 % confidence below {sum(bounds.values()):.2g}. That bound is how often errors come to the highest "
@@ -169,9 +225,9 @@ def statement(found: dict[str, list[Group]], count: int, first_seed: int) -> str
 
 
 def median_level_m(of_class: Sequence[Group], *, parallax: bool) -> tuple[float, float]:
-    """The medians along and across of the finite levels."""
-    every = np.concatenate([one.levels_m for one in of_class])
-    along_m, across_m = np.median(every[every[:, 0] == parallax, 1:], axis=0)
+    """The medians along and across of those of the groups."""
+    medians_m = [one.medians_m[0 if parallax else 1] for one in of_class]
+    along_m, across_m = np.median([one for one in medians_m if one is not None], axis=0)
     return float(along_m), float(across_m)
 
 
@@ -179,22 +235,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Count, print what was shown, and write it into a page."""
     parser = argparse.ArgumentParser(prog="python -m tests.localization.level_hours", description=__doc__)
     parser.add_argument(
-        "--groups", type=int, default=10, metavar="N", help="of drives, of each class a multiple (default 10)"
+        "--groups",
+        type=int,
+        nargs=len(CLASSES),
+        default=[2] * len(CLASSES),
+        metavar="N",
+        help="of drives, of each class (default 2, a quarter of an hour)",
     )
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
     parser.add_argument(
         "--keep",
         type=Path,
-        metavar="FOLDER",
-        help="of groups: those there are not driven again; empty it when the code changes",
+        metavar="FILE",
+        help="of groups: those in it are not driven again, and new ones are added",
     )
     parser.add_argument("--page", type=Path, metavar="FILE", help="write what was shown into this page")
     args = parser.parse_args(argv)
     first_seed = int(time.time()) if args.seed is None else args.seed
-    with TemporaryDirectory() as folder:
-        kept = Path(folder) if args.keep is None else args.keep
-        kept.mkdir(parents=True, exist_ok=True)
-        text = statement(groups(args.groups, first_seed, kept), args.groups, first_seed)
+    try:
+        found = groups(seeds(args.groups, first_seed), args.keep)
+    except ValueError as error:
+        parser.error(str(error))
+    text = statement(found, first_seed)
     print(text)
     if args.page is not None:
         put_between("level hours", args.page, text)
