@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.localization.claims import STRETCH_WRONG
-from tests.localization.route_bench import GPS_M, LANE_M, rng_of
+from tests.localization.route_bench import GPS_M, LANE_M, reckoned, rng_of
 from tests.localization.route_course import Course, Stretch, road_line
 
 ROAD_M, STRETCH_M = 3000.0, 500.0
@@ -121,13 +121,10 @@ class Drawn:
 
     def shift_m(self, of_class: Class, drift_m: tuple[float, float]) -> tuple[float, float]:
         """East and north of a stretch that is wrong; drift_m: of where the vehicle is there by reckoning alone."""
-        rng, limits, whole = (
-            self.rng,
-            [math.log(limit) for limit in of_class.shifts_m],
-            math.log(SHIFTED_M[1] / SHIFTED_M[0]),
-        )
-        least, most, hides = limits[0], limits[-1], of_class.hides
-        size = NormalDist(min(max(math.log(max(math.hypot(*drift_m), SHIFTED_M[0])), least), most), HIDES[0])
+        rng, hides, limits = self.rng, of_class.hides, [math.log(limit) for limit in of_class.shifts_m]
+        least, most, whole = limits[0], limits[-1], math.log(SHIFTED_M[1] / SHIFTED_M[0])
+        hidden_m = min(max(math.hypot(*drift_m), of_class.shifts_m[0]), of_class.shifts_m[-1])
+        size = NormalDist(math.log(hidden_m), HIDES[0])
         below, inside, aside = size.cdf(least), size.cdf(most) - size.cdf(least), NormalDist(0.0, HIDES[1])
         toward = math.atan2(*drift_m)
         if rng.random() < hides:
@@ -171,10 +168,10 @@ def stretches(drawn: Drawn, of_class: Class) -> tuple[list[Stretch], int]:
 def drift_m(found: Course, seed: int, at_m: float) -> tuple[float, float]:
     """By how much odometer and heading are wrong by then, east and north, since GPS was lost."""
     line, _ = road_line(found.road_m, rng_of(seed))
-    east_m, north_m = line[int(at_m)] - line[int(GPS_M)]
-    turned, scale = math.radians(found.heading_deg or 0.0), 1 + (found.scale or 0.0)
-    sin, cos = math.sin(-turned), math.cos(-turned)
-    return (cos * east_m + sin * north_m) / scale - east_m, (cos * north_m - sin * east_m) / scale - north_m
+    moved_m = line[int(at_m)] - line[int(GPS_M)]
+    seen_m = reckoned(moved_m, math.radians(found.heading_deg or 0.0), 1 + (found.scale or 0.0))
+    east_m, north_m = (seen_m - moved_m).tolist()
+    return east_m, north_m
 
 
 def course(seed: int, of_class: Class = Class()) -> tuple[Course, float]:  # noqa: B008  # frozen
@@ -206,9 +203,8 @@ def course(seed: int, of_class: Class = Class()) -> tuple[Course, float]:  # noq
     )
     if of_class.shifts:
         wrong = mapped[shifted]
-        east_m, north_m = drawn.shift_m(
-            of_class, drift_m(found, seed, float(rng.uniform(wrong.begins_m, wrong.ends_m)))
-        )
+        at_m = float(rng.uniform(wrong.begins_m, wrong.ends_m))
+        east_m, north_m = drawn.shift_m(of_class, drift_m(found, seed, at_m))
         mapped[shifted] = replace(wrong, east_m=east_m, north_m=north_m)
         found = replace(found, stretches=tuple(mapped))
     return found, drawn.weight

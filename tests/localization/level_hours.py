@@ -33,7 +33,7 @@ from tests.localization.route_bench import CORRELATED_M, Bounded, Result
 from tests.localization.splitting import EFFORT, LEVELS, BoundedDrive, begun, reached
 
 KEPT = Path(__file__).with_name("level_groups.jsonl")
-"""The groups behind the page; each is a quarter to six minutes of a processor."""
+"""The groups that were driven so far; each took a processor one to six minutes."""
 CONFIDENCE = 0.95
 SEEDS = 250_000  # of a class
 FEW, RESAMPLED = 10, 10_000
@@ -48,13 +48,14 @@ def seed_of_run() -> int:
 class Group(msgspec.Struct, frozen=True):
     """What some drives of a class showed on average, each as often as it occurs.
 
-    reached: how often one comes as near as each of LEVELS (`splitting`); the last one exceeds it. medians_m: of the
-    finite protection levels, along and across, with parallax and without; None where there were none. first_m: all
-    errors of the first drive, which other code would change.
+    drives: how many. reached: how often one comes as near as each of LEVELS (`splitting`); the last one exceeds it.
+    medians_m: of the finite protection levels, along and across, with parallax and without; None where there were none.
+    first_m: all errors of the first drive, which other code would change.
     """
 
     of_class: str
     first_seed: int
+    drives: int
     hours: float
     reached: list[float]
     medians_m: tuple[tuple[float, float] | None, tuple[float, float] | None]
@@ -64,20 +65,21 @@ class Group(msgspec.Struct, frozen=True):
 def driven(first_seed: int, name: str) -> Group:
     """Drive as many courses of a class as a group has, and follow what comes near to a level."""
     of_class, rng = CLASSES[name], np.random.default_rng([first_seed, 99])
-    hours, paths, levels_m, errors_m = 0.0, [], [np.zeros((0, 3))], []
+    hours, first_m, paths, levels_m = 0.0, 0.0, [], [np.zeros((0, 3))]
     with TemporaryDirectory() as maps:
         for seed in range(first_seed, first_seed + of_class.together):
             drawn, weight = course(seed, of_class)
             bench = BoundedDrive(drawn, seed, Path(maps))
             paths += begun(bench, weight / of_class.together, rng)
             hours += weight / of_class.together * bench.seconds / 3600
-            errors_m.append(summed_m(bench.result))
+            if seed == first_seed:
+                first_m = round_to_6(summed_m(bench.result))
             every = np.array(bench.result.bounded).reshape(-1, 7)[:, 5:]
             levels_m.append(np.insert(every[np.isfinite(every[:, 0])], 0, drawn.parallax, axis=1))
         near = [round_to_6(share) for share in reached(paths, EFFORT * of_class.together, rng)]
     of_all = np.concatenate(levels_m)
     with_parallax, without = (_median(of_all[of_all[:, 0] == parallax, 1:]) for parallax in (True, False))
-    return Group(name, first_seed, round_to_6(hours), near, (with_parallax, without), round_to_6(errors_m[0]))
+    return Group(name, first_seed, of_class.together, round_to_6(hours), near, (with_parallax, without), first_m)
 
 
 def round_to_6(number: float) -> float:
@@ -116,7 +118,14 @@ def read(kept: Path) -> dict[int, Group]:
 
 
 def check(kept: Path, known: dict[int, Group]) -> None:
-    """ValueError if the first group of a class was driven by other code: its first drive is driven again."""
+    """ValueError if groups are of other classes, or the first one of a class was driven by other code.
+
+    Its first drive is driven again.
+    """
+    for one in known.values():
+        of_class = CLASSES.get(one.of_class)
+        if of_class is None or of_class.together != one.drives or len(one.reached) != len(LEVELS):
+            raise ValueError(f"{kept}: group {one.first_seed} is of another class; delete the file")
     for one in {one.of_class: one for one in reversed(known.values())}.values():
         drawn, _ = course(one.first_seed, CLASSES[one.of_class])
         with TemporaryDirectory() as maps:
@@ -202,12 +211,12 @@ def upper_bound(of_class: Sequence[Group], wrong: float) -> float:
 
 def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     """What was shown, for people."""
-    (estimate, bounds), drives = rate(found), sum(CLASSES[name].together * len(every) for name, every in found.items())
-    nearest = ", ".join(
-        f"{name} {'-' if level is None else format(LEVELS[level], '.2f')} (below {bounds[name]:.1g})"
-        for name, of_class in found.items()
-        for level in [bounding_level(of_class)]
-    )
+    (estimate, bounds), drives = rate(found), sum(one.drives for of_class in found.values() for one in of_class)
+    bound, nearest = sum(bounds.values()), []
+    most = f"below {bound:.2g}" if math.isfinite(bound) else "not bounded yet"
+    for name, of_class in found.items():
+        level = bounding_level(of_class)
+        nearest.append(f"{name} none" if level is None else f"{name} {LEVELS[level]:.2f} (below {bounds[name]:.1g})")
     medians = ", ".join(
         f"{along_m:.1f} and {across_m:.1f} m {how} parallax"
         for how, parallax in (("with", True), ("without", False))
@@ -217,8 +226,8 @@ def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     command = f"python -m tests.localization.level_hours --groups {counts} --seed {first_seed}"
     text = (
         f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
-        f"at 95 % confidence below {sum(bounds.values()):.2g}. That bound is how often errors come to the highest "
-        f"share of their levels up to which {FEW} groups of drives alike came: {nearest}. "
+        f"at 95 % confidence {most}. That bound is how often errors come to the highest "
+        f"share of their levels up to which {FEW} groups of drives alike came: {', '.join(nearest)}. "
         f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)
@@ -240,7 +249,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         nargs=len(CLASSES),
         default=[2] * len(CLASSES),
         metavar="N",
-        help="of drives, of each class (default 2, a quarter of an hour)",
+        help="of drives, of each class (default 2, a quarter of an hour of a processor)",
     )
     parser.add_argument("--seed", type=int, help="the first (default: a new one)")
     parser.add_argument(

@@ -68,6 +68,12 @@ def rng_of(seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, 3])
 
 
+def reckoned(moved_m: Points, turned_rad: float, scale: float) -> Points:
+    """What the autopilot makes of a displacement (2,), east and north, whose heading and odometer are wrong."""
+    sin, cos = math.sin(-turned_rad), math.cos(-turned_rad)
+    return np.array([cos * moved_m[0] + sin * moved_m[1], cos * moved_m[1] - sin * moved_m[0]]) / scale
+
+
 class Bench:
     """One seeded drive."""
 
@@ -205,11 +211,9 @@ class Bench:
         self.seconds += STEP_S
         now_ns = round((1000 + self.seconds) * 1e9)
         gps = self.course.gps and self.driven_m < GPS_M
-        sin, cos = math.sin(-self.turned), math.cos(-self.turned)
         ferried = speed_mps == 0.0
         moved_m = np.zeros(2) if ferried else step
-        seen = moved_m if gps else np.array([cos * moved_m[0] + sin * moved_m[1], cos * moved_m[1] - sin * moved_m[0]])
-        seen = seen / (1.0 if gps else self.scale)
+        seen = moved_m if gps else reckoned(moved_m, self.turned, self.scale)
         self.own = truth + self.rng.normal(0, 0.3, 2) if gps else self.own + seen
         self.alone = self.own.copy() if gps else self.alone + seen
         velocity = seen / STEP_S

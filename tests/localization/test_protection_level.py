@@ -51,7 +51,7 @@ def test_errors_exceed_protection_levels_no_more_often_than_stated(tmp_path: Pat
 @pytest.mark.soak
 def test_errors_exceed_protection_levels_no_more_often_than_stated_on_maps_that_are_shifted() -> None:
     """Weighted by how often they are: see docs/integrity.md for what so many drives can show."""
-    found = level_hours.groups(level_hours.seeds([2] * 4, level_hours.seed_of_run()))
+    found = level_hours.groups(level_hours.seeds([2] * len(level_course.CLASSES), level_hours.seed_of_run()))
     print(level_hours.statement(found, level_hours.seed_of_run()))
     estimate, _ = level_hours.rate(found)
     assert estimate <= GatesConfig().risk_per_hour
@@ -77,13 +77,15 @@ def test_groups_that_were_driven_by_other_code_are_not_used(tmp_path: Path) -> N
     drawn, _ = level_course.course(7, level_course.CLASSES[name])
     first_m = level_hours.summed_m(Bench(drawn, 7, tmp_path).run())
     assert first_m > 10
-    one = level_hours.Group(name, 7, 0.1, [0.0] * len(LEVELS), (None, (26.1, 22.5)), first_m)
+    one = level_hours.Group(name, 7, 20, 0.1, [0.0] * len(LEVELS), (None, (26.1, 22.5)), first_m)
     kept.write_bytes(msgspec.json.encode(one) + b"\n")
     known = level_hours.read(kept)
     assert known == {7: one}
     level_hours.check(kept, known)
     with pytest.raises(ValueError, match="group 7 was driven by other code; delete the file"):
         level_hours.check(kept, {7: msgspec.structs.replace(one, first_m=1.001 * first_m)})
+    with pytest.raises(ValueError, match="group 7 is of another class; delete the file"):
+        level_hours.check(kept, {7: msgspec.structs.replace(one, drives=50)})
     kept.write_bytes(b"{}\n")
     with pytest.raises(ValueError, match="line 1: Object missing required field `of_class`"):
         level_hours.read(kept)
@@ -101,7 +103,7 @@ def groups(count: int, reached: dict[int, dict[int, float]]) -> list[level_hours
         near = np.zeros(len(LEVELS))
         for level, share in reached.get(number, {}).items():
             near[: level % len(LEVELS) + 1] = share
-        found.append(level_hours.Group("right", number, 0.05, near.tolist(), (None, None), 0.0))
+        found.append(level_hours.Group("right", number, 50, 0.05, near.tolist(), (None, None), 0.0))
     return found
 
 
@@ -150,7 +152,8 @@ def test_where_groups_differ_widely_a_level_is_reached_2_2_times_as_often_as_the
     while len(found) < 300:
         drawn = rng.lognormal(0.0, sigma, 40)
         every = [
-            level_hours.Group("right", 0, 0.05, [share] * len(LEVELS), (None, None), 0.0) for share in drawn.tolist()
+            level_hours.Group("right", 0, 50, 0.05, [share] * len(LEVELS), (None, None), 0.0)
+            for share in drawn.tolist()
         ]
         tried += 1
         if level_hours.bounding_level(every) is not None:
