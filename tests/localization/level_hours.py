@@ -226,7 +226,7 @@ def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     command = f"python -m tests.localization.level_hours --groups {counts} --seed {first_seed}"
     text = (
         f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
-        f"at 95 % confidence {most}. That bound is how often errors come to the highest "
+        f"at 95 % confidence {most}. The bound is how often errors come to the highest "
         f"share of their levels up to which {FEW} groups of drives alike came: {', '.join(nearest)}. "
         f"Median levels on right maps, along and across: {medians}."
     )
