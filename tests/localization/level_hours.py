@@ -18,6 +18,7 @@ import textwrap
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from decimal import ROUND_CEILING, Context
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
@@ -213,10 +214,11 @@ def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     """What was shown, for people."""
     (estimate, bounds), drives = rate(found), sum(one.drives for of_class in found.values() for one in of_class)
     bound, nearest = sum(bounds.values()), []
-    most = f"below {bound:.2g}" if math.isfinite(bound) else "not bounded yet"
+    most = f"below {decimal(bound, 2)}" if math.isfinite(bound) else "not bounded yet"
     for name, of_class in found.items():
         level = bounding_level(of_class)
-        nearest.append(f"{name} none" if level is None else f"{name} {LEVELS[level]:.2f} (below {bounds[name]:.1g})")
+        come = "none" if level is None else f"{LEVELS[level]:.2f} (below {decimal(bounds[name], 2)})"
+        nearest.append(f"{name} {come}")
     medians = ", ".join(
         f"{along_m:.1f} and {across_m:.1f} m {how} parallax"
         for how, parallax in (("with", True), ("without", False))
@@ -225,12 +227,17 @@ def statement(found: dict[str, list[Group]], first_seed: int) -> str:
     counts = " ".join(str(len(every)) for every in found.values())
     command = f"python -m tests.localization.level_hours --groups {counts} --seed {first_seed}"
     text = (
-        f"`{command}`: in {drives:,} drives an error exceeds its level {estimate:.1g} times an hour, "
+        f"`{command}`: in {drives:,} drives an error exceeds its level {decimal(estimate)} times an hour, "
         f"at 95 % confidence {most}. The bound is how often errors come to the highest "
         f"share of their levels up to which {FEW} groups of drives alike came: {', '.join(nearest)}. "
         f"Median levels on right maps, along and across: {medians}."
     )
     return textwrap.fill(text, 120, break_on_hyphens=False)
+
+
+def decimal(number: float, digits: int = 1) -> str:
+    """Not less, to so many digits, and without an exponent."""
+    return f"{Context(digits, ROUND_CEILING).create_decimal(number):f}"
 
 
 def median_level_m(of_class: Sequence[Group], *, parallax: bool) -> tuple[float, float]:

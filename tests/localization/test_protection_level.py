@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from statistics import NormalDist
 
@@ -94,6 +95,19 @@ def test_groups_that_were_driven_by_other_code_are_not_used(tmp_path: Path) -> N
 @pytest.mark.soak
 def test_the_kept_groups_are_of_this_code() -> None:
     level_hours.check(level_hours.KEPT, level_hours.read(level_hours.KEPT))
+
+
+def test_the_page_says_what_the_kept_groups_show() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "integrity.md").read_text(encoding="utf-8")
+    said = " ".join(text.partition("<!-- level hours: begin -->")[2].partition("<!-- level hours: end -->")[0].split())
+    command = re.search(r"--groups ([\d ]+) --seed (\d+)", said)
+    assert command is not None
+    counts, first_seed, known = command[1].split(), int(command[2]), level_hours.read(level_hours.KEPT)
+    wanted = level_hours.seeds([int(count) for count in counts], first_seed)
+    found = {name: [known[seed] for seed in every] for name, every in wanted.items()}
+    assert said == " ".join(level_hours.statement(found, first_seed).split())
+    _, bounds = level_hours.rate(found)
+    assert sum(bounds.values()) <= GatesConfig().risk_per_hour
 
 
 def groups(count: int, reached: dict[int, dict[int, float]]) -> list[level_hours.Group]:
