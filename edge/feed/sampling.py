@@ -6,9 +6,8 @@ And how far the vehicle drives from one to the next, in places of the map (`Step
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
-
-import numpy as np
 
 from edge.config import SamplingConfig
 
@@ -95,7 +94,7 @@ class Steps:
 
     def usual(self, map_spacing_m: float) -> float:
         """The usual step; one place where no distance was measured."""
-        return float(np.median(self._kept)) * self._places(map_spacing_m) if self._kept else 1.0
+        return statistics.median(self._kept) * self._places(map_spacing_m) if self._kept else 1.0
 
     def _places(self, map_spacing_m: float) -> float:
         """Places in a spacing of the frames; one where both are nearly the same."""
