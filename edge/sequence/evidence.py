@@ -156,7 +156,7 @@ def match_at(
         # With nothing whole outside the window there is nothing to compare with, so nothing is claimed.
         uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
         sharpness=sharpness(along, at, window),
-        row_share=float((newest.min(axis=0) < lowest_around(of_order[segment], at, window)).mean()),
+        row_share=np.count_nonzero(newest.min(axis=0) < lowest_around(of_order[segment], at, window)) / newest.shape[1],
         half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
         step=search.step,
         passed=tuple(passed.tolist()),
@@ -191,8 +191,9 @@ def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) 
     """
     limit = costs[place] + NEARLY * (elsewhere - int(costs[place]))
     worse = np.flatnonzero(costs >= limit)
-    after = worse[worse > place].min(initial=len(costs))
-    before = worse[worse < place].max(initial=-1)
+    first, end = np.searchsorted(worse, [place, place + 1])
+    before = worse[first - 1] if first else -1
+    after = worse[end] if end < len(worse) else len(costs)
     return float(after - before - 1) / 2
 
 
