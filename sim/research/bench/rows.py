@@ -87,10 +87,10 @@ def page(machine: Machine, sections: Sequence[Section], how_run: str) -> str:
 
 
 def _targets(targets: Sequence[Target]) -> str:
-    """How many are met, and each that is not."""
-    missed = [f"{one.what} {one.value} (wanted: {one.wanted})" for one in targets if not one.met]
-    not_met = f" **Not met: {'; '.join(missed)}.**" if missed else ""
-    return f"{len(targets) - len(missed)} of {len(targets)} targets (`sim/research/bench`) are met.{not_met}"
+    """How many are met, and a list of those that are not."""
+    missed = [f"- {one.what}: {one.value} (wanted: {one.wanted})" for one in targets if not one.met]
+    met = f"{len(targets) - len(missed)} of {len(targets)} targets (`sim/research/bench`) are met."
+    return "\n".join([f"{met} **Not met:**", "", *missed]) if missed else met
 
 
 def _table(rows: Sequence[Row]) -> list[str]:

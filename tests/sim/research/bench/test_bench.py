@@ -70,7 +70,7 @@ def test_rows_and_targets_on_a_page() -> None:
     targets = [Target("a", "1x", "2x", False), Target("b", "1x", "1x", True)]
     text = page(MACHINE, [Section("Feet", [row], targets)], "Made by hand.")
     assert "| walking | 2.00 (2.50) | running; uphill |" in text
-    assert "1 of 2 targets (`sim/research/bench`) are met. **Not met: a 2x (wanted: 1x).**" in text
+    assert "1 of 2 targets (`sim/research/bench`) are met. **Not met:**\n\n- a: 2x (wanted: 1x)\n\n## Feet" in text
 
 
 def test_rows_that_differ_in_their_size_are_one_line() -> None:
