@@ -12,6 +12,7 @@ import logging
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,9 @@ from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
 from edge.journal.records import Stopped
-from edge.localization import AGREE_SIGMAS
+from edge.localization import AGREE_SIGMAS, Break, Maps, Moved, events
 from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.localization.place_fix import frame_used, untracked_fix
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.plugin import UsedFrame
@@ -42,7 +44,7 @@ class Daemon:
     def __init__(self, parts: OpenedParts) -> None:
         self.parts = parts
         self._clock_ns, self._autopilot = parts.clock_ns, parts.autopilot
-        self._recognizer, self._estimator = parts.recognizer, parts.estimator
+        self._recognizer, self._drive = parts.recognizer, parts.drive
         self._sampler = Sampler(parts.config.sampling)
         self._turn_around = TurnAround()
         self._distance_gaps = 0
@@ -118,14 +120,13 @@ class Daemon:
         self, stamp_ns: int, match: PlaceMatch | None, displacement: Displacement | None, missed: int
     ) -> None:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
-        now_ns, vehicle = self._clock_ns(), self._autopilot.vehicle
-        report, gps = vehicle.report(now_ns), vehicle.gps_fix(stamp_ns, now_ns)
-        in_line, stamp_sigma_s = self._recognizer.is_in_line, self.parts.pictures.stamp_sigma_s
-        verdict = self._estimator.update(
-            match, stamp_ns, displacement, report, gps, missed=missed, in_line=in_line, stamp_sigma_s=stamp_sigma_s
-        )
+        self._autopilot.report_own()
+        now_ns = self._clock_ns()
+        gps = self._autopilot.vehicle.gps_fix(stamp_ns, now_ns)
+        in_line, undated_s = self._recognizer.is_in_line, self.parts.pictures.stamp_sigma_s
+        self._drive.update(now_ns, events.Frame(stamp_ns, match, displacement, gps, missed, in_line, undated_s))
         if in_line:
-            self._autopilot.judge_gps(verdict)
+            self._autopilot.judge_gps(self._drive.known.gps)
 
     def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
@@ -134,7 +135,7 @@ class Daemon:
             self._recognizer.restart_odometer()
         match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
         if self._recognizer.was_carried:
-            self._estimator.reset()
+            self._drive.update(self._clock_ns(), Break("carried"))
         return None if match is not None and match.accepted and not self._is_verified(match) else match
 
     def _travel(self, distance_m: float | None, missed: int) -> Travel:
@@ -142,12 +143,10 @@ class Daemon:
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
-        report = self._autopilot.vehicle.report(self._clock_ns())
-        sigma_m = self._estimator.uncertainty_m(report)
-        if report.position is None or sigma_m is None:
+        own, sigma_m = self._autopilot.vehicle.position(self._clock_ns()), self._drive.known.own_sigma_m
+        if own is None or sigma_m is None:
             return None
-        radius_m = max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m)
-        return Near(report.position.lat_deg, report.position.lon_deg, radius_m)
+        return Near(own.lat_deg, own.lon_deg, max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m))
 
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
@@ -184,7 +183,7 @@ class Daemon:
 
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
-        self._estimator.use_maps(self.parts.verification.as_uncertain(self._recognizer.map_set))
+        self._drive.update(self._clock_ns(), Maps(self.parts.verification.as_uncertain(self._recognizer.map_set)))
         self.parts.plugins.each(lambda plugin: plugin.maps_changed())
 
     def _grow_maps(self) -> None:
@@ -194,7 +193,7 @@ class Daemon:
         for newest in (one for one in grown if one is not None):
             maps = self._recognizer.map_set.with_newest(newest)
             self._recognizer.grow_maps(maps)
-            self._estimator.grow(parts.verification.as_uncertain(maps))
+            self._drive.update(self._clock_ns(), Maps(parts.verification.as_uncertain(maps), has_grown=True))
             parts.plugins.each(lambda plugin: plugin.maps_changed())
 
     def _describe(self, frame: Frame) -> NDArray[np.float32]:
@@ -204,8 +203,8 @@ class Daemon:
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
         """To the journal where it is to have every frame, to the plug-ins, and an event to people."""
-        parts = self.parts
-        record = self._estimator.frame_used(frame.index, frame.stamp_ns, match, missed)
+        parts, route, rig = self.parts, self._drive.route, self.parts.config.rig
+        record = frame_used(frame.index, frame.stamp_ns, match, route, rig, missed)
         parts.frames_used += 1
         parts.events += record.emitted
         if parts.config.telemetry.journal_frames:
@@ -213,7 +212,9 @@ class Daemon:
         used = UsedFrame(frame, distance_m, missed, match, record)
         parts.plugins.each(lambda plugin: plugin.frame_used(used))
         if match is not None and match.event:
-            fix = self._estimator.place_fix(match, frame.stamp_ns)
+            fix = self._drive.known.position
+            if fix is None or fix.stamp_ns != frame.stamp_ns:
+                fix = untracked_fix(match, frame.stamp_ns, route, rig)
             parts.record(fix)
             self._autopilot.publish_place(fix)
             parts.plugins.each(lambda plugin: plugin.place(fix))
@@ -255,23 +256,19 @@ class Daemon:
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
         self._recognizer.reset()
-        self._estimator.reset()
+        self._drive.update(self._clock_ns(), Break("blind"))
 
     def _publish_position(self) -> None:
-        """A fix for the autopilot, while the vehicle is on the map and if one is due."""
-        if self.parts.monitor.health.able != "on the map":
-            self._autopilot.positions.use.withdraw()
+        """A position for the autopilot, if one is due, or why there is none."""
+        limits = self._autopilot.position_due()
+        if limits is None:
             return
-        time_base = self._autopilot.position_due()
-        if time_base is None or self.parts.pictures.why_no_position:
-            return
-        if time_base == "exposure":
-            fix = self._estimator.position_at_exposure()
-        else:
-            now_ns = self._clock_ns()
-            fix = self._estimator.position(now_ns, self._autopilot.vehicle.motion.displacement(now_ns))
-        if fix is not None:
-            self._autopilot.send_position(fix)
+        able, now_ns = self.parts.monitor.health.able, self._clock_ns()
+        unable = self.parts.pictures.why_no_position if able == "on the map" else able
+        self._autopilot.report_own()
+        if limits.at == "now":
+            self._drive.update(now_ns, Moved(self._autopilot.vehicle.motion.displacement(now_ns)))
+        self._autopilot.send_position(self._drive.fix(now_ns, replace(limits, unable=unable)))
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""

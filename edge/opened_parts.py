@@ -19,7 +19,7 @@ from edge.descriptor.open_network import open_network
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import PluginFailed, Record
-from edge.localization import PositionEstimator
+from edge.localization import Drive, Maps, PositionEstimator
 from edge.map_verification import MapVerification
 from edge.plugin import Plugins
 from edge.recognizer import open_recognizer
@@ -58,8 +58,8 @@ class OpenedParts:
             journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
             self.journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self.journal.write
-        self.estimator = PositionEstimator(config)
-        settings = config.telemetry, clock_ns, self.record, config.gates, self.estimator
+        self.drive = Drive(PositionEstimator(config))
+        settings = config.telemetry, clock_ns, self.record, config.gates, self.drive
         link = AutopilotConnection(*settings, motion=config.motion.use)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
@@ -89,7 +89,7 @@ class OpenedParts:
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
         self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
-        self.estimator.use_maps(self.verification.as_uncertain(maps))
+        self.drive.update(self.clock_ns(), Maps(self.verification.as_uncertain(maps)))
         self.warm_start = WarmStart(config, self.recognizer)
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:

@@ -18,9 +18,9 @@ from edge.config import Config
 from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
-from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.reference_map import Drives, MapSet
 from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
+from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
 

@@ -1,33 +1,38 @@
-"""From matches and the autopilot's velocity to a position of the vehicle, and whether it may be published.
+"""From what happens on a drive to a position of the vehicle, and whether it may be published.
 
-`consensus` believes a place or not; `position_estimator` is what follows from a match. `place_fix` makes positions of
-matches; `sighting` puts a match on the ground, and `region_lines` what its two regions say by themselves;
-`route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
-`gps_judge` says what follows from the places for GPS, by the test of `gps_referee`. `report` is what an autopilot
-reports, and `dead_reckoning` integrates its motion; `integrity` decides what may be published, by the rules of
-`refusals` and by what was observed (`claims`), and `protection_level` says how far off that may be, also by what
-`bound`s a position without places.
+`events` is what can happen, and `position_estimator` the one door to what follows; a `drive` carries the events there.
+`place_fix` makes positions of matches; `sighting` puts a match on the ground, and `region_lines` what its two regions
+say by themselves; `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman
+filter of each; `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning`
+integrates the vehicle's motion. `integrity` is what is known when a position may be published, by what was observed
+(`claims`), and `refusals` the rules; `protection_level` says how far off a position may be, also by what `bound`s it
+without places.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.bound import BOUND_WRONG
+from edge.localization.bound import PERIOD_NS
 from edge.localization.dead_reckoning import DeadReckoning, Displacement, Integral
-from edge.localization.gps_referee import GpsFix, GpsVerdict
-from edge.localization.integrity import (
+from edge.localization.drive import Drive
+from edge.localization.events import (
+    BOUND_WRONG,
     GPS_SIGMA_M,
-    Decision,
-    Integrity,
+    Break,
+    Fix,
+    GpsFix,
+    GpsState,
     Limits,
-    Situation,
-    distance_from,
-    offset_m,
+    Maps,
+    Moved,
+    Own,
+    ProtectionLevel,
+    Used,
 )
-from edge.localization.position_estimator import PositionEstimator
-from edge.localization.protection_level import ProtectionLevel
-from edge.localization.refusals import Refusal
-from edge.localization.report import GpsState, Report
+from edge.localization.gps_referee import GpsVerdict
+from edge.localization.integrity import distance_from, offset_m
+from edge.localization.position_estimator import Known, PositionEstimator
+from edge.localization.refusals import TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
@@ -35,21 +40,27 @@ __all__ = [
     "BOUND_WRONG",
     "CORRELATION_M",
     "GPS_SIGMA_M",
+    "PERIOD_NS",
+    "TWO_AUTOPILOTS",
+    "Break",
     "DeadReckoning",
-    "Decision",
     "Displacement",
+    "Drive",
+    "Fix",
     "GpsFix",
     "GpsState",
     "GpsVerdict",
     "Integral",
-    "Integrity",
+    "Known",
     "Limits",
+    "Maps",
+    "Moved",
+    "Own",
     "PlaceFix",
     "PositionEstimator",
     "ProtectionLevel",
     "Refusal",
-    "Report",
-    "Situation",
+    "Used",
     "distance_from",
     "offset_m",
 ]

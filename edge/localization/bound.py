@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
 from dataclasses import dataclass
+
+import msgspec
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.report import Report
+from edge.localization.events import BOUND_WRONG, Own
 
-BOUND_WRONG = 0.1
-"""Probability that what bounded the autopilot last was wrong, where it was not a position of ours: see `integrity`."""
+PERIOD_NS = 1_000_000_000  # between two that are kept
+SETTLED_NS = 10_000_000_000
+"""After GPS is used again, nothing is left of a position of ours."""
+LONGEST_NS = 600_000_000_000
+SAME_BOOT_NS = 2_000_000_000
+CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
+FASTER = 1.5  # than the speeds before and after: what may have been driven in between
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -71,8 +81,46 @@ class Anchor:
         return Reckoned(east_m + moved_east_m, north_m + moved_north_m, sigma_m)
 
 
+class Kept(msgspec.Struct, frozen=True):
+    """What bounded an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `OwnPosition.snapshot`.
+
+    by_fixes: whether it rests on positions of ours, or may.
+    """
+
+    system_id: int
+    booted_ns: int
+    stamp_ns: int
+    sigma_m: float
+    speed_mps: float
+    lat_deg: float
+    lon_deg: float
+    by_fixes: bool = True
+
+    def since(self, now: Kept, drift: float) -> float | None:
+        """One standard deviation now, as far as the vehicle can have gone unheard: as fast as before or now.
+
+        None where it is not certain that both are of one boot of one autopilot, or it was too long ago.
+        """
+        gap_ns = now.stamp_ns - self.stamp_ns
+        if self.system_id != now.system_id or not 0 <= gap_ns <= LONGEST_NS:
+            return None
+        apart_ns = abs(now.booted_ns - self.booted_ns)
+        if apart_ns > SAME_BOOT_NS + CLOCK_RATE * gap_ns or now.booted_ns >= self.stamp_ns:
+            return None
+        moved_m = math.hypot(*east_north_of(now.lat_deg, now.lon_deg, (self.lat_deg, self.lon_deg)))
+        driven_m = max(FASTER * max(self.speed_mps, now.speed_mps) * gap_ns / 1e9, moved_m)
+        log.info(
+            "the autopilot has not rebooted: %.1f s ago its position was known to %.1f m", gap_ns / 1e9, self.sigma_m
+        )
+        return math.hypot(self.sigma_m, drift * driven_m)
+
+
 class OwnPosition:
-    """How far the autopilot's own position may be off, and where GPS had the vehicle last."""
+    """How far the autopilot's own position may be off, and where GPS had the vehicle last.
+
+    What bounded the position (GPS or a fix) still does over a silent link and over a restart of this program, while the
+    autopilot has not rebooted, which its boot time shows.
+    """
 
     def __init__(self, drift: float) -> None:
         """drift: of the meters driven, where nothing else is known of the velocity."""
@@ -83,37 +131,84 @@ class OwnPosition:
         self.by_gps: Anchor | None = None
         """Where GPS had the vehicle last."""
         self._by_gps_m = 0.0  # driven by then
+        self.rests_on_fixes = False
+        """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
+        self._sent_ns: int | None = None
+        self._kept: Kept | None = None
+        self._due_ns = 0
 
     def restart(self) -> None:
         """The autopilot has rebooted. What GPS showed of the vehicle holds on, see `Displacement.unknown_m`."""
-        self.bound = None
+        self.bound, self._sent_ns = None, None
 
-    def bind(self, sigma_m: float, report: Report, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
+    def sent(self, t_ns: int) -> None:
+        """A position was sent: nobody knows yet whether the autopilot uses it."""
+        self._sent_ns, self.rests_on_fixes = t_ns, True
+
+    def bind(self, sigma_m: float, own: Own, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now. wrong: the probability that what bounds it is."""
-        if report.driven_m is not None:
-            self.bound, self._has_run_away = Bound(sigma_m, report.driven_m, wrong, by_gps), False
+        if own.driven_m is not None:
+            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps), False
 
-    def watch_aid(self, report: Report) -> None:
+    def watch_aid(self, own: Own) -> None:
         """One whose velocity nothing measures runs away, until it is bound anew."""
-        self._has_run_away |= not report.is_aided
+        self._has_run_away |= not own.is_aided
 
-    def anchor(self, report: Report) -> None:
-        """GPS has the vehicle where the autopilot believes it to be."""
-        own, then = report.position, report.displacement
-        if own is not None and report.driven_m is not None and report.gps_sigma_m is not None:
-            self.by_gps = None if then is None else Anchor(own.lat_deg, own.lon_deg, report.gps_sigma_m, then)
-            self._by_gps_m = report.driven_m
+    def keep(self, t_ns: int, own: Own, *, is_by_gps: bool) -> float | None:
+        """Keep what bounds it, once a second; what was kept where nothing does, as far as that still holds.
 
-    def sigma_m(self, report: Report, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:
-        """One standard deviation, None where nothing bounds it; velocity_error: as a share."""
-        if self.bound is None or self._has_run_away or not report.is_aided or report.driven_m is None:
+        is_by_gps: whether GPS bounds it now.
+        """
+        if is_by_gps and (self._sent_ns is None or t_ns - self._sent_ns > SETTLED_NS):
+            self.rests_on_fixes = False
+        if own.runs_away:
+            self._kept = None
+        if t_ns < self._due_ns or not own.is_aided:
             return None
-        driven_m = max(0.0, report.driven_m - self.bound.driven_m)
+        self._due_ns = t_ns + PERIOD_NS
+        sigma_m, position, before = self.sigma_m(own), own.position, self._kept
+        if position is None or own.speed_mps is None or own.system_id is None or own.booted_ns is None:
+            return None
+        where = own.speed_mps, position.lat_deg, position.lon_deg, self.rests_on_fixes
+        now = Kept(own.system_id, own.booted_ns, t_ns, sigma_m or 0.0, *where)
+        if sigma_m is not None:
+            self._kept = now
+            return None
+        since_m = None if before is None else before.since(now, self._drift)
+        if before is not None and since_m is not None:
+            self.rests_on_fixes |= before.by_fixes
+        return since_m
+
+    def snapshot(self) -> bytes:
+        """What is kept, b"" for nothing."""
+        return b"" if self._kept is None else msgspec.json.encode(self._kept)
+
+    def restore(self, kept: bytes) -> None:
+        """Bind by what was kept, once the autopilot is known to be the same, and not to have rebooted since.
+
+        Ignored where it is damaged.
+        """
+        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
+            self._kept = msgspec.json.decode(kept, type=Kept)
+
+    def anchor(self, own: Own) -> None:
+        """GPS has the vehicle where the autopilot believes it to be."""
+        position, then = own.position, own.motion
+        if position is not None and own.driven_m is not None and own.gps_sigma_m is not None:
+            where = position.lat_deg, position.lon_deg, own.gps_sigma_m
+            self.by_gps = None if then is None else Anchor(*where, then)
+            self._by_gps_m = own.driven_m
+
+    def sigma_m(self, own: Own, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:
+        """One standard deviation, None where nothing bounds it; velocity_error: as a share."""
+        if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
+            return None
+        driven_m = max(0.0, own.driven_m - self.bound.driven_m)
         return max(math.hypot(self.bound.sigma_m, max(self._drift, velocity_error) * driven_m), least_m)
 
-    def reckoned(self, fix: PlaceFix, displacement: Displacement | None, report: Report) -> Reckoned | None:
+    def reckoned(self, fix: PlaceFix, motion: Displacement | None, own: Own) -> Reckoned | None:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
-        if self.by_gps is None or displacement is None or report.driven_m is None or not fix.is_position:
+        if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None
         drift = max(self._drift, fix.velocity_error)
-        return self.by_gps.reckoned(fix, displacement, drift, max(0.0, report.driven_m - self._by_gps_m))
+        return self.by_gps.reckoned(fix, motion, drift, max(0.0, own.driven_m - self._by_gps_m))

@@ -17,10 +17,9 @@ from dataclasses import replace
 from edge.config import Config, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.gps_referee import Comparison, GpsFix, GpsReferee, GpsVerdict
+from edge.localization.events import Frame, GpsFix, Own
+from edge.localization.gps_referee import Comparison, GpsReferee, GpsVerdict
 from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
-from edge.localization.report import Report
 from edge.localization.route_estimate import CORRELATION_M
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
@@ -51,8 +50,8 @@ class GpsJudge:
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_wrong = False
         """Whether GPS was called wrong, and has not agreed since."""
-        self.agrees = False
-        """Whether the newest verdict is that it does; False where nothing can be said."""
+        self.published = GpsVerdict()
+        """What the places say of GPS, "wrong" until it agrees again."""
 
     def use_route(self, route: Route) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
@@ -63,32 +62,24 @@ class GpsJudge:
         if self._unseen_road is not None:
             self._unseen_road.reset()
 
-    def update(
-        self,
-        match: PlaceMatch | None,
-        gps: GpsFix | None,
-        displacement: Displacement | None,
-        report: Report,
-        anchor: Anchor | None,
-        missed: int,
-        undated_m: float = 0.0,
-    ) -> bool:
+    def update(self, frame: Frame, own: Own, anchor: Anchor | None, undated_m: float = 0.0) -> bool:
         """Compare GPS with the place of a frame at which the vehicle moved; True where it is called wrong by that.
 
         anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
         """
         assert self._route is not None and self._unseen_road is not None
-        if report.gps_sigma_m is None and anchor is not None:
+        match, gps = frame.match, frame.gps
+        if own.gps_sigma_m is None and anchor is not None:
             self._referee.keep_until_lost(anchor)
         comparison = None
         if match is not None:
             comparison = compare(match, gps, self._route, self._rig, self._length, undated_m)
         if comparison is not None:
-            heading_deg = None if report.position is None else report.position.heading_deg
+            heading_deg = None if own.position is None else own.position.heading_deg
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
-            comparison = replace(comparison, displacement=displacement) if heads else None
+            comparison = replace(comparison, displacement=frame.motion) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
-        verdict = self._referee.update(comparison, missed)
+        verdict = self._referee.update(comparison, frame.missed)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
         self._is_unseen = self._unseen_road.update(match, gps, doubt)
         return verdict.state == "wrong" and not was_wrong
@@ -110,30 +101,30 @@ class GpsJudge:
         """Whether positions are published as if GPS were lost."""
         return self.is_wrong and self._acts
 
-    def use(self, verdict: GpsVerdict, report: Report) -> GpsVerdict:
-        """Go by a verdict from now on; it stays "wrong" until GPS agrees again."""
-        self.agrees = verdict.state == "agrees"
-        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and not self.agrees)
+    def use_verdict(self, own: Own) -> None:
+        """Go by the newest verdict from now on; it stays "wrong" until GPS agrees again."""
+        verdict = self.verdict
+        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and verdict.state != "agrees")
         if not self.is_wrong:
-            self._error_m = None
-            return verdict
-        if report.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
+            self._error_m, self.published = None, verdict
+            return
+        if own.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
             self._error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
-        return replace(verdict, state="wrong", doubt=1.0)
+        self.published = replace(verdict, state="wrong", doubt=1.0)
 
     def bound(self) -> None:
         """The autopilot is where a position has put it: the error of GPS is no longer in it."""
         self._error_m = None
 
-    def believed(self, report: Report) -> Report:
-        """A report without a GPS that is ignored, and without the error of GPS that the autopilot has followed."""
+    def believed(self, own: Own) -> Own:
+        """What the autopilot reports, without a GPS that is ignored, and without the error of GPS that it followed."""
         if self.is_ignored:
-            report = replace(report, gps="not healthy", gps_sigma_m=None)
-        own = report.position
-        if own is None or self._error_m is None:
-            return report
-        lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, -self._error_m[0], -self._error_m[1])
-        return replace(report, position=replace(own, lat_deg=lat_deg, lon_deg=lon_deg))
+            own = replace(own, gps="not healthy", gps_sigma_m=None)
+        position = own.position
+        if position is None or self._error_m is None:
+            return own
+        lat_deg, lon_deg = moved(position.lat_deg, position.lon_deg, -self._error_m[0], -self._error_m[1])
+        return replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
 
 
 def compare(

@@ -56,15 +56,6 @@ COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
 @dataclass(frozen=True)
-class GpsFix:
-    """Where GPS says that the vehicle is at an exposure: degrees (WGS 84), one standard deviation in each direction."""
-
-    lat_deg: float
-    lon_deg: float
-    sigma_m: float
-
-
-@dataclass(frozen=True)
 class Comparison:
     """GPS less place, at one exposure: meters along the road and to its left, with one standard deviation of each.
 

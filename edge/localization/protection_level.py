@@ -21,6 +21,7 @@ from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
 from edge.localization.bound import Reckoned
+from edge.localization.events import ProtectionLevel
 from edge.localization.route_estimate import CORRELATION_M
 
 MODEL_ERROR = 1.2
@@ -32,22 +33,6 @@ LEAST_MPS = 1.0
 """A slower vehicle counts as driving at this speed."""
 NEVER = 1e-300
 """A probability that rounding cannot make 0."""
-
-
-@dataclass(frozen=True)
-class ProtectionLevel:
-    """Meters along the road and across it, infinite where nothing bounds the position."""
-
-    along_m: float
-    across_m: float
-
-    def is_within(self, limit_m: float) -> bool:
-        """Whether neither is above a limit."""
-        return max(self.along_m, self.across_m) <= limit_m
-
-    def or_more(self, other: ProtectionLevel) -> ProtectionLevel:
-        """The larger one of both in each direction."""
-        return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
 
 
 @dataclass(frozen=True)

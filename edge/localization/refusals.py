@@ -1,111 +1,137 @@
 """Why a position may not be published: every reason, in the order of the checks. docs/positions.md shows the table.
 
-A position passes only if none holds, and what is not known counts as against it.
+A position passes only if none holds, and what is not known counts as against it. One may rest on those before it, so
+none is asked after one that holds.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple
 
-Reason: TypeAlias = Literal[
-    "no position in the map",
-    "too old",
-    "GPS is healthy",
-    "GPS is unknown",
-    "the speed is not known",
-    "standing",
-    "too soon",
-    "the newest matches disagree",
-    "the displacement is not known",
-    "impossibly far",
-    "not confirmed by another place yet",
-    "its protection level is above the alert limit",
-    "less accurate than the autopilot",
-]
+from edge.journal.records import PlaceFix
+from edge.localization.events import ProtectionLevel
+from edge.localization.integrity import Facts
 
 
 class Rule(NamedTuple):
-    """A reason as the journal has it; when it holds; what would happen without it; the test that fails without it."""
+    """A reason as the journal and the pilot have it; when it holds; what would happen without it; the test that fails
+    without it; its predicate. detail: what else is said of it. is_certain: whether the place is certain enough by then.
+    """
 
-    reason: Reason
+    reason: str
     when: str
     hazard: str
     test: str
+    holds: Callable[[Facts], bool]
+    detail: Callable[[Facts], str] = lambda facts: ""
+    is_certain: bool = False
 
 
+TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
+    Rule(
+        TWO_AUTOPILOTS,
+        "positions or velocities of two vehicles come in turns",
+        "nothing is known of either, and both use what is sent",
+        "test_two_autopilots_with_the_same_ids_get_no_position",
+        lambda now: now.own.is_doubled,
+    ),
+    Rule(
+        "nothing is recognized now",
+        "the pictures are dark, frozen or of an unknown time, or the vehicle is off the map",
+        "the vehicle is moved to where it was recognized last",
+        "test_situations_in_which_nothing_is_published",
+        lambda now: bool(now.limits.unable),
+        lambda now: now.limits.unable,
+    ),
+    Rule(
+        "the places do not agree yet",
+        "no place was recognized lately, or where it was the vehicle is not any more",
+        "there is nothing to publish",
+        "test_situations_in_which_nothing_is_published",
+        lambda now: now.fix is None,
+    ),
     Rule(
         "no position in the map",
         "the map has no position at this place, or one that is not finite",
         "the vehicle is sent anywhere",
         "test_fixes_that_are_not_published",
+        lambda now: not now.place.is_position,
     ),
     Rule(
         "too old",
         "its exposure is older than the message allows, or lies ahead",
         "the vehicle is moved to where it was",
         "test_situations_in_which_nothing_is_published",
+        lambda now: not 0 <= now.age_s <= now.limits.oldest_s,
     ),
     Rule(
         "GPS is healthy",
         "GPS works, and `with_gps` is not set",
         "a better position is made worse",
         "test_situations_in_which_nothing_is_published",
+        lambda now: now.own.gps == "healthy" and not (now.gates.with_gps or now.limits.with_gps),
     ),
     Rule(
         "GPS is unknown",
         "a receiver is silent or unsteady, or the filter does not use it",
         "two positions compete in the filter",
         "test_situations_in_which_nothing_is_published",
+        lambda now: now.own.gps == "unknown" and not (now.gates.with_gps or now.limits.with_gps),
+        lambda now: now.own.gps_why,
     ),
     Rule(
         "the speed is not known",
         "no speed has come for a second",
         "nobody knows how old the picture's place is in meters",
         "test_situations_in_which_nothing_is_published",
+        lambda now: now.own.speed_mps is None or not math.isfinite(now.own.speed_mps),
     ),
     Rule(
         "standing",
         "slower than `min_speed_mps`",
         "one error is sent again and again, and the filter believes it more each time",
         "test_situations_in_which_nothing_is_published",
-    ),
-    Rule(
-        "too soon",
-        "the last one was less than the message's period ago",
-        "errors that are alike count as many",
-        "test_situations_in_which_nothing_is_published",
+        lambda now: (now.own.speed_mps or 0.0) < now.gates.min_speed_mps,
     ),
     Rule(
         "the newest matches disagree",
         "matches or reckoning contradict the estimate",
         "the vehicle follows one of two places",
         "test_fixes_that_are_not_published",
+        lambda now: now.place.disputed,
     ),
     Rule(
         "the displacement is not known",
         "the autopilot reports no velocity",
         "nothing says whether places move as the vehicle does",
         "test_situations_in_which_nothing_is_published",
+        lambda now: now.motion is None,
     ),
     Rule(
         "impossibly far",
         "over `max_move_m` from where GPS or a position bounded the autopilot",
         "a single error carries the vehicle away",
         "test_fixes_that_are_not_published",
+        lambda now: now.move_m > now.gates.max_move_m,
     ),
     Rule(
         "not confirmed by another place yet",
         "the probability of another place is above `risk`",
         "a wrong map, or a road that resembles it, moves the vehicle",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
+        lambda now: not now.claim.observations or now.wrong > now.gates.risk,
     ),
     Rule(
         "its protection level is above the alert limit",
         "`alert_limit_m` is set, and the level along or across is above it",
         "the vehicle goes on where it may be further off than it can tolerate",
         "test_a_position_above_the_alert_limit_is_not_published",
+        lambda now: not now.level.is_within(now.gates.alert_limit_m or math.inf),
+        is_certain=True,
     ),
     Rule(
         "less accurate than the autopilot",
@@ -113,16 +139,37 @@ RULES = (
         "any of over 10 m where nothing measures the velocity",
         "a good position is replaced by a worse one",
         "test_a_reset_never_makes_a_position_less_accurate",
+        lambda now: now.place.sigma_m > now.most_sigma_m,
+        is_certain=True,
     ),
 )
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a fix is withheld. distance_m: from the autopilot's own position, None if unknown."""
+    """Why a position is withheld.
 
-    reason: Reason
+    detail: what else is known of the reason. fix: the position, None where there is none. distance_m: from the
+    autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
+    """
+
+    reason: str
+    detail: str = ""
+    fix: PlaceFix | None = None
     distance_m: float | None = None
+    level: ProtectionLevel | None = None
+
+    def __str__(self) -> str:
+        return f"{self.reason}: {self.detail}" if self.detail else self.reason
+
+
+def refusal(facts: Facts) -> Refusal | None:
+    """The first reason that holds, None where a position may be published."""
+    rule = next((one for one in RULES if one.holds(facts)), None)
+    if rule is None:
+        return None
+    level = facts.level if rule.is_certain else None
+    return Refusal(rule.reason, rule.detail(facts), facts.fix, facts.distance_m, level)
 
 
 def as_table() -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.backoff import BackOff
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
-from edge.localization import AGREE_SIGMAS, Decision, PlaceFix, PositionEstimator, offset_m
+from edge.localization import AGREE_SIGMAS, Drive, Fix, PlaceFix, Used, offset_m
 from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
@@ -117,23 +117,27 @@ class Command:
 
 @dataclass(frozen=True)
 class Sent:
-    """A position that was sent at `at_ns` of CLOCK_MONOTONIC, and the decision that it may be.
+    """A position that was sent at `at_ns` of CLOCK_MONOTONIC.
 
     own: the autopilot's position then, None where it had none. is_again: since the first was not answered. recorded_ns:
     when one was recorded last, this or an earlier one.
     """
 
-    fix: PlaceFix
+    fix: Fix
     at_ns: int
     own: VehiclePosition | None
-    decision: Decision
     is_again: bool = False
     recorded_ns: int = 0
 
     @property
+    def place(self) -> PlaceFix:
+        """What was sent."""
+        return self.fix.place
+
+    @property
     def move_m(self) -> tuple[float, float]:
         """Meters east and north from the autopilot's position to it; by how much that should jump."""
-        return (0.0, 0.0) if self.own is None else offset_m(self.own, self.fix)
+        return (0.0, 0.0) if self.own is None else offset_m(self.own, self.place)
 
     @property
     def distance_m(self) -> float:
@@ -153,15 +157,15 @@ class Sent:
 
     def moved(self, remaining_m: float) -> bool:
         """Whether so little remains that the autopilot has come nearer: half, or one standard deviation."""
-        return remaining_m <= max(self.fix.sigma_m, self.distance_m / 2)
+        return remaining_m <= max(self.place.sigma_m, self.distance_m / 2)
 
 
 class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
-    def __init__(self, vehicle: Vehicle, estimator: PositionEstimator, publisher: Publisher) -> None:
-        """estimator: bound by each position that was used."""
-        self._vehicle, self._estimator, self._publisher = vehicle, estimator, publisher
+    def __init__(self, vehicle: Vehicle, drive: Drive, publisher: Publisher) -> None:
+        """drive: gets each position that was used."""
+        self._vehicle, self._drive, self._publisher = vehicle, drive, publisher
         self.new_session()
 
     def new_session(self) -> None:
@@ -193,26 +197,21 @@ class PositionUse:
             log.error("the autopilot uses no positions: %s; see firmware_config", unused)
             self._publisher.warn(f"Lookback: positions unused: {unused}")
         self._unused = unused
-        distance_m, sigma_m = sent.distance_m, sent.fix.sigma_m
+        distance_m, sigma_m = sent.distance_m, sent.place.sigma_m
         began = self._stream = sent if is_new else self._stream
         if began is not None and sent.at_ns - began.at_ns >= STREAM_NS:
-            was_far = began.distance_m > FAR_SIGMAS * began.fix.sigma_m
+            was_far = began.distance_m > FAR_SIGMAS * began.place.sigma_m
             self._stream = None if was_far else sent
             if was_far:
                 moved = distance_m <= max(sigma_m, began.distance_m / 2)
-                self._publish_check(sent.fix, distance_m, "fixes sent", moved=moved)
+                self._publish_check(sent.place, distance_m, "fixes sent", moved=moved)
         # So near, an autopilot follows the stream.
         if distance_m <= AGREE_SIGMAS * sigma_m:
-            self.bind(max(sigma_m, distance_m), sent.at_ns)
-
-    def bind(self, sigma_m: float, now_ns: int) -> None:
-        """The autopilot has used a position: its own is as good as that."""
-        decision = Decision(None) if self.newest is None else self.newest.decision
-        self._estimator.bind(sigma_m, self._vehicle.report(now_ns), decision.bound_wrong)
+            self._drive.update(sent.at_ns, Used(sent.fix, distance_m))
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The autopilot has answered the newest position."""
-        fix = self.newest.fix if self.newest is not None and self.command.is_waiting else None
+        fix = self.newest.place if self.newest is not None and self.command.is_waiting else None
         verdict = self.command.read(result, now_ns)
         if verdict == "wait" or fix is None:
             return
@@ -226,20 +225,20 @@ class PositionUse:
             self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
 
     def overdue(self, now_ns: int) -> Sent | None:
-        """The position whose answer did not come in time; None while there is none."""
-        return self.newest if self.command.is_overdue(now_ns) else None
-
-    def withdraw(self) -> None:
-        """What was not answered is not sent again."""
-        if self.newest is not None and self.command.is_waiting:
-            self.newest = replace(self.newest, is_again=True)
+        """The position whose answer did not come in time, the first time; None while there is none."""
+        if not self.command.is_overdue(now_ns) or self.newest is None:
+            return None
+        if self.newest.is_again:
+            self.give_up()
+            return None
+        return self.newest
 
     def give_up(self) -> None:
         """A position that is not answered is not sent again."""
         self.command.give_up()
         self._drop_followed()
         if self.newest is not None:
-            self._publisher.record(FixAnswered(self.newest.fix.place, NO_ANSWER, self.newest.fix.map))
+            self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
 
     def _drop_followed(self) -> None:
         """What was not accepted moves nothing."""
@@ -257,9 +256,9 @@ class PositionUse:
         if not moved and now_ns - accepted_ns < MOVED_NS:
             return
         self._followed = None
-        self._publish_check(sent.fix, remaining_m, "fix accepted", moved=moved)
+        self._publish_check(sent.place, remaining_m, "fix accepted", moved=moved)
         if moved:
-            self.bind(max(sent.fix.sigma_m, remaining_m), now_ns)
+            self._drive.update(now_ns, Used(sent.fix, remaining_m))
         else:
             self.command.failed(now_ns)
 

@@ -14,19 +14,30 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import Config, GatesConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
-from edge.localization import GpsVerdict, PlaceFix, PositionEstimator
+from edge.localization import (
+    PERIOD_NS,
+    TWO_AUTOPILOTS,
+    Break,
+    Drive,
+    Fix,
+    GpsVerdict,
+    Limits,
+    Own,
+    PlaceFix,
+    PositionEstimator,
+    Refusal,
+)
 from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.kept_bound import KeptBound
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
-from edge.telemetry.own_bound import OwnBound
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
-from edge.telemetry.position_messages import TimeBase
 from edge.telemetry.position_sender import PositionSender, level_m
 from edge.telemetry.signing import Signer, load_key
-from edge.telemetry.vehicle import DOUBLED, FIRST_SYSTEM_ID, Vehicle
+from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
@@ -62,13 +73,13 @@ class AutopilotConnection:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
-        estimator: PositionEstimator | None = None,
+        drive: Drive | None = None,
         *,
         motion: str = "off",
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
 
-        estimator: decides on each position, and reads what bounds the autopilot's own; None: one without maps.
+        drive: gets what the autopilot reports and does; None: one without maps.
         motion: [motion] use.
         """
         self.config, self.clock_ns, self.record = config, clock_ns, record
@@ -82,12 +93,13 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), vehicle, record)
             for number, link in enumerate(config.links, start=1)
         ]
-        self.estimator = estimator = estimator or PositionEstimator(Config(gates=gates))
+        self.drive = drive = drive or Drive(PositionEstimator(Config(gates=gates)))
         publisher = Publisher(record, self._warn)
-        self.positions = PositionSender(config, gates, vehicle, estimator, publisher)
-        journal = Path(config.journal) if config.journal else None
-        remembered = journal and journal.with_suffix(".bound")
-        self._bound = OwnBound(remembered, gates.drift_percent, vehicle, estimator, self._warn)
+        self.positions = PositionSender(config, gates, vehicle, drive, publisher)
+        self._kept = KeptBound(Path(config.journal).with_suffix(".bound") if config.journal else None)
+        drive.restore(clock_ns(), self._kept.read())
+        self._keep_ns = 0
+        self._own: Own | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=motion == "send" and config.emit != "report")
         self._gps_news = GpsNews(publisher)
         self.services: list[Service] = []
@@ -104,33 +116,31 @@ class AutopilotConnection:
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
         is_new = self._gps_news.publish(verdict)
-        if is_new and self.estimator.ignores_gps and not self.velocity_aid.is_known(self.clock_ns()):
+        if is_new and self.drive.known.ignores_gps and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
 
     @property
     def why_no_position(self) -> str:
         """Why no position is sent, for people; "" while one is, and without a link."""
-        if self.state != "up":
-            return ""
-        return DOUBLED if self.vehicle.is_doubled else self.positions.why_none(self.clock_ns())
+        return self.positions.why_none(self.clock_ns()) if self.state == "up" else ""
 
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self.estimator.gps_is_wrong else ""
+        return "GPS is wrong" if self.drive.known.gps.state == "wrong" else ""
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
         now_ns = self.clock_ns()
         own, is_healthy = self.vehicle.position(now_ns), self.vehicle.session.gps.state(now_ns) == "healthy"
-        is_good = is_healthy and not (self.gps_fault or self.estimator.ignores_gps)
+        is_good = is_healthy and not self.gps_fault
         return own.speed_mps if own is not None and is_good and now_ns - own.stamp_ns <= GPS_SPEED_NS else None
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
         now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
-        along_m, across_m = level_m(sent.decision.level) if sent else (None, None)
+        along_m, across_m = level_m(sent.fix.level) if sent else (None, None)
         return LinkStatus(
             state=self.state,
             connection=self.config.connection,
@@ -147,7 +157,7 @@ class AutopilotConnection:
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
             sent_ns=sent.at_ns if sent else None,
-            sent_sigma_m=round(sent.fix.sigma_m, 2) if sent else None,
+            sent_sigma_m=round(sent.place.sigma_m, 2) if sent else None,
             level_along_m=along_m,
             level_across_m=across_m,
         )
@@ -182,21 +192,24 @@ class AutopilotConnection:
             link.publish_place(fix, now_ns)
         self._update_state()
 
-    def position_due(self) -> TimeBase | None:
-        """The moment of the position that is due to the autopilot: the last exposure's, or now. None while none is."""
-        is_known = self.state == "up" and not self.vehicle.is_doubled
-        return self.positions.due(self.clock_ns()) if is_known else None
+    def position_due(self) -> Limits | None:
+        """What holds for the position that is due to the autopilot, by [telemetry] emit; None while none is."""
+        return self.positions.due(self.clock_ns()) if self.state == "up" else None
 
-    def send_position(self, fix: PlaceFix) -> bool:
-        """Send the autopilot a position, by the message of [telemetry] emit and if [gates] allow; True if it was sent.
-
-        The fix is of the moment that `position_due` returned.
-        """
-        if self.position_due() is None:
-            return False
-        messages = self.positions.send(fix, self.clock_ns())
+    def send_position(self, answer: Fix | Refusal) -> bool:
+        """Send the autopilot the position that was due, or publish why there is none; True if it was sent."""
+        messages = self.positions.send(answer, self.clock_ns())
         self.send(messages)
         return bool(messages)
+
+    def report_own(self) -> None:
+        """What the autopilot reports, to the estimator, where it is something new."""
+        now_ns = self.clock_ns()
+        own = self.vehicle.own(now_ns)
+        if own != self._own:
+            self._own = own
+            self.drive.update(now_ns, own)
+            self.vehicle.velocity.has_our_position = self.drive.known.rests_on_fixes
 
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Queue a line for the pilot on every link; at most two a second are sent, and of many only the newest."""
@@ -214,7 +227,7 @@ class AutopilotConnection:
 
         Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
-        if self.estimator.ignores_gps:  # it agreed before, and has been called wrong since
+        if self.drive.known.ignores_gps:  # it agreed before, and has been called wrong since
             return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self.clock_ns()) if self.state == "up" else []
@@ -262,7 +275,7 @@ class AutopilotConnection:
             return
         receiver = vehicle.session.gps.behind(own, now_ns)
         source: PositionSource = "dead_reckoning"
-        sigma_m = self.estimator.uncertainty_m(vehicle.report(now_ns))
+        sigma_m = self.drive.known.own_sigma_m
         if vehicle.velocity.has_our_position:
             source = "place_fixes"
         elif receiver is not None:
@@ -279,7 +292,7 @@ class AutopilotConnection:
             self.positions.read_acknowledgement(message.command, message.result, now_ns)
 
     def _update_aid(self, now_ns: int) -> None:
-        is_by_gps = self.vehicle.session.gps.state(now_ns) == "healthy" and not self.estimator.ignores_gps
+        is_by_gps = self.vehicle.session.gps.state(now_ns) == "healthy" and not self.drive.known.ignores_gps
         positions = self.positions
         self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
@@ -291,18 +304,22 @@ class AutopilotConnection:
         if self.requests.session is not self.vehicle.session:
             self.requests = Requests(self.config, self.vehicle, asks_attitude=self._asks_attitude)
             self.positions.new_session()
+            self.drive.update(now_ns, Break("reboot"))
             self.history.clear()
         if self.vehicle.is_doubled != self._was_doubled:
             self._was_doubled = self.vehicle.is_doubled
-            why = DOUBLED if self._was_doubled else ""
+            why = TWO_AUTOPILOTS if self._was_doubled else ""
             self.record(LinkChanged(self.state, why))
             if why:
                 self._warn(f"Lookback: {why}")
         self.send(self.requests.due(self.clock_ns()))
         if self.positions.enabled:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
-        runs_away = not self.vehicle.velocity.is_aided and self.velocity_aid.without_gps is not None
-        self._bound.follow(self.positions.use, now_ns, runs_away=runs_away)
+        self.report_own()
+        self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.known.is_bounded)
+        if now_ns >= self._keep_ns:
+            self._keep_ns = now_ns + PERIOD_NS
+            self._kept.keep(self.drive.snapshot())
         self.send(self.positions.follow_up(now_ns))
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)

@@ -210,6 +210,7 @@ class VelocityAid:
         self.without_gps = velocity_aid(self._vehicle, source_set)
         velocity, is_px4 = self._vehicle.velocity, self._vehicle.session.autopilot == PX4
         velocity.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
+        velocity.runs_away = not velocity.is_aided and self.without_gps is not None
         velocity.is_aided_by_camera = is_px4 and not is_by_gps and self.sends and self.without_gps == VISION
 
     def warn_without(self, *, all_came: bool) -> None:

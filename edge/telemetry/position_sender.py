@@ -1,27 +1,29 @@
-"""Positions for the autopilot: by which message, and whether now. No I/O.
+"""Positions for the autopilot: by which message, and when one is due. No I/O.
 
-A fix passes the gates, is encoded as the chosen message, and is followed until the next one (`PositionUse`). Every
-change is recorded in the journal; repetitions are not.
+A fix is encoded as the chosen message, and followed until the next one (`PositionUse`). Every change is recorded in the
+journal; repetitions are not.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
-from msgspec.structs import replace
+from msgspec import structs
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     CORRELATION_M,
-    Decision,
+    Drive,
+    Fix,
     Limits,
     PlaceFix,
-    PositionEstimator,
     ProtectionLevel,
     Refusal,
+    Used,
     distance_from,
 )
 from edge.telemetry import encoders
@@ -32,7 +34,6 @@ from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import (
     POSITION_MESSAGES,
     PositionMessage,
-    TimeBase,
     suitable_message,
     unused_because,
 )
@@ -51,26 +52,26 @@ class PositionSender:
         telemetry: TelemetryConfig,
         gates: GatesConfig,
         vehicle: Vehicle,
-        estimator: PositionEstimator,
+        drive: Drive,
         publisher: Publisher,
     ) -> None:
-        """estimator: decides on each position, and is bound by those that were used."""
+        """drive: gets what becomes of each position."""
         self._telemetry, self._gates = telemetry, gates
-        self._estimator = estimator
+        self._drive = drive
         self._vehicle = vehicle
         self._publisher = publisher
         self.message: PositionMessage | None = None
         self.why = ""
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
-        self.use = PositionUse(vehicle, estimator, publisher)
+        self.use = PositionUse(vehicle, drive, publisher)
         self._withheld: FixWithheld | None = None
+        self._nothing: Refusal | None = None  # the newest of those without a position
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
         self.use.new_session()
         self.sources.new_session()
-        self._estimator.restart()
         self._choose()
 
     def _choose(self) -> None:
@@ -91,23 +92,33 @@ class PositionSender:
         """Whether positions are sent at all, when the gates allow."""
         return self.message is not None and not self.use.command.is_refused
 
-    def due(self, now_ns: int) -> TimeBase | None:
-        """The time base of the fix that is due now, None while none is."""
-        if self.message is None or not self.use.command.allows(now_ns):
+    def due(self, now_ns: int) -> Limits | None:
+        """What holds for the position that is due now, None while none is; once more for one that was not answered."""
+        message, use = self.message, self.use
+        if message is None:
             return None
-        return self.message.time_base if self._since_s(now_ns) >= self._period_s(self.message) else None
+        limits = Limits(message.time_base, message.max_age_s, message.acknowledged)
+        overdue = use.overdue(now_ns)
+        if overdue is not None:
+            return replace(limits, again=overdue.fix)
+        return limits if use.command.allows(now_ns) and self._since_s(now_ns) >= self._period_s(message) else None
 
-    def send(self, fix: PlaceFix, now_ns: int) -> list[Message]:
-        """The messages that carry the fix, if it is due and every gate lets it pass."""
-        newest = self.use.newest
-        if self.due(now_ns) is None or self.message is None or (newest and fix.stamp_ns == newest.fix.stamp_ns):
+    def send(self, answer: Fix | Refusal, now_ns: int) -> list[Message]:
+        """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
+        overdue, newest = self.use.overdue(now_ns), self.use.newest
+        place = answer.place if isinstance(answer, Fix) else answer.fix
+        is_again = overdue is not None and place is overdue.place
+        if newest and place is not None and place.stamp_ns == newest.place.stamp_ns and not is_again:
             return []  # the last exposure was sent already
-        decision = self._decide(fix, now_ns, self.message)
-        if decision.refusal is not None:
-            self._withhold(fix, decision.refusal, now_ns)
-            return []
-        self._withheld = None
-        return self._encode(fix, now_ns, self.message, decision)
+        messages: list[Message] = []
+        if isinstance(answer, Fix) and self.message is not None:
+            self._withheld = None
+            messages = self._encode(answer, now_ns, self.message, again=is_again)
+        elif isinstance(answer, Refusal) and overdue is None:
+            self._withhold(answer)
+        if overdue is not None and not messages:
+            self.use.give_up()
+        return messages
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -115,13 +126,6 @@ class PositionSender:
     def _since_s(self, now_ns: int) -> float:
         """Seconds since the newest position was sent; endless before the first."""
         return math.inf if self.use.newest is None else (now_ns - self.use.newest.at_ns) / 1e9
-
-    def _decide(self, fix: PlaceFix, now_ns: int, message: PositionMessage, period_s: float | None = None) -> Decision:
-        period_s = self._period_s(message) if period_s is None else period_s
-        limits = Limits(period_s, message.max_age_s, message.acknowledged)
-        sent_ns = None if self.use.newest is None else self.use.newest.at_ns
-        displacement = self._vehicle.motion.displacement(fix.stamp_ns)
-        return self._estimator.decide(fix, limits, sent_ns, self._vehicle.report(now_ns), displacement)
 
     def why_none(self, now_ns: int) -> str:
         """Why no position has been sent for a while, for people; "" where one has been."""
@@ -133,46 +137,46 @@ class PositionSender:
             return ""
         withheld = self._withheld
         if withheld is None:
-            return "the places do not agree yet"
+            return str(self._nothing or "")
         is_far = withheld.reason == "impossibly far" and withheld.distance_m is not None
         return f"{withheld.reason}, {withheld.distance_m:.0f} m" if is_far else withheld.reason
 
-    def _withhold(self, fix: PlaceFix, refused: Refusal, now_ns: int) -> None:
-        why = f": {self._vehicle.session.gps.why(now_ns)}" if refused.reason == "GPS is unknown" else ""
-        if self._withheld is not None and refused.reason + why == self._withheld.reason:
-            return
-        distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
-        self._withheld = FixWithheld(fix.place, refused.reason + why, distance_m, fix.map)
-        self._publisher.record(self._withheld)
+    def _withhold(self, refused: Refusal) -> None:
+        fix, before = refused.fix, self._withheld
+        if fix is None:
+            self._nothing = refused
+        elif before is None or str(refused) != before.reason:
+            distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
+            self._withheld = FixWithheld(fix.place, str(refused), distance_m, fix.map)
+            self._publisher.record(self._withheld)
 
-    def _encode(
-        self, fix: PlaceFix, now_ns: int, message: PositionMessage, decision: Decision, *, again: bool = False
-    ) -> list[Message]:
+    def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
-        vehicle = self._vehicle
+        vehicle, place = self._vehicle, fix.place
         boot_s = vehicle.boot_time_s(now_ns)
         if boot_s is None:
             return []
         own, newest = vehicle.position(now_ns), self.use.newest
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
-        sent = Sent(fix, now_ns, own, decision, again, now_ns if is_recorded else recorded_ns)
+        sent = Sent(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
             unused = unused_because(session.autopilot, session.parameters, message.name, sensor_id)
+        self._drive.update(now_ns, Used(fix))
+        vehicle.velocity.has_our_position = True
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
-        sending = Sending(vehicle.target_id, boot_s, age_s=(now_ns - fix.stamp_ns) / 1e9, sensor_id=sensor_id)
+        sending = Sending(vehicle.target_id, boot_s, age_s=(now_ns - place.stamp_ns) / 1e9, sensor_id=sensor_id)
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
-            values = encoders.protection_values(decision.level, round(1000 * boot_s))
-        vehicle.velocity.has_our_position = True
+            values = encoders.protection_values(fix.level, round(1000 * boot_s))
         if not (message.acknowledged or vehicle.velocity.is_aided):
-            fix = self._one_of_many(fix, now_ns, self._period_s(message))
-        return [message.encode(fix, sending), *values]
+            place = self._one_of_many(place, now_ns, self._period_s(message))
+        return [message.encode(place, sending), *values]
 
     def _record(self, sent: Sent, message: PositionMessage, sending: Sending) -> None:
-        fix, own = sent.fix, sent.own
+        fix, own = sent.place, sent.own
         self._publisher.record(
             FixSent(
                 fix.place,
@@ -185,7 +189,7 @@ class PositionSender:
                 round(distance_from(own, fix), 3) if own else None,
                 sent.is_again,
                 fix.map,
-                *level_m(sent.decision.level),
+                *level_m(sent.fix.level),
             )
         )
 
@@ -193,7 +197,7 @@ class PositionSender:
         """The fix with a larger sigma: all within a correlation length have one error, and share its information."""
         speed_mps = self._vehicle.motion.speed_mps(now_ns) or 0.0
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
-        return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
+        return structs.replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
@@ -203,39 +207,26 @@ class PositionSender:
             self.use.read_acknowledgement(result, now_ns)
 
     def follow_up(self, now_ns: int) -> list[Message]:
-        """To be called often: select sources, send again what was not answered, check what was accepted."""
+        """To be called often: select sources, check what was accepted."""
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
         messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
         self.use.check(now_ns)
-        return messages + self._send_again(now_ns)
+        return messages
 
     def _choose_sources(self, *, works: bool) -> None:
         """The second set where GPS is ignored and positions are sent in its place; the first once GPS agrees again.
 
         Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
         """
-        if self._estimator.ignores_gps:
+        known = self._drive.known
+        if known.ignores_gps:
             is_ardupilot = self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
             if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
                 self.sources.wanted = SET_WITHOUT_GPS
-        elif works and self._estimator.gps_agrees:
+        elif works and known.gps.state == "agrees":
             self.sources.wanted = GPS_SET
-
-    def _send_again(self, now_ns: int) -> list[Message]:
-        """A fix that was not answered, once, unless it is stale by now, the vehicle stands, or GPS is back."""
-        overdue = self.use.overdue(now_ns)
-        if overdue is None or self.message is None:
-            return []
-        messages: list[Message] = []
-        if not overdue.is_again:
-            decision = self._decide(overdue.fix, now_ns, self.message, period_s=0.0)
-            if decision.refusal is None:
-                messages = self._encode(overdue.fix, now_ns, self.message, decision, again=True)
-        if not messages:
-            self.use.give_up()
-        return messages
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:

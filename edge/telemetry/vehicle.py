@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition
-from edge.localization import DeadReckoning, GpsFix, Report
+from edge.localization import DeadReckoning, GpsFix, Own
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Modes, Origin, Origins
@@ -26,7 +26,6 @@ from edge.telemetry.vehicle_velocity import HUD, LOCAL, POSITIONS_APART_S, Vehic
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
 ACCURACY_FRESH_NS = 3_000_000_000
-DOUBLED = "two autopilots have the same ids"
 POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 HEADING_UNKNOWN = 65535
 NORTH_M, EAST_M = 110_574.3, 111_319.5
@@ -148,19 +147,24 @@ class Vehicle:
         """Where GPS puts the vehicle at a moment, None without GPS."""
         return self.session.gps.fix(self.position(now_ns), stamp_ns, now_ns)
 
-    def report(self, now_ns: int) -> Report:
-        """All that the position estimator reads of it, as of now."""
-        own, gps, motion = self.position(now_ns), self.session.gps, self.motion
-        return Report(
-            now_ns,
+    def own(self, now_ns: int) -> Own:
+        """All that the position estimator needs of it, as of now."""
+        position, gps, motion = self.position(now_ns), self.session.gps, self.motion
+        boot_ns = self.session.clock.boot_ns(now_ns)
+        return Own(
             gps=gps.state(now_ns),
-            gps_sigma_m=gps.bound_m(own, now_ns),
-            position=own,
-            displacement=None if own is None else motion.displacement(own.stamp_ns),
+            gps_why=gps.why(now_ns),
+            gps_sigma_m=gps.bound_m(position, now_ns),
+            position=position,
+            motion=None if position is None else motion.displacement(position.stamp_ns),
             accuracy_m=self.accuracy_m(now_ns),
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
             is_aided=self.velocity.is_aided,
+            runs_away=self.velocity.runs_away,
+            is_doubled=self.is_doubled,
+            system_id=self.system_id,
+            booted_ns=None if boot_ns is None else now_ns - boot_ns,
         )
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:

@@ -37,6 +37,8 @@ class VehicleVelocity:
         self.is_aided = True
         """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
         moves the way it heads at the speed of its wheels, or at that which the camera measures."""
+        self.runs_away = False
+        """Whether it is known that nothing does."""
         self.is_aided_by_camera = False
         """Whether that is only what our camera measures. PX4's filter adds errors of its own, which change in 200 m: on
         five simulated roads, positions were up to 12 m and 4.9 standard deviations off by its velocity."""
@@ -48,7 +50,7 @@ class VehicleVelocity:
         self._motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._wheels = None
         self._speeds.clear()
-        self.is_aided = True
+        self.is_aided, self.runs_away = True, False
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""

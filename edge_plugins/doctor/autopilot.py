@@ -15,11 +15,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import TelemetryConfig
 from edge.errors import LookbackError
+from edge.localization import TWO_AUTOPILOTS
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocity_aid
 from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopilot_name, suitable_message
 from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS
-from edge.telemetry.vehicle import DOUBLED, Vehicle
+from edge.telemetry.vehicle import Vehicle
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 
 TURN_S = 0.01
@@ -129,7 +130,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
             time.sleep(TURN_S)
         examined.has_receiver = vehicle.session.gps.receiver_state(time.monotonic_ns()) == "healthy"
     if vehicle.is_doubled:
-        yield bad(f"{config.connection}: {DOUBLED}", "give each vehicle a system id of its own")
+        yield bad(f"{config.connection}: {TWO_AUTOPILOTS}", "give each vehicle a system id of its own")
         return
     if status.state != "up":
         silent = f"{config.connection}: no heartbeat in {examined.seconds:g} s"

@@ -104,7 +104,7 @@ class HomeRequests:
     def __init__(self, config: HomeConfig, link: AutopilotConnection) -> None:
         """link: whose autopilot gets the mission. The mission that is replaced is kept in a file beside the journal."""
         self._config, self._link = config, link
-        self._vehicle, self._estimator = link.vehicle, link.estimator
+        self._vehicle, self._drive = link.vehicle, link.drive
         self._record, self._send_text = link.record, link.status_text
         link.services.append(self)
         self.plan: Plan | None = None
@@ -120,8 +120,8 @@ class HomeRequests:
     @property
     def is_ready(self) -> bool:
         """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
-        report = self._vehicle.report(self._link.clock_ns())
-        is_known = report.position is not None and self._estimator.uncertainty_m(report) is not None
+        own = self._vehicle.position(self._link.clock_ns())
+        is_known = own is not None and self._drive.known.own_sigma_m is not None
         return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
 
     def ask(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
@@ -250,8 +250,7 @@ class HomeRequests:
         """The way home from here; Rejected."""
         if self._vehicle.session.kind not in ON_THE_GROUND and not self._config.altitude_m:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
-        report = self._vehicle.report(now_ns)
-        position, sigma_m = report.position, self._estimator.uncertainty_m(report)
+        position, sigma_m = self._vehicle.position(now_ns), self._drive.known.own_sigma_m
         if position is None or sigma_m is None or self.plan is None:
             what = "there is no map" if self.plan is None else "the vehicle's position is not known"
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, what)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from edge.camera import Frame
+from edge.localization.place_fix import line_middle
 from edge.opened_parts import OpenedParts
 from edge.plugin import Plugin, UsedFrame
 from edge_plugins.motion import CameraMotion, PassedLine
@@ -31,7 +32,9 @@ class Motion(Plugin):
         if not self._parts.recognizer.is_in_line:
             return
         match, height = used.match, self._motion.height
-        line = None if match is None else self._parts.estimator.line_of(match)
+        line = None
+        if match is not None and match.accepted and match.uniqueness >= 1:
+            line = line_middle(match, self._parts.drive.route, self._parts.config.sequence_frames)
         if match is None or line is None:
             height.use_frame(None)
             return

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from edge.geodesy import first_known
 from edge.journal.records import PlaceFix
-from edge.localization import Limits
+from edge.localization import Fix, Limits
 from edge.opened_parts import OpenedParts
 from edge.plugin import Plugin
 from edge_plugins.ros2 import Ros2
@@ -39,16 +37,16 @@ class Ros2Plugin(Plugin):
         for odometry in ros2.odometry():
             vehicle.velocity.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, parts.autopilot.status)
-        fix = parts.estimator.position_at_exposure()
-        if fix is None or fix.stamp_ns == ros2.judged_ns:
+        position = parts.drive.known.position
+        if position is None or position.stamp_ns == ros2.judged_ns:
             return
-        if health.able != "on the map" or parts.pictures.why_no_position:
+        ros2.judged_ns, now_ns = position.stamp_ns, parts.clock_ns()
+        if ros2.published_ns is not None and now_ns - ros2.published_ns < parts.config.gates.min_interval_s * 1e9:
             return
-        ros2.judged_ns, limits = fix.stamp_ns, Limits(parts.config.gates.min_interval_s, OLDEST_S)
-        report = replace(vehicle.report(parts.clock_ns()), gps="not healthy")
-        displacement = vehicle.motion.displacement(fix.stamp_ns)
-        if parts.estimator.decide(fix, limits, ros2.published_ns, report, displacement).refusal is None:
-            ros2.publish_position(fix)
+        unable = parts.pictures.why_no_position if health.able == "on the map" else health.able
+        answer = parts.drive.fix(now_ns, Limits(oldest_s=OLDEST_S, with_gps=True, unable=unable))
+        if isinstance(answer, Fix):
+            ros2.publish_position(answer.place)
 
     def close(self) -> None:
         """Leave the domain."""

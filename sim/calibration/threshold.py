@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
-from edge.localization.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
+from edge.sequence.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.sequence.place_search import with_measured_slopes
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting

@@ -19,7 +19,7 @@ import numpy as np
 from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
-from edge.localization.consensus import probability
+from edge.sequence.consensus import probability
 from edge.localization.position_estimator import PositionEstimator
 from edge.localization.report import Report
 from edge.sequence import PlaceMatch

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config
-from edge.localization.consensus import FEWER_LINES
+from edge.sequence.consensus import FEWER_LINES
 from edge.reference_map import ModelKey
 from edge.sequence import Travel
 from edge.sequence.evidence import Roads

@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from edge.localization.consensus import RIGHT_AT_HALF
+from edge.sequence.consensus import RIGHT_AT_HALF
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.belief import World, foreign_confidence, judge_world, worlds

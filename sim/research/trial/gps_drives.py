@@ -17,7 +17,8 @@ import numpy as np
 from edge.config import CameraConfig, Config, GatesConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
-from edge.localization import GPS_SIGMA_M, GpsFix, Report
+from edge.localization import GPS_SIGMA_M, GpsFix, Own
+from edge.localization.events import Frame
 from edge.localization.gps_judge import GpsJudge, compare
 from edge.reference_map import Route, open_map_set
 from edge.sequence import PlaceMatch, Travel
@@ -156,7 +157,8 @@ def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()
         if not math.isnan(error_m[frame.row]):
             at_m = drive.true_m[frame.row] + offsets[frame.row]
             gps = GpsFix(*geodetic(float(at_m[0]), float(at_m[1])), GPS_SIGMA_M)
-        judged.update(frame.match, gps, None, Report(round(drive.time_s[frame.row] * 1e9)), None, frame.missed)
+        stamp_ns = round(drive.time_s[frame.row] * 1e9)
+        judged.update(Frame(stamp_ns, frame.match, gps=gps, missed=frame.missed), Own(), None)
         verdict = judged.verdict
         if SEEN_M[0] < error_m[frame.row] < SEEN_M[1] and frame.match is not None:
             seen += compare(frame.match, gps, drive.route, RIG_OF_WORLDS, config.sequence_frames) is not None

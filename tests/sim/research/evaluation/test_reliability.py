@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.localization.consensus import RIGHT_AT_HALF, probability
+from edge.sequence.consensus import RIGHT_AT_HALF, probability
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.reliability import Claims, rows_of
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, DescriptorConfig
-from edge.localization.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
+from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.reference_map import Drives, ModelKey
 from edge.sequence import Direction
 from edge_plugins.mapping.builder import Place

@@ -1,0 +1,169 @@
+"""What happens on a drive, and what follows from it: a drive is a list of (t_ns, event). Pure.
+
+Only events change the position estimator (`PositionEstimator.update`), so that the list of one drive, which the daemon
+can write (`[telemetry] events`), gives the same positions and the same refusals again anywhere. What telemetry, a
+trial or a bench knows of a vehicle and of GPS is said by one of these, and by nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from edge.geodesy import VehiclePosition
+from edge.journal.records import PlaceFix
+from edge.localization.dead_reckoning import Displacement
+from edge.reference_map import MapSet
+from edge.sequence import PlaceMatch
+
+GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
+Moment: TypeAlias = Literal["exposure", "now"]
+BOUND_WRONG = 0.1
+"""Probability that what bounded the autopilot last was wrong, where it was not a position of ours: see `integrity`."""
+
+
+@dataclass(frozen=True)
+class GpsFix:
+    """Where GPS says that the vehicle is at an exposure: degrees (WGS 84), one standard deviation in each direction."""
+
+    lat_deg: float
+    lon_deg: float
+    sigma_m: float
+
+
+GPS_SIGMA_M = 3.0
+"""The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The answer to one used frame.
+
+    stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
+    where that is unknown. gps: where GPS has the vehicle then. missed: places passed before it without a frame.
+    in_line: whether a line may lead through the frame, see `PlaceRecognizer`. undated_s: one standard deviation of the
+    time of exposure.
+    """
+
+    stamp_ns: int
+    match: PlaceMatch | None = None
+    motion: Displacement | None = None
+    gps: GpsFix | None = None
+    missed: int = 0
+    in_line: bool = True
+    undated_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Own:
+    """What the autopilot reports of itself; None: not known.
+
+    gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
+    velocity at the position's moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether
+    anything besides our positions measures its velocity; runs_away: whether it is known that nothing does. is_doubled:
+    whether two autopilots have its ids. system_id, booted_ns: which autopilot it is, and when that booted, on
+    CLOCK_MONOTONIC.
+    """
+
+    gps: GpsState = "unknown"
+    gps_why: str = ""
+    gps_sigma_m: float | None = None
+    position: VehiclePosition | None = None
+    motion: Displacement | None = None
+    accuracy_m: float | None = None
+    speed_mps: float | None = None
+    driven_m: float | None = None
+    is_aided: bool = True
+    runs_away: bool = False
+    is_doubled: bool = False
+    system_id: int | None = None
+    booted_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How the vehicle has moved by now, by its velocity; None where that is unknown. For a position of now."""
+
+    motion: Displacement | None
+
+
+@dataclass(frozen=True)
+class Used:
+    """A position was sent. left_m: how far the autopilot, which has used it, is from it now; None: not known yet.
+
+    fix: None of one that was not ours to judge, as of a recorded drive.
+    """
+
+    fix: Fix | None
+    left_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Break:
+    """What was known of the past does not hold: a blindness, a vehicle that was carried, an autopilot that rebooted.
+
+    blind, carried: no position rests on frames from before; what is known of GPS stays. reboot: the autopilot may be
+    another one, and nothing bounds its position any more; what places and GPS showed of the vehicle holds as far as it
+    can have gone meanwhile (`Displacement.unknown_m`).
+    """
+
+    kind: Literal["blind", "carried", "reboot"]
+
+
+@dataclass(frozen=True)
+class Maps:
+    """The maps that are searched from now on. has_grown: those so far, with further places after theirs."""
+
+    map_set: MapSet
+    has_grown: bool = False
+
+
+Event: TypeAlias = Frame | Own | Moved | Used | Break | Maps
+
+
+@dataclass(frozen=True)
+class ProtectionLevel:
+    """Meters along the road and across it, infinite where nothing bounds the position."""
+
+    along_m: float
+    across_m: float
+
+    def is_within(self, limit_m: float) -> bool:
+        """Whether neither is above a limit."""
+        return max(self.along_m, self.across_m) <= limit_m
+
+    def or_more(self, other: ProtectionLevel) -> ProtectionLevel:
+        """The larger one of both in each direction."""
+        return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
+
+
+@dataclass(frozen=True)
+class Fix:
+    """A position that may be published.
+
+    level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
+    the autopilot's, once that has used it. motion: see `Frame`, at its moment.
+    """
+
+    place: PlaceFix
+    level: ProtectionLevel
+    bound_wrong: float = BOUND_WRONG
+    motion: Displacement | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What holds for a position beside what happened: of the message that would carry it, and of the moment.
+
+    at: of the newest exposure, or of now. oldest_s: its age at most. is_reset: whether the autopilot uses it as it is
+    instead of weighing it. with_gps: whatever is known of GPS. again: one that was not answered, in place of the
+    newest. unable: why nothing is recognized at this moment, "" while it is.
+    """
+
+    at: Moment = "exposure"
+    oldest_s: float = math.inf
+    is_reset: bool = False
+    with_gps: bool = False
+    again: Fix | None = None
+    unable: str = ""
