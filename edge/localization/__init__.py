@@ -32,7 +32,7 @@ from edge.localization.events import (
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.position_estimator import Known, PositionEstimator
-from edge.localization.refusals import TWO_AUTOPILOTS, Refusal
+from edge.localization.refusals import NO_PLACES, TOO_FAR, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
@@ -40,7 +40,9 @@ __all__ = [
     "BOUND_WRONG",
     "CORRELATION_M",
     "GPS_SIGMA_M",
+    "NO_PLACES",
     "PERIOD_NS",
+    "TOO_FAR",
     "TWO_AUTOPILOTS",
     "Break",
     "DeadReckoning",

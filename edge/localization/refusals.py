@@ -30,6 +30,8 @@ class Rule(NamedTuple):
     is_certain: bool = False
 
 
+NO_PLACES = "the places do not agree yet"
+TOO_FAR = "impossibly far"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
     Rule(
@@ -48,7 +50,7 @@ RULES = (
         lambda now: now.limits.unable,
     ),
     Rule(
-        "the places do not agree yet",
+        NO_PLACES,
         "no place was recognized lately, or where it was the vehicle is not any more",
         "there is nothing to publish",
         "test_situations_in_which_nothing_is_published",
@@ -112,7 +114,7 @@ RULES = (
         lambda now: now.motion is None,
     ),
     Rule(
-        "impossibly far",
+        TOO_FAR,
         "over `max_move_m` from where GPS or a position bounded the autopilot",
         "a single error carries the vehicle away",
         "test_fixes_that_are_not_published",

@@ -17,6 +17,8 @@ from edge.config import GatesConfig, TelemetryConfig
 from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     CORRELATION_M,
+    NO_PLACES,
+    TOO_FAR,
     Drive,
     Fix,
     Limits,
@@ -65,8 +67,8 @@ class PositionSender:
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
         self.use = PositionUse(vehicle, drive, publisher)
-        self._withheld: FixWithheld | None = None
-        self._nothing: Refusal | None = None  # the newest of those without a position
+        self._withheld: FixWithheld | None = None  # as recorded
+        self._refused = Refusal(NO_PLACES)
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -112,7 +114,7 @@ class PositionSender:
             return []  # the last exposure was sent already
         messages: list[Message] = []
         if isinstance(answer, Fix) and self.message is not None:
-            self._withheld = None
+            self._withheld, self._refused = None, Refusal(NO_PLACES)
             messages = self._encode(answer, now_ns, self.message, again=is_again)
         elif isinstance(answer, Refusal) and overdue is None:
             self._withhold(answer)
@@ -135,17 +137,16 @@ class PositionSender:
             return "the autopilot refuses positions"
         if self._since_s(now_ns) < LATE_S:
             return ""
-        withheld = self._withheld
-        if withheld is None:
-            return str(self._nothing or "")
-        is_far = withheld.reason == "impossibly far" and withheld.distance_m is not None
+        withheld = self._withheld  # whose distance does not change with every frame
+        if self._refused.fix is None or withheld is None:
+            return str(self._refused)
+        is_far = self._refused.reason == TOO_FAR and withheld.distance_m is not None
         return f"{withheld.reason}, {withheld.distance_m:.0f} m" if is_far else withheld.reason
 
     def _withhold(self, refused: Refusal) -> None:
         fix, before = refused.fix, self._withheld
-        if fix is None:
-            self._nothing = refused
-        elif before is None or str(refused) != before.reason:
+        self._refused = refused
+        if fix is not None and (before is None or str(refused) != before.reason):
             distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
             self._withheld = FixWithheld(fix.place, str(refused), distance_m, fix.map)
             self._publisher.record(self._withheld)

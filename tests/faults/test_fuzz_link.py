@@ -19,7 +19,7 @@ from hypothesis.errors import FlakyFailure
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
-from edge.localization import PlaceFix, PositionEstimator
+from edge.localization import Drive, PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge_plugins.home import WayHome
 from edge_plugins.home.home_requests import HomeRequests
@@ -27,6 +27,7 @@ from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
 from tests.faults.test_fuzz_mavlink import HEARTBEAT, KINDS, frame
+from tests.telemetry.rig import ToldEstimator
 from tests.udp_port import free_port
 
 STALL_S = 1.0
@@ -210,8 +211,9 @@ class Turns:
         )
         home = HomeConfig(enabled=True, speed_mps=2.5)
         gates = GatesConfig(with_gps=True, risk=1.0)
-        self.estimator = PositionEstimator(Config(gates=gates))
-        self.link = AutopilotConnection(config, self.clock_ns, gates=gates, estimator=self.estimator)
+        self.estimator = ToldEstimator(Config(gates=gates))
+        self.drive = Drive(self.estimator)
+        self.link = AutopilotConnection(config, self.clock_ns, gates=gates, drive=self.drive)
         self.home = HomeRequests(home, self.link)
         self.home.plan = lambda start: WAY
         self.autopilot: SimulatedAutopilot | None = None
@@ -249,17 +251,18 @@ class Turns:
         with self._timed():
             self.link.poll()
             now_ns = self.clock_ns()
-            if self.link.position_due() is not None:
+            limits = self.link.position_due()
+            if limits is not None:
                 fix = PlaceFix(
                     now_ns, 1, -27.4705, 153.02, 0.0, 3.0, 2.0, "reverse", "same", 1.3, matches=20, confidence=0.9
                 )
-                vehicle = self.link.vehicle
-                self.estimator.observe(fix, vehicle.report(now_ns), vehicle.motion.displacement(now_ns))
-                self.link.send_position(fix)
+                self.link.report_own()
+                self.estimator.offer(now_ns, fix, self.link.vehicle.motion.displacement(now_ns))
+                self.link.send_position(self.drive.fix(now_ns, limits))
             self.link.set_system_status(4)
             assert self.link.status().state == self.link.state
-            report = self.link.vehicle.report(now_ns)
-            position, speed_mps = report.position, report.speed_mps
+            own = self.link.vehicle.own(now_ns)
+            position, speed_mps = own.position, own.speed_mps
             self.link.vehicle.motion.distance_m(now_ns)
             self.link.vehicle.gps_fix(now_ns, now_ns)
         assert position is None or math.isfinite(position.lat_deg + position.lon_deg + position.speed_mps)

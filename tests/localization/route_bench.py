@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from edge.localization.report import Report
 
 from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
-from edge.sequence.consensus import probability
 from edge.localization.position_estimator import PositionEstimator
-from edge.localization.report import Report
 from edge.sequence import PlaceMatch
+from edge.sequence.consensus import probability
 from tests.localization.region_bench import PLACES_APART, RegionViews
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from edge.localization.report import Report
 
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import GpsFix, GpsVerdict
 from edge.localization.gps_judge import FIRM, UNSEEN_M, GpsJudge, UnseenRoad
 from edge.localization.position_estimator import PositionEstimator
-from edge.localization.report import Report
 from edge.reference_map import MapSet, Route
 from edge.sequence import PlaceMatch
 from tests.localization.straight_road import LAT_DEG, SPACING_M, match, settings

@@ -7,13 +7,13 @@ import math
 from pathlib import Path
 
 import pytest
+from edge.localization.report import Report
 from msgspec.structs import replace
 
 from edge.config import RigConfig
 from edge.geodesy import VehiclePosition
 from edge.localization import GpsFix, PlaceFix
 from edge.localization.position_estimator import PositionEstimator
-from edge.localization.report import Report
 from edge.reference_map import MapSet
 from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, match, settings
 

@@ -13,6 +13,7 @@ from statistics import NormalDist
 import msgspec
 import numpy as np
 import pytest
+from tests.localization.splitting import LEVELS
 
 from edge.config import GatesConfig
 from edge.localization import Displacement, PlaceFix
@@ -23,7 +24,6 @@ from sim.research.trial.table import put_between
 from tests.localization import level_course, level_hours
 from tests.localization.route_bench import LANE_M, Bench
 from tests.localization.route_course import Course, Stretch
-from tests.localization.splitting import LEVELS
 
 FIX = PlaceFix(
     stamp_ns=0, place=3, lat_deg=-27.0, lon_deg=153.0, heading_deg=90.0, sigma_along_m=2.0, sigma_across_m=1.0,

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, DescriptorConfig
-from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.reference_map import Drives, ModelKey
 from edge.sequence import Direction
+from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge_plugins.mapping.builder import Place
 from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 

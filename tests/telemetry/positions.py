@@ -36,9 +36,9 @@ def offer_for(rig: Rig, seconds: float, **changes: Any) -> int:
 
     def offer() -> bool:
         nonlocal sent
-        moment = rig.connection.position_due()
-        if moment is not None:
-            sent += rig.send_position(rig.fix(age_s=0.0 if moment == "now" else 0.5, **changes))
+        limits = rig.connection.position_due()
+        if limits is not None:
+            sent += rig.send_position(rig.fix(age_s=0.0 if limits.at == "now" else 0.5, **changes))
         return False
 
     rig.run(seconds, offer)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
-from edge.localization import GpsFix, GpsVerdict, PlaceFix, PositionEstimator
+from edge.localization import Drive, GpsFix, GpsVerdict, Limits, PlaceFix, PositionEstimator
+from edge.localization.dead_reckoning import Displacement
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home.home_requests import HomeRequests
@@ -24,6 +26,30 @@ START_NS = 1_000_000_000_000
 STEP_NS = 20_000_000
 """As the daemon's loop turns between two frames; shorter steps would only cost time."""
 LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
+
+
+class ToldEstimator(PositionEstimator):
+    """One that is told the positions and verdicts which frames would lead to; all else is as in the daemon."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config)
+        self.offered: tuple[PlaceFix, Displacement | None] | None = None
+
+    def offer(self, t_ns: int, fix: PlaceFix, motion: Displacement | None) -> None:
+        """A place that is recognized now."""
+        self.offered = fix, motion
+        self._observe(t_ns, fix, motion)
+
+    def judge(self, verdict: GpsVerdict) -> None:
+        """What the places say of GPS from now on."""
+        self._gps._referee.verdict = verdict if verdict.state != "not recognized" else GpsVerdict()
+        self._gps._is_unseen = verdict.state == "not recognized"
+        self._judge_gps()
+
+    def _position(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
+        if limits.unable or self._own.is_doubled or self.offered is None:
+            return None, None
+        return self.offered if limits.again is None else (limits.again.place, limits.again.motion)
 
 
 class LossyLink:
@@ -92,27 +118,34 @@ class Rig:
 
     def connect(self) -> None:
         """Start our end; the autopilot goes on as it is."""
-        self.estimator = PositionEstimator(Config(gates=self._gates))
+        self.estimator = ToldEstimator(Config(gates=self._gates))
+        self.drive = Drive(self.estimator)
         self.connection = AutopilotConnection(
-            self._config,
-            lambda: self.now_ns,
-            self.journal.write,
-            self._gates,
-            self.estimator,
-            motion=self._motion,
+            self._config, lambda: self.now_ns, self.journal.write, self._gates, self.drive, motion=self._motion
         )
+        self.unable = ""
+        """Why nothing is recognized now."""
         self.home = HomeRequests(self._home, self.connection)
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""
         connection = self.connection
-        vehicle = connection.vehicle
-        self.estimator.observe(fix, vehicle.report(self.now_ns), vehicle.motion.displacement(fix.stamp_ns))
-        return connection.send_position(fix)
+        connection.report_own()
+        self.estimator.offer(self.now_ns, fix, connection.vehicle.motion.displacement(fix.stamp_ns))
+        return self.publish_position()
+
+    def publish_position(self) -> bool:
+        """As the daemon does in each turn."""
+        limits = self.connection.position_due()
+        if limits is None:
+            return False
+        return self.connection.send_position(self.drive.fix(self.now_ns, replace(limits, unable=self.unable)))
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS, after a frame."""
-        self.connection.judge_gps(self.estimator.use_verdict(verdict, self.connection.vehicle.report(self.now_ns)))
+        self.connection.report_own()
+        self.estimator.judge(verdict)
+        self.connection.judge_gps(self.drive.known.gps)
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
@@ -144,14 +177,22 @@ class Rig:
             if self.pty is not None:
                 self.autopilot.step()
             self.connection.poll()
+            self._publish_again()
             if until():
                 return True
         return False
 
+    def _publish_again(self) -> None:
+        """What was not answered; new positions are offered by `send_position` alone."""
+        limits = self.connection.position_due()
+        if limits is not None and limits.again is not None:
+            self.publish_position()
+
     @property
     def bounded_m(self) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing bounds it."""
-        return self.estimator.uncertainty_m(self.connection.vehicle.report(self.now_ns))
+        self.connection.report_own()
+        return self.drive.known.own_sigma_m
 
     @property
     def uncertainty_m(self) -> float:

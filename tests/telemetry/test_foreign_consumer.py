@@ -25,7 +25,7 @@ from mavsdk.plugins.mission_raw_server.mission_raw_server import MissionRawServe
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, TelemetryConfig
-from edge.localization import PlaceFix, PositionEstimator
+from edge.localization import Drive, PlaceFix
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
@@ -35,6 +35,7 @@ from edge.telemetry.link_protocol import STREAMS_HZ
 from edge_plugins.home import MissionItem
 from edge_plugins.home.mission_transfer import MissionTransfer
 from sim.vehicle.pty_link import open_pty
+from tests.telemetry.rig import ToldEstimator
 from tests.udp_port import free_port
 
 ORIGIN = (-27.478, 153.028, 20.0)
@@ -86,19 +87,22 @@ class Setting:
         self.foreigner = foreigner
         self.connection = connection
         gates = GatesConfig(risk=1.0, with_gps=True)  # GPS alone measures this velocity, see below
-        self.estimator = PositionEstimator(Config(gates=gates))
+        self.estimator = ToldEstimator(Config(gates=gates))
+        self.drive = Drive(self.estimator)
         self.ours = AutopilotConnection(
             TelemetryConfig(connection=connection, emit=emit, origin=ORIGIN, journal=""),
             gates=gates,
-            estimator=self.estimator,
+            drive=self.drive,
         )
         self.cable = cable
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""
-        vehicle = self.ours.vehicle
-        self.estimator.observe(fix, vehicle.report(time.monotonic_ns()), vehicle.motion.displacement(fix.stamp_ns))
-        return self.ours.send_position(fix)
+        now_ns = time.monotonic_ns()
+        self.ours.report_own()
+        self.estimator.offer(now_ns, fix, self.ours.vehicle.motion.displacement(fix.stamp_ns))
+        limits = self.ours.position_due()
+        return limits is not None and self.ours.send_position(self.drive.fix(now_ns, limits))
 
     def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
         self.pump_until(condition, seconds, self.ours.poll)

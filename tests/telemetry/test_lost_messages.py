@@ -72,7 +72,7 @@ def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
 def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
     assert lost_gps.send_position(lost_gps.fix())
-    lost_gps.connection.positions.use.withdraw()
+    lost_gps.unable = "off the map"
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
 

@@ -279,7 +279,9 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
     fix = rig.fix()
     assert rig.send_position(fix)
     rig.run(0.5)
-    assert rig.connection.position_due() == "exposure"
+    limits = rig.connection.position_due()
+    assert limits is not None
+    assert limits.at == "exposure"
     assert not rig.send_position(fix)
     rig.run(0.5)
     assert len(fixes_received(rig)) == 1
