@@ -239,6 +239,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     journal: FilePath = "/var/lib/lookback/events.jsonl"
     journal_max_mb: Annotated[float, Meta(ge=1)] = 500.0
     journal_frames: bool = False
+    drive: FilePath = ""
 
     def __post_init__(self) -> None:
         limits = zip(self.origin, (90, 180, 20000), strict=False)

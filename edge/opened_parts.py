@@ -20,6 +20,7 @@ from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import PluginFailed, Record
 from edge.localization import Drive, Maps, PositionEstimator
+from edge.localization.drive_file import DriveFile
 from edge.map_verification import MapVerification
 from edge.plugin import Plugins
 from edge.recognizer import open_recognizer
@@ -59,6 +60,9 @@ class OpenedParts:
             self.journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self.journal.write
         self.drive = Drive(PositionEstimator(config))
+        if config.telemetry.drive:
+            file = parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config)))
+            self.drive = Drive(PositionEstimator(config), file.write)
         settings = config.telemetry, clock_ns, self.record, config.gates, self.drive
         link = AutopilotConnection(*settings, motion=config.motion.use)
         self.autopilot = parts.enter_context(closing(link))

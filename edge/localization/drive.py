@@ -7,8 +7,9 @@ holds one of these.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TypeAlias
+
+from msgspec import Struct
 
 from edge.localization.events import Event, Fix, Limits
 from edge.localization.position_estimator import Known, PositionEstimator
@@ -16,16 +17,14 @@ from edge.localization.refusals import Refusal
 from edge.reference_map import Route
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(Struct, frozen=True, tag=True):
     """A position was asked for, and this was the answer: changes nothing, and can be compared."""
 
     limits: Limits
     answer: Fix | Refusal
 
 
-@dataclass(frozen=True)
-class Restored:
+class Restored(Struct, frozen=True, tag=True):
     """A snapshot of an earlier run."""
 
     kept: bytes

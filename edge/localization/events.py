@@ -11,10 +11,12 @@ import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from msgspec import Struct
+
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.reference_map import MapSet
+from edge.reference_map import Mapped
 from edge.sequence import PlaceMatch
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
@@ -36,8 +38,7 @@ GPS_SIGMA_M = 3.0
 """The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(Struct, frozen=True, tag=True):
     """The answer to one used frame.
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
@@ -55,8 +56,7 @@ class Frame:
     undated_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class Own:
+class Own(Struct, frozen=True, tag=True):
     """What the autopilot reports of itself; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
@@ -81,15 +81,13 @@ class Own:
     booted_ns: int | None = None
 
 
-@dataclass(frozen=True)
-class Moved:
+class Moved(Struct, frozen=True, tag=True):
     """How the vehicle has moved by now, by its velocity; None where that is unknown. For a position of now."""
 
     motion: Displacement | None
 
 
-@dataclass(frozen=True)
-class Used:
+class Used(Struct, frozen=True, tag=True):
     """A position was sent. left_m: how far the autopilot, which has used it, is from it now; None: not known yet.
 
     fix: None of one that was not ours to judge, as of a recorded drive.
@@ -99,8 +97,7 @@ class Used:
     left_m: float | None = None
 
 
-@dataclass(frozen=True)
-class Break:
+class Break(Struct, frozen=True, tag=True):
     """What was known of the past does not hold: a blindness, a vehicle that was carried, an autopilot that rebooted.
 
     blind, carried: no position rests on frames from before; what is known of GPS stays. reboot: the autopilot may be
@@ -111,11 +108,10 @@ class Break:
     kind: Literal["blind", "carried", "reboot"]
 
 
-@dataclass(frozen=True)
-class Maps:
+class Maps(Struct, frozen=True, tag=True):
     """The maps that are searched from now on. has_grown: those so far, with further places after theirs."""
 
-    map_set: MapSet
+    map_set: Mapped
     has_grown: bool = False
 
 
@@ -138,8 +134,7 @@ class ProtectionLevel:
         return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
 
 
-@dataclass(frozen=True)
-class Fix:
+class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
@@ -152,8 +147,7 @@ class Fix:
     motion: Displacement | None = None
 
 
-@dataclass(frozen=True)
-class Limits:
+class Limits(Struct, frozen=True, tag=True):
     """What holds for a position beside what happened: of the message that would carry it, and of the moment.
 
     at: of the newest exposure, or of now. oldest_s: its age at most. is_reset: whether the autopilot uses it as it is

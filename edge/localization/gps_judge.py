@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from msgspec import structs
+
 from edge.config import Config, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
@@ -119,12 +121,12 @@ class GpsJudge:
     def believed(self, own: Own) -> Own:
         """What the autopilot reports, without a GPS that is ignored, and without the error of GPS that it followed."""
         if self.is_ignored:
-            own = replace(own, gps="not healthy", gps_sigma_m=None)
+            own = structs.replace(own, gps="not healthy", gps_sigma_m=None)
         position = own.position
         if position is None or self._error_m is None:
             return own
         lat_deg, lon_deg = moved(position.lat_deg, position.lon_deg, -self._error_m[0], -self._error_m[1])
-        return replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
+        return structs.replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
 
 
 def compare(

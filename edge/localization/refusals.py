@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from edge.journal.records import PlaceFix
 from edge.localization.events import ProtectionLevel
@@ -147,8 +148,7 @@ RULES = (
 )
 
 
-@dataclass(frozen=True)
-class Refusal:
+class Refusal(Struct, frozen=True, tag=True):
     """Why a position is withheld.
 
     detail: what else is known of the reason. fix: the position, None where there is none. distance_m: from the

@@ -16,8 +16,9 @@ from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
 from edge.reference_map.map_so_far import MapSoFar
+from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import sigmas_m
-from edge.reference_map.route import NO_LAP_M, Drive, Drives, Position, Route
+from edge.reference_map.route import NO_LAP_M, Drive, Drives, Mapped, Position, Route
 from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
@@ -36,9 +37,11 @@ __all__ = [
     "MapHeader",
     "MapSet",
     "MapSoFar",
+    "Mapped",
     "ModelKey",
     "Moved",
     "Newer",
+    "PlaceIndex",
     "Position",
     "Ranges",
     "ReferenceMap",

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north, first_known, unwrapped, wrapped
 from edge.reference_map.map_set import MapSet
+from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
+from edge.reference_map.store import MapHeader
 
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
@@ -57,14 +60,31 @@ class Drive:
     sigma_m: NDArray[np.float64]
 
 
+@runtime_checkable
+class Mapped(Protocol):
+    """A set of maps, or what a recorded drive has of one."""
+
+    @property
+    def places(self) -> NDArray[np.void]:
+        """(N,) records of PLACE."""
+
+    @property
+    def headers(self) -> tuple[MapHeader, ...]:
+        """Of its maps, in their order."""
+
+    @property
+    def index(self) -> PlaceIndex:
+        """Which map, row and segment a place belongs to."""
+
+
 class Route:
     """The drives of a set of maps as lines on the ground."""
 
-    def __init__(self, map_set: MapSet) -> None:
+    def __init__(self, map_set: Mapped) -> None:
         self._places, self._index = map_set.places, map_set.index
         self._drives: dict[tuple[int, int], Drive] = {}  # those asked for, the one of longest ago first
 
-    def grow(self, map_set: MapSet) -> None:
+    def grow(self, map_set: Mapped) -> None:
         """Follow a set from now on that has further places after those of the last one."""
         self._places, self._index = map_set.places, map_set.index
         self._drives.clear()

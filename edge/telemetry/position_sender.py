@@ -7,10 +7,9 @@ journal; repetitions are not.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
-from msgspec import structs
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
@@ -198,7 +197,7 @@ class PositionSender:
         """The fix with a larger sigma: all within a correlation length have one error, and share its information."""
         speed_mps = self._vehicle.motion.speed_mps(now_ns) or 0.0
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
-        return structs.replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
+        return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""

@@ -224,8 +224,19 @@ class PlayedFrames:
         """There is nothing to release."""
 
 
-def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames, network: Network) -> str:
-    """Run the daemon of a case to the end of its frames; its journal, without wall clock and durations."""
+def run_daemon(
+    folder: Path,
+    scratch: Path,
+    cable: Cable,
+    frames: PlayedFrames,
+    network: Network,
+    own: Path | None = None,
+    drive: Path | None = None,
+) -> str:
+    """Run the daemon of a case to the end of its frames; its journal, without wall clock and durations.
+
+    own: a folder that does not exist yet, None: one in `scratch`. drive: a file for the list of the drive.
+    """
     text = (folder / SETTINGS).read_text(encoding="utf-8")
     changes = {
         'connection = "serial:autopilot:': f'connection = "serial:{cable.device}:',
@@ -235,11 +246,13 @@ def run_daemon(folder: Path, scratch: Path, cable: Cable, frames: PlayedFrames, 
         if name not in text:
             raise ValueError(f"{folder / SETTINGS}: {name} is missing")
         text = text.replace(name, there)
-    own = scratch / folder.name
+    own = own or scratch / folder.name
     own.mkdir()
     (own / SETTINGS).write_text(text, encoding="utf-8")
     with ExitStack() as parts:
         config = load_config(own / SETTINGS)
+        telemetry = msgspec.structs.replace(config.telemetry, drive="" if drive is None else str(drive))
+        config = msgspec.structs.replace(config, telemetry=telemetry)
         daemon = Daemon(OpenedParts(config, parts, frames.clock_ns, frames=frames, network=network))
         while daemon.turn():
             pass
@@ -256,12 +269,17 @@ def stable(journal: Path) -> str:
     return re.sub(r'(?<="stages_ms":)\{[^}]*\}', lambda found: re.sub(r":[0-9.e-]+", ":0", found[0]), text)
 
 
-def run_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
-    """The journal of a run, and all that the daemon has sent: the name of each golden file, and its text."""
+def run_case(
+    folder: Path, scratch: Path, network: Network, own: Path | None = None, drive: Path | None = None
+) -> dict[str, str]:
+    """The journal of a run, and all that the daemon has sent: the name of each golden file, and its text.
+
+    own, drive: see `run_daemon`.
+    """
     with closing(Cable()) as cable:
         frames = PlayedFrames(RECORDINGS / load_case(folder).query)
         played = frames.far_end = PlayedTelemetry(folder / TELEMETRY, cable)
-        journal = run_daemon(folder, scratch, cable, frames, network)
+        journal = run_daemon(folder, scratch, cable, frames, network, own, drive)
     return {JOURNAL: journal, SENT: "".join(played.sent)}
 
 

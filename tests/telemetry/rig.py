@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from msgspec.structs import replace
 
 from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
