@@ -122,9 +122,18 @@ class Daemon:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
         self._autopilot.report_own()
         now_ns = self._clock_ns()
-        gps = self._autopilot.vehicle.gps_fix(stamp_ns, now_ns)
-        in_line, undated_s = self._recognizer.is_in_line, self.parts.pictures.stamp_sigma_s
-        self._drive.update(now_ns, events.Frame(stamp_ns, match, displacement, gps, missed, in_line, undated_s))
+        vehicle, in_line = self._autopilot.vehicle, self._recognizer.is_in_line
+        frame = events.Frame(
+            stamp_ns,
+            match,
+            motion=displacement,
+            without_gps=vehicle.velocity.without_gps.displacement(stamp_ns),
+            gps=vehicle.gps_fix(stamp_ns, now_ns),
+            missed=missed,
+            in_line=in_line,
+            undated_s=self.parts.pictures.stamp_sigma_s,
+        )
+        self._drive.update(now_ns, frame)
         if in_line:
             self._autopilot.judge_gps(self._drive.known.gps)
 

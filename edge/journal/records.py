@@ -261,9 +261,7 @@ class HomeAnswered(_Tagged, frozen=True, tag="home"):
 class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 
-    state: Annotated[
-        str, unit("", "cannot say, agrees, doubtful, wrong, map shifted (the same since it began), or not recognized")
-    ]
+    state: Annotated[str, unit("", "cannot say, agrees, doubtful, disagrees, wrong, map wrong, or not recognized")]
     east_m: Annotated[float | None, unit("m", "GPS less places, to the east, null where not known")] = None
     north_m: Annotated[float | None, unit("m", "the same to the north")] = None
     doubt: Annotated[

@@ -130,6 +130,8 @@ class OwnPosition:
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self.by_gps: Anchor | None = None
         """Where GPS had the vehicle last."""
+        self.when_lost: Anchor | None = None
+        """The same, by motion in which GPS has no part."""
         self._by_gps_m = 0.0  # driven by then
         self.rests_on_fixes = False
         """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
@@ -193,10 +195,11 @@ class OwnPosition:
 
     def anchor(self, own: Own) -> None:
         """GPS has the vehicle where the autopilot believes it to be."""
-        position, then = own.position, own.motion
+        position = own.position
         if position is not None and own.driven_m is not None and own.gps_sigma_m is not None:
             where = position.lat_deg, position.lon_deg, own.gps_sigma_m
-            self.by_gps = None if then is None else Anchor(*where, then)
+            self.by_gps = None if own.motion is None else Anchor(*where, own.motion)
+            self.when_lost = None if own.without_gps is None else Anchor(*where, own.without_gps)
             self._by_gps_m = own.driven_m
 
     def sigma_m(self, own: Own, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:

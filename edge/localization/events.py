@@ -42,14 +42,15 @@ class Frame(Struct, frozen=True, tag=True):
     """The answer to one used frame.
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
-    where that is unknown. gps: where GPS has the vehicle then. missed: places passed before it without a frame.
-    in_line: whether a line may lead through the frame, see `PlaceRecognizer`. undated_s: one standard deviation of the
-    time of exposure.
+    where that is unknown; without_gps: the same by what GPS has no part in. gps: where GPS has the vehicle then.
+    missed: places passed before it without a frame. in_line: whether a line may lead through the frame, see
+    `PlaceRecognizer`. undated_s: one standard deviation of the time of exposure.
     """
 
     stamp_ns: int
     match: PlaceMatch | None = None
     motion: Displacement | None = None
+    without_gps: Displacement | None = None
     gps: GpsFix | None = None
     missed: int = 0
     in_line: bool = True
@@ -60,10 +61,10 @@ class Own(Struct, frozen=True, tag=True):
     """What the autopilot reports of itself; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
-    velocity at the position's moment. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether
-    anything besides our positions measures its velocity; runs_away: whether it is known that nothing does. is_doubled:
-    whether two autopilots have its ids. system_id, booted_ns: which autopilot it is, and when that booted, on
-    CLOCK_MONOTONIC.
+    velocity at the position's moment; without_gps: see `Frame`. accuracy_m: of the position, by its own word. driven_m:
+    in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is known that
+    nothing does. is_doubled: whether two autopilots have its ids. system_id, booted_ns: which autopilot it is, and when
+    that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
@@ -71,6 +72,7 @@ class Own(Struct, frozen=True, tag=True):
     gps_sigma_m: float | None = None
     position: VehiclePosition | None = None
     motion: Displacement | None = None
+    without_gps: Displacement | None = None
     accuracy_m: float | None = None
     speed_mps: float | None = None
     driven_m: float | None = None

@@ -79,7 +79,7 @@ class GpsJudge:
         if comparison is not None:
             heading_deg = None if own.position is None else own.position.heading_deg
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
-            comparison = replace(comparison, displacement=frame.motion) if heads else None
+            comparison = replace(comparison, motion=frame.without_gps) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, frame.missed)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
@@ -96,7 +96,7 @@ class GpsJudge:
     @property
     def is_doubted(self) -> bool:
         """Whether places speak against GPS now."""
-        return self._referee.verdict.state in ("doubtful", "wrong")
+        return self._referee.verdict.state in ("doubtful", "disagrees", "wrong")
 
     @property
     def is_ignored(self) -> bool:
@@ -149,7 +149,6 @@ def compare(
     if gps is not None:
         off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
     return Comparison(
-        recording=drive.recording,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         spacing_m=drive.spacing_m,
@@ -158,7 +157,6 @@ def compare(
         off_left_m=off_left_m,
         along_sigma_m=math.hypot(match_m, map_m, gps_m, undated_m),
         left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
-        match_sigma_m=match_m,
     )
 
 

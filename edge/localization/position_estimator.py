@@ -135,7 +135,7 @@ class PositionEstimator:
         self._filter.update(
             frame.match, frame.stamp_ns, frame.motion, frame.missed, in_line=frame.in_line, undated_m=undated_m
         )
-        if frame.in_line and self._gps.update(frame, believed, self._bound.by_gps, undated_m):
+        if frame.in_line and self._gps.update(frame, believed, self._bound.when_lost, undated_m):
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
         own, sigma_m = believed.position, believed.gps_sigma_m
@@ -159,7 +159,7 @@ class PositionEstimator:
         if self._gps.is_ignored and not ignored:
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M)
-            self._bound.by_gps = None
+            self._bound.by_gps = self._bound.when_lost = None
 
     def _use_own(self, t_ns: int, own: Own) -> None:
         self._own = own

@@ -27,7 +27,8 @@ VALUES_NS = 1_000_000_000
 GPS_TEXTS = {
     "wrong": "Lookback: GPS is wrong by {}",
     "agrees": "Lookback: GPS agrees with the map again",
-    "map shifted": "Lookback: GPS is {} of the whole map",
+    "disagrees": "Lookback: GPS and places disagree, {}",
+    "map wrong": "Lookback: the map is wrong here, GPS {}",
     "not recognized": "Lookback: not recognized where GPS says we are",
 }
 

@@ -30,6 +30,10 @@ class VehicleVelocity:
     def __init__(self, motion: DeadReckoning) -> None:
         """motion: gets the speeds and velocities that count."""
         self._motion = motion
+        self.without_gps = DeadReckoning()
+        """The displacement by what GPS has no part in: wheels, odometry or our camera, or the autopilot without GPS."""
+        self.is_by_gps = True
+        """Whether GPS may have a part in the autopilot's velocity."""
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
@@ -47,7 +51,8 @@ class VehicleVelocity:
 
     def end_leg(self, *, is_same_vehicle: bool) -> None:
         """The session has ended."""
-        self._motion.end_leg(is_same_vehicle=is_same_vehicle)
+        for motion in (self._motion, self.without_gps):
+            motion.end_leg(is_same_vehicle=is_same_vehicle)
         self._wheels = None
         self._speeds.clear()
         self.is_aided, self.runs_away = True, False
@@ -133,13 +138,18 @@ class VehicleVelocity:
         """A velocity by the autopilot's estimate; where nothing aids that, its heading and the speed of the vehicle."""
         self._reported_ns = stamp_ns
         is_reported = self.is_aided and not self.is_aided_by_camera
-        if not is_reported:
-            speed_mps = self._own_speed(stamp_ns)
-            if speed_mps is None or heading_deg is None:
-                return
+        speed_mps, own_mps = self._own_speed(stamp_ns), None
+        if speed_mps is not None and heading_deg is not None:
             heading_rad = math.radians(heading_deg)
-            east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
-            reported_mps = None
+            own_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
+        knows_apart = own_mps is not None or self.is_by_gps or not self.is_aided
+        without_gps_mps = own_mps if knows_apart else (east_mps, north_mps)
+        if without_gps_mps is not None:
+            self.without_gps.add_velocity(stamp_ns, *without_gps_mps, may_slip=False)
+        if not is_reported:
+            if own_mps is None:
+                return
+            (east_mps, north_mps), reported_mps = own_mps, None
         may_slip = is_reported or _newest(self._speeds.get(WHEELS), stamp_ns) is not None
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip)
 

@@ -20,7 +20,7 @@ from sim.research.trial.gps_histories import DRAG_MPS, TURNS_DEG, History, drag,
 from sim.trial.views import RoadLibrary
 
 LEAST_CALLED = 0.9
-"""Share of the drag-offs with sightings that must be called in time; of 190, 0.93 were: all by
+"""Share of the drag-offs with sightings of which the pilot must be told in time; of 190, 0.93 were called: all by
 night and dusk, 0.93 in rain, 0.70 in snow."""
 
 
@@ -105,7 +105,11 @@ def _run(args: argparse.Namespace) -> int:
         false = sum(not math.isnan(one.called_m) for one in honest)
         doubt = max((one.doubt for one in honest), default=0.0)
         kilometers = sum(one.driven_m for one in honest) / 1000
-        print(f"honest: {kilometers:.0f} km, {false} false calls, greatest doubt {doubt:.2f}", flush=True)
+        told = sum(not math.isnan(one.told_m) for one in honest)
+        print(
+            f"honest: {kilometers:.0f} km, {false} false calls, {told} times told, greatest doubt {doubt:.2f}",
+            flush=True,
+        )
         for light in dict.fromkeys(one.light for one in honest):
             warned = [one.warned for one in honest if one.light == light]
             print(f"honest, {light}: not recognized where GPS was in {sum(warned)} of {len(warned)} drives", flush=True)
@@ -115,7 +119,7 @@ def _run(args: argparse.Namespace) -> int:
     finally:
         trial.library.close()
     seen = [one for _, _, one in drags if one.seen]
-    return 0 if not false and np.mean([one.called_m < CALLED_M for one in seen]) >= LEAST_CALLED else 1
+    return 0 if not false and np.mean([one.told_m < CALLED_M for one in seen]) >= LEAST_CALLED else 1
 
 
 def _print_spoofs(spoofs: Sequence[tuple[str, Outcome]]) -> None:
@@ -127,8 +131,8 @@ def _print_spoofs(spoofs: Sequence[tuple[str, Outcome]]) -> None:
 
 
 def _print_drags(drags: Sequence[tuple[float, str, Outcome]]) -> None:
-    print("| drag-off | n | called before 50 m | with sightings | error at the call, median / 90 % |")
-    print("|---|---|---|---|---|")
+    print("| drag-off | n | told before 50 m | with sightings | called wrong | error when told, median / 90 % |")
+    print("|---|---|---|---|---|---|")
     rows: dict[str, list[Outcome]] = {name: [] for name in (*(f"{rate:g} m/s" for rate in DRAG_MPS), *TURNS_DEG)}
     for rate, way, one in drags:
         for name in (f"{rate:g} m/s", way, one.light):
@@ -137,7 +141,10 @@ def _print_drags(drags: Sequence[tuple[float, str, Outcome]]) -> None:
         if not found:
             continue
         seen = [one for one in found if one.seen]
-        errors_m = np.nan_to_num([one.called_m for one in found], nan=math.inf)
-        in_time = [sum(one.called_m < CALLED_M for one in those) for those in (found, seen)]
+        errors_m = np.nan_to_num([one.told_m for one in found], nan=math.inf)
+        in_time = [sum(one.told_m < CALLED_M for one in those) for those in (found, seen)]
+        called = sum(not math.isnan(one.called_m) for one in found)
         spread = f"{np.median(errors_m):.0f} / {np.percentile(errors_m, 90, method='lower'):.0f} m"
-        print(f"| {name} | {len(found)} | {in_time[0]} | {in_time[1]} of {len(seen)} | {spread} |", flush=True)
+        print(
+            f"| {name} | {len(found)} | {in_time[0]} | {in_time[1]} of {len(seen)} | {called} | {spread} |", flush=True
+        )

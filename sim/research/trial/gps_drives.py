@@ -17,7 +17,7 @@ import numpy as np
 from edge.config import CameraConfig, Config, GatesConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
-from edge.localization import GPS_SIGMA_M, GpsFix, Own
+from edge.localization import GPS_SIGMA_M, Displacement, GpsFix, Own
 from edge.localization.events import Frame
 from edge.localization.gps_judge import GpsJudge, compare
 from edge.reference_map import Route, open_map_set
@@ -42,6 +42,9 @@ DRIVES = (
 )
 RIG_OF_WORLDS: RigConfig = msgspec.structs.replace(RIG, sigma_forward_swapped_m=10.0, sigma_reverse_same_m=4.5)
 """As calibrated on these roads, in other light."""
+WHEELS, HEADING_DEG = 0.03, 1.5
+"""Errors of wheels, as a share, and of the heading: one standard deviation."""
+TOLD = "disagrees", "wrong", "map wrong"
 CALLED_M, SEEN_M = 50.0, (30.0, 48.0)
 """A drag-off should be called before the first; on a road with sightings there are some between the other two."""
 BEGINS_M, SIGHTINGS = 20.0, 3
@@ -58,25 +61,31 @@ class PlacedFrame:
 
 @dataclass(frozen=True)
 class PlacedDrive:
-    """A drive with the places that were recognized on it. time_s: (N,). true_m: east and north (N, 2)."""
+    """A drive with the places that were recognized on it.
+
+    time_s: (N,). true_m: east and north (N, 2). by_wheels_m: the same by wheels and heading, wrong by a little, NaN without.
+    """
 
     light: str
     time_s: Array
     true_m: Array
+    by_wheels_m: Array
     route: Route
     frames: tuple[PlacedFrame, ...]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A history of GPS on a drive. called_m: error of GPS when it was called wrong, NaN if it never was.
+    """A history of GPS on a drive.
 
-    called_after_m: driven until then, from where the error exceeds BEGINS_M. seen: whether places were recognized while
-    the error was between SEEN_M. doubt: the greatest. driven_m: in all. warned: whether the vehicle was not recognized
-    where GPS had it.
+    called_m: error of GPS when it was called wrong, NaN if it never was. told_m: when the pilot was told that GPS and
+    the places disagree, or more. called_after_m: driven until the call, from where the error exceeds BEGINS_M. seen:
+    whether places were recognized while the error was between SEEN_M. doubt: the greatest. driven_m: in all. warned:
+    whether the vehicle was not recognized where GPS had it.
     """
 
     called_m: float
+    told_m: float
     called_after_m: float
     seen: bool
     doubt: float
@@ -132,7 +141,10 @@ def place(
             raw = library[scenario].raw(float(at_m))
             match = matcher.push(raw, Travel(float(driven_m), sampler.missed))
             frames.append(PlacedFrame(row, match, sampler.missed))
-    return PlacedDrive(scenario.light, time_s, true_m, Route(maps), tuple(frames))
+    turned, scale = math.radians(rng.normal(0.0, HEADING_DEG)), 1.0 + rng.normal(0.0, WHEELS)
+    turn = np.array([[math.cos(turned), -math.sin(turned)], [math.sin(turned), math.cos(turned)]])
+    by_wheels_m = scale * (true_m - true_m[0]) @ turn
+    return PlacedDrive(scenario.light, time_s, true_m, by_wheels_m, Route(maps), tuple(frames))
 
 
 def _smooth(offsets: Array) -> Array:
@@ -149,7 +161,7 @@ def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()
     judged = GpsJudge(config)
     judged.use_route(drive.route)
     driven_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(drive.true_m, axis=0).T))])
-    seen, doubt, begins_m, called, warned = 0, 0.0, math.nan, (math.nan, math.nan), False
+    seen, doubt, begins_m, called, told_m, warned = 0, 0.0, math.nan, (math.nan, math.nan), math.nan, False
     for frame in drive.frames:
         gps = None
         if math.isnan(begins_m) and error_m[frame.row] > BEGINS_M:
@@ -157,12 +169,15 @@ def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()
         if not math.isnan(error_m[frame.row]):
             at_m = drive.true_m[frame.row] + offsets[frame.row]
             gps = GpsFix(*geodetic(float(at_m[0]), float(at_m[1])), GPS_SIGMA_M)
-        stamp_ns = round(drive.time_s[frame.row] * 1e9)
-        judged.update(Frame(stamp_ns, frame.match, gps=gps, missed=frame.missed), Own(), None)
+        stamp_ns, by_wheels_m = round(drive.time_s[frame.row] * 1e9), drive.by_wheels_m[frame.row].tolist()
+        motion = None if math.isnan(by_wheels_m[0]) else Displacement(1, *by_wheels_m)
+        judged.update(Frame(stamp_ns, frame.match, without_gps=motion, gps=gps, missed=frame.missed), Own(), None)
         verdict = judged.verdict
         if SEEN_M[0] < error_m[frame.row] < SEEN_M[1] and frame.match is not None:
             seen += compare(frame.match, gps, drive.route, RIG_OF_WORLDS, config.sequence_frames) is not None
         if verdict.state == "wrong" and math.isnan(called[0]):
             called = float(error_m[frame.row]), float(driven_m[frame.row] - begins_m)
+        if verdict.state in TOLD and math.isnan(told_m):
+            told_m = float(error_m[frame.row])
         doubt, warned = max(doubt, verdict.doubt or 0.0), warned or verdict.state == "not recognized"
-    return Outcome(*called, seen >= SIGHTINGS, doubt, float(driven_m[-1]), warned, drive.light)
+    return Outcome(called[0], told_m, called[1], seen >= SIGHTINGS, doubt, float(driven_m[-1]), warned, drive.light)

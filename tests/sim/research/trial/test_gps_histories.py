@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> PlacedDrive:
         frames.append(PlacedFrame(round(number * 2.5), match, 0))
     ground_m = np.array([east_north_m(*moved(*HOME, *point)) for point in line.tolist()])
     true_m = np.column_stack([np.interp(8.0 * TIME_S, np.arange(len(line)), axis) for axis in ground_m.T])
-    return PlacedDrive("road", TIME_S, true_m, route, tuple(frames))
+    return PlacedDrive("road", TIME_S, true_m, 0.97 * true_m, route, tuple(frames))
 
 
 def test_an_honest_history_is_not_called(drive: PlacedDrive) -> None:
@@ -79,16 +80,24 @@ def test_an_honest_history_is_not_called(drive: PlacedDrive) -> None:
 
 
 @pytest.mark.parametrize("way", list(gps_histories.TURNS_DEG))
-def test_a_drag_off_is_called(drive: PlacedDrive, way: str) -> None:
+def test_the_pilot_is_told_of_a_drag_off_and_own_motion_calls_it(drive: PlacedDrive, way: str) -> None:
     outcome = judge(drive, gps_histories.drag(1.0, way, 60.0)(drive.time_s, drive.true_m, rng()))
-    assert 10.0 < outcome.called_m < 50.0
+    assert 10.0 < outcome.told_m < 50.0
+    assert outcome.told_m <= outcome.called_m < 100.0
     assert outcome.seen
 
 
+def test_without_own_motion_nobody_is_called_wrong(drive: PlacedDrive) -> None:
+    unknown = replace(drive, by_wheels_m=np.full_like(drive.true_m, math.nan))
+    outcome = judge(unknown, gps_histories.drag(1.0, "left", 60.0)(drive.time_s, drive.true_m, rng()))
+    assert outcome.told_m < 50.0
+    assert math.isnan(outcome.called_m)
+
+
 def test_the_table_counts_what_was_called_in_time(capsys: pytest.CaptureFixture[str]) -> None:
-    early = Outcome(30.0, 80.0, True, 1.0, 1600.0, False, "night")
-    late = Outcome(70.0, 200.0, False, 1.0, 1600.0, False, "night")
+    early = Outcome(30.0, 28.0, 80.0, True, 1.0, 1600.0, False, "night")
+    late = Outcome(70.0, 65.0, 200.0, False, 1.0, 1600.0, False, "night")
     gps_command._print_drags([(1.0, "left", early), (1.0, "along", late)])
     rows = capsys.readouterr().out.splitlines()
-    assert "| 1 m/s | 2 | 1 | 1 of 1 | 50 / 30 m |" in rows
+    assert "| 1 m/s | 2 | 1 | 1 of 1 | 2 | 46 / 28 m |" in rows
     assert rows[-1].startswith("| all | 2 | 1 | 1 of 1 |")
