@@ -36,6 +36,7 @@ ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
     "alexnet": "sim.research.alexnet.command",
     "bench": "sim.bench.board",
+    "drive": "sim.trial.drive_command",
     "flights": "sim.research.trial.flights_command",
     "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",

@@ -63,7 +63,8 @@ class PlacedFrame:
 class PlacedDrive:
     """A drive with the places that were recognized on it.
 
-    time_s: (N,). true_m: east and north (N, 2). by_wheels_m: the same by wheels and heading, wrong by a little, NaN without.
+    time_s: (N,). true_m: east and north (N, 2). by_wheels_m: the same by wheels and
+    heading, which are wrong by a little; NaN without.
     """
 
     light: str
