@@ -12,6 +12,7 @@ and nothing of that drive is recognized. That is no call: a changed road looks t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from msgspec import structs
@@ -83,7 +84,7 @@ class GpsJudge:
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, frame.missed)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
-        self._is_unseen = self._unseen_road.update(match, gps, doubt)
+        self._is_unseen = self._unseen_road.update(match, _where(gps, own, frame), doubt)
         return verdict.state == "wrong" and not was_wrong
 
     @property
@@ -172,17 +173,18 @@ class UnseenRoad:
         self._last: PlaceMatch | None = None
         self._firm_m = self._ahead_m = self._unseen_m = self._doubt = 0.0
 
-    def update(self, match: PlaceMatch | None, gps: GpsFix | None, doubt: float = 0.0) -> bool:
+    def update(self, match: PlaceMatch | None, by_gps: Sequence[GpsFix], doubt: float = 0.0) -> bool:
         """After the answer to one more frame: whether the vehicle is not recognized where GPS has it.
 
-        gps: at the exposure. doubt: see `GpsVerdict`; 0 where GPS is not doubtful.
+        by_gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
+        steers by it, and lags a receiver that is dragged off. doubt: see `GpsVerdict`; 0 where GPS is not doubtful.
         """
         if match is None:
             self.reset()  # a sequence begins anew, and cannot be recognized yet
         elif match.accepted:
             self._see(match, doubt)
-        elif self._last is not None and gps is not None:
-            self._follow(self._last, gps)
+        elif self._last is not None and by_gps:
+            self._follow(self._last, by_gps)
         return self._unseen_m >= UNSEEN_M * (1 - self._doubt / 2)
 
     def _see(self, match: PlaceMatch, doubt: float) -> None:
@@ -198,7 +200,7 @@ class UnseenRoad:
         is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
         self._last, self._ahead_m, self._doubt = (match if is_firm else None), 0.0, doubt
 
-    def _follow(self, last: PlaceMatch, gps: GpsFix) -> None:
+    def _follow(self, last: PlaceMatch, by_gps: Sequence[GpsFix]) -> None:
         sign, rig = (1 if last.direction == "forward" else -1), self._rig
         seen_m, behind_m = sign * self._ahead_m, sign * rig.ahead_m(last.direction, last.order)
         here = position_on_route(self._route, last.place_index, seen_m - behind_m, last.direction)
@@ -206,13 +208,24 @@ class UnseenRoad:
         if here is None or here.heading_deg is None or not is_mapped:
             self.reset()
             return
-        ahead_m, left_m = along_and_left_m(gps, here, rig.left_m(last.direction))
-        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_across_m, map_error_m(here), gps.sigma_m):
+        offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
+        ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
+        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_across_m, map_error_m(here), by_gps[0].sigma_m):
             self.reset()
             return
         most_m = MOST_PLACES * self._route.drive(last.place_index).spacing_m
         self._ahead_m += ahead_m
         self._unseen_m += max(-most_m, min(ahead_m, most_m))
+
+
+def _where(gps: GpsFix | None, own: Own, frame: Frame) -> list[GpsFix]:
+    """Where GPS has the vehicle at the exposure of a frame: by the receiver, and by the filter while that uses it."""
+    position, found = own.position, [] if gps is None else [gps]
+    if position is not None and own.gps_sigma_m is not None:
+        apart_s = (frame.stamp_ns - position.stamp_ns) / 1e9
+        at = moved(position.lat_deg, position.lon_deg, position.east_mps * apart_s, position.north_mps * apart_s)
+        found.append(GpsFix(*at, own.gps_sigma_m))
+    return found
 
 
 def along_and_left_m(gps: GpsFix, place: Position, lane_m: float) -> tuple[float, float]:
