@@ -20,7 +20,7 @@ from msgspec import structs
 from edge.config import Config, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
-from edge.localization.events import Frame, GpsFix, Own
+from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
 from edge.localization.gps_referee import Comparison, GpsReferee, GpsVerdict
 from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
 from edge.localization.route_estimate import CORRELATION_M
@@ -171,7 +171,7 @@ class UnseenRoad:
     def reset(self) -> None:
         """Nothing is known of where the vehicle was recognized last."""
         self._last: PlaceMatch | None = None
-        self._firm_m = self._ahead_m = self._unseen_m = self._doubt = 0.0
+        self._firm_m = self._ahead_m = self._unseen_m = self._beside_m = self._doubt = 0.0
 
     def update(self, match: PlaceMatch | None, by_gps: Sequence[GpsFix], doubt: float = 0.0) -> bool:
         """After the answer to one more frame: whether the vehicle is not recognized where GPS has it.
@@ -211,20 +211,27 @@ class UnseenRoad:
         offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
         ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
         if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_across_m, map_error_m(here), by_gps[0].sigma_m):
-            self.reset()
+            # For long, it has turned off; a filter that catches up with a dragged receiver is back soon.
+            self._beside_m += self._route.drive(last.place_index).spacing_m
+            if self._beside_m > UNSEEN_M:
+                self.reset()
             return
+        self._beside_m = 0.0
         most_m = MOST_PLACES * self._route.drive(last.place_index).spacing_m
         self._ahead_m += ahead_m
         self._unseen_m += max(-most_m, min(ahead_m, most_m))
 
 
 def _where(gps: GpsFix | None, own: Own, frame: Frame) -> list[GpsFix]:
-    """Where GPS has the vehicle at the exposure of a frame: by the receiver, and by the filter while that uses it."""
+    """Where GPS has the vehicle at the exposure of a frame: by the receiver, and by the filter that may use it.
+
+    Also while the filter is away from a receiver that is dragged off faster than it follows.
+    """
     position, found = own.position, [] if gps is None else [gps]
-    if position is not None and own.gps_sigma_m is not None:
+    if position is not None and own.gps != "not healthy":
         apart_s = (frame.stamp_ns - position.stamp_ns) / 1e9
         at = moved(position.lat_deg, position.lon_deg, position.east_mps * apart_s, position.north_mps * apart_s)
-        found.append(GpsFix(*at, own.gps_sigma_m))
+        found.append(GpsFix(*at, GPS_SIGMA_M))
     return found
 
 
