@@ -19,7 +19,7 @@ The files beside them:
     sequence_matcher  descriptors in, matches out
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
-    plugin            what is added to the daemon: the parts in `edge_plugins/`, which only some vehicles need
+    plugin            guests of the daemon: the parts in `edge_plugins/`, which only some vehicles need, or of others
     config            the one TOML file
     map_verification  which maps are used, and how far their positions are trusted
     map_agreement     whether drives over one road agree about where it is

@@ -3,6 +3,8 @@
 `default.toml` beside this file shows every key with its unit, range and default; a test holds it against the
 structs. `start.toml` has those of its lines that most vehicles set. Paths are relative to the folder of the config file
 that names them.
+
+A plug-in has a section of its own, a `Section`: in `edge_plugins/NAME/__init__.py`, or where an entry point says.
 """
 
 from __future__ import annotations
@@ -12,13 +14,14 @@ import logging
 import math
 import re
 from collections.abc import Callable, Iterator
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from edge.errors import ConfigError
+from edge.errors import ConfigError, LookbackError
 from edge.files import check_access
 from edge.toml_file import convert_toml, read_text, toml_values
 
@@ -28,8 +31,16 @@ SEQUENCE_M = 80.0  # of section IV-D; docs/evaluation.md, "Any spacing"
 FEWEST_FRAMES, MOST_FRAMES = 40, 80  # most: as far as it was measured, with frames each meter
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 START_TOML = Path(__file__).with_name("start.toml")
+GROUP = "lookback.plugins"
+SHIPPED = {
+    name: EntryPoint(name, f"edge_plugins.{name}:{name.title()}Config", GROUP)
+    for name in ("motion", "mapping", "layers", "recording", "home", "ros2", "page")
+}
+"""The sections of the plug-ins that come with Lookback, in the order in which those are opened and called. Names only:
+edge imports nothing of them."""
 
 ConfigStruct = TypeVar("ConfigStruct", bound=Struct)
+T = TypeVar("T")
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
@@ -92,14 +103,6 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
             device = re.sub(r"//.*@", "//", device).partition("?")[0]
             device = device.partition(" ")[0] if device.startswith("exec:") else device
         return f"{self.kind} {device}"
-
-
-class MotionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[motion]: the vehicle's speed from the ground that [camera] shows."""
-
-    use: Literal["off", "report", "odometer", "send"] = "off"
-    fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
-    pitch_deg: Annotated[float, Meta(ge=-20, le=90)] = 0.0
 
 
 class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -247,70 +250,23 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("origin: expected [latitude deg, longitude deg, meters above sea level], or []")
 
 
-class Ros2Config(Struct, frozen=True, forbid_unknown_fields=True):
-    """[ros2]: what is published to ROS 2 by DDS, and whose odometry is used; off while domain is -1."""
+class Section(Struct, frozen=True, forbid_unknown_fields=True):
+    """The section of a plug-in; `plugin` names its class (`edge.plugin.Plugin`), as "package.module:Class"."""
 
-    domain: Annotated[int, Meta(ge=-1, le=232)] = -1
-    namespace: Annotated[str, Meta(pattern="^[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = "lookback"
-    map_frame: str = "map"
-    base_frame: str = "base_link"
-    odometry: Annotated[str, Meta(pattern="^$|^/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*$")] = ""
-    odometry_is_enu: bool = False
+    plugin: ClassVar[str]
 
-
-class PageConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[page]: the live page; read-only without a token."""
-
-    bind: str = "127.0.0.1"
-    port: Annotated[int, Meta(ge=0, le=65535)] = 8642
-    hosts: tuple[str, ...] = ()
-    token: Annotated[str, Meta(pattern="^$|^[!-~]{12,200}$")] = ""
+    def asks(self, config: Config) -> bool:
+        """Whether the whole config asks for the plug-in; ConfigError, from "[section] key" on, where it contradicts."""
+        return True
 
 
-class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[mapping]: the drive becomes a map while it is driven.
-
-    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
-    """
-
-    folder: FilePath = ""
-    max_sigma_m: Positive = 5.0
-    without_gps: Literal["stop", "continue"] = "stop"
-    behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
-    resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
-    layers: Annotated[int, Meta(ge=0, le=100)] = 4
-    quota_mb: Positive = 20_000.0
-    min_free_mb: NotNegative = 500.0
-    camera: CameraConfig | UnsetType = UNSET
-
-
-class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[recording]: the frames that `lookback run` uses, written as one feed per run."""
-
-    folder: FilePath = ""
-    min_free_mb: NotNegative = 500.0
-
-
-class HomeConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """[home]: the way home, as a mission for the autopilot; off by default."""
-
-    enabled: bool = False
-    socket: FilePath = ""
-    turning_radius_m: Annotated[float, Meta(ge=0, le=1000)] = 6.0
-    tolerance_m: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
-    speed_mps: Annotated[float, Meta(ge=0, le=50)] = 0.0
-    altitude_m: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    max_start_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
-    max_gap_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
-    max_sigma_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
-    max_length_m: Annotated[float, Meta(gt=0, le=100_000)] = 20_000.0
+SectionKind = TypeVar("SectionKind", bound=Section)
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
-    """The whole configuration."""
+    """The whole configuration; plugins: the sections of plug-ins by their names, as far as the file has them."""
 
     camera: CameraConfig = CameraConfig()
-    motion: MotionConfig = MotionConfig()
     sampling: SamplingConfig = SamplingConfig()
     descriptor: DescriptorConfig = DescriptorConfig()
     map: MapConfig = MapConfig()
@@ -320,17 +276,11 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     tracking: TrackingConfig = TrackingConfig()
     gates: GatesConfig = GatesConfig()
     telemetry: TelemetryConfig = TelemetryConfig()
-    ros2: Ros2Config = Ros2Config()
-    page: PageConfig = PageConfig()
-    recording: RecordingConfig = RecordingConfig()
-    mapping: MappingConfig = MappingConfig()
-    home: HomeConfig = HomeConfig()
+    plugins: dict[str, Section] = {}
 
-    def __post_init__(self) -> None:
-        if self.mapping.folder and self.sampling.by != "distance":
-            raise ValueError('[mapping] folder: mapping needs [sampling] by = "distance"')
-        if self.mapping.camera is not UNSET and not self.mapping.folder:
-            raise ValueError("[mapping] folder: is empty; name the folder of maps, or remove [mapping.camera]")
+    def of(self, kind: type[SectionKind]) -> SectionKind:
+        """The section of a plug-in by its class, at its defaults where the file has none."""
+        return next((one for one in self.plugins.values() if type(one) is kind), None) or kind()
 
     @property
     def sequence_frames(self) -> int:
@@ -356,10 +306,65 @@ def parse_config(text: str, path: Path) -> Config:
     values, notes = brought_up_to_date(toml_values(text, path))
     for note in notes:
         log.warning("%s: %s", path, note)
-    config = convert_toml(values, path, Config)
+    with naming(path):
+        config = _converted(values, path)
     for where, why in _unusable_paths(config):
         raise ConfigError(f"{path}: {where}: {why}")
     return change_paths(config, lambda _, value: str(path.parent / value))
+
+
+def _converted(values: dict[str, Any], path: Path) -> Config:
+    """Nested tables as a config, with the sections of plug-ins that it has."""
+    own = {field.name: field.type for field in msgspec.structs.fields(Config) if field.name != "plugins"}
+    points = {name: found for name, found in plugin_points().items() if name not in own}
+    kinds = {name: section_kind(name, points[name]) for name in values if name in points}
+    # Of all other plug-ins no more than the name is known, by which a misspelled one is found.
+    types = {**dict.fromkeys(points, dict), **kinds, **own}
+    fields = [(name, kind, msgspec.field(default_factory=kind)) for name, kind in types.items()]
+    read = convert_toml(values, path, msgspec.defstruct("File", fields, forbid_unknown_fields=True))
+    sections = {name: getattr(read, name) for name in kinds}
+    config = Config(**{name: getattr(read, name) for name in own}, plugins=sections)
+    list(asked_sections(config))  # which may contradict the others
+    return config
+
+
+def plugin_points() -> dict[str, list[EntryPoint]]:
+    """The entry points of all plug-ins that are installed, by their names: more than one is a mistake."""
+    points = {name: [point] for name, point in SHIPPED.items()}
+    for point in entry_points(group=GROUP):
+        points.setdefault(point.name, []).append(point)
+    return points
+
+
+def section_kind(name: str, points: list[EntryPoint]) -> type[Section]:
+    """The class of a plug-in's section; ConfigError where it cannot be imported, or others have this name too."""
+    values = " and ".join(point.value for point in points)
+    if len(points) > 1:
+        raise ConfigError(f"[{name}] plug-in {name}: {values} have this name; uninstall one of them")
+    kind: type[Section] = loaded(name, values, points[0].load)
+    if not (isinstance(kind, type) and issubclass(kind, Section)):
+        raise ConfigError(f"[{name}] plug-in {name} ({values}): the entry point must name its Section (edge/config.py)")
+    return kind
+
+
+def asked_sections(config: Config) -> Iterator[tuple[str, Section]]:
+    """The plug-ins that a config asks for, in the order in which they are opened: name and section. ConfigError."""
+    for name in dict.fromkeys((*SHIPPED, *config.plugins)):
+        section = config.plugins.get(name) or section_kind(name, [SHIPPED[name]])()
+        if section.asks(config):
+            yield name, section
+
+
+def loaded(name: str, value: str, call: Callable[[], T]) -> T:
+    """What a call returns that imports or opens a part of a plug-in; LookbackError in one line, whatever it raises."""
+    try:
+        return call()
+    except LookbackError:
+        raise
+    except Exception as error:
+        why = " ".join(f"{type(error).__name__}: {error}".split())  # numpy's has many lines
+        log.debug("where it failed", exc_info=True)
+        raise ConfigError(f"[{name}] plug-in {name} ({value}): {why}; repair its package, or turn it off") from error
 
 
 def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -391,7 +396,8 @@ def naming(path: Path) -> Iterator[None]:
 
 def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
     """Values that cannot be the name of a file or device: the key, and what is wrong."""
-    for section, keys in msgspec.to_builtins(config).items():
+    own = msgspec.to_builtins(config)
+    for section, keys in [*own.pop("plugins").items(), *own.items()]:
         for key, value in keys.items():
             # As JSON, which also covers values that are tables or lists.
             if "\\u0000" in msgspec.json.encode(value).decode().replace("\\\\", ""):
@@ -419,6 +425,8 @@ def change_paths(config: ConfigStruct, change: Callable[[str, str], str], sectio
         is_path = field.type == FilePath or (field.name == "device" and getattr(config, "kind", "") in ("feed", "sim"))
         if isinstance(value, Struct):
             changes[field.name] = change_paths(value, change, below)
+        elif isinstance(config, Config):
+            changes[field.name] = {name: change_paths(one, change, name) for name, one in value.items()}
         elif isinstance(value, tuple):
             changes[field.name] = tuple(
                 change_paths(one, change, below) if isinstance(one, Struct) else one for one in value

@@ -14,9 +14,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import Frame
@@ -60,15 +58,14 @@ class Daemon:
         waited_s = (self._clock_ns() - waits_ns) / 1e9
         frame = None if frame is None else self._dated(frame)
         is_usable = frame is not None and self._is_usable(frame)
-        if not (frame is not None and is_usable and self._process_if_place(frame)):
-            parts.plugins.each(lambda plugin: plugin.spare_turn(waited_s, self._describe))
-            if not (is_usable or parts.verification.checksums.is_done):
-                self._check_maps(self._recognizer.matcher.search.folders_in_use)
-        self._autopilot.history.release()
+        is_used = frame is not None and is_usable and self._process_if_place(frame)
+        if not (is_usable or parts.verification.checksums.is_done):
+            self._check_maps(self._recognizer.matcher.search.folders_in_use)
         if self._update_health():
             self._reset()
         self._publish_position()
-        parts.plugins.each(lambda plugin: plugin.turn())
+        spare_s = None if is_used else waited_s
+        parts.plugins.each(lambda plugin: plugin.turn(spare_s))
         parts.monitor.feed_watchdog()
         return not parts.camera.ended
 
@@ -179,7 +176,7 @@ class Daemon:
         """Use the maps as they are on the disk now, from the next frame on; those so far where they cannot be used."""
         parts = self.parts
         try:
-            self._recognizer.reopen_maps(parts.newest_map())
+            self._recognizer.reopen_maps(parts.plugins.newest_map())
         except SetupError as error:
             log.warning("%s; the maps so far stay in use", error)
             self._autopilot.status_text("Lookback: new map is not usable", mavlink.MAV_SEVERITY_WARNING)
@@ -193,40 +190,33 @@ class Daemon:
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
         self._drive.update(self._clock_ns(), Maps(self.parts.verification.as_uncertain(self._recognizer.map_set)))
-        self.parts.plugins.each(lambda plugin: plugin.maps_changed())
 
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
         parts = self.parts
-        grown = parts.plugins.each(lambda plugin: plugin.grown_map())
-        for newest in (one for one in grown if one is not None):
+        newest = parts.plugins.grown_map()
+        if newest is not None:
             maps = self._recognizer.map_set.with_newest(newest)
             self._recognizer.grow_maps(maps)
             self._drive.update(self._clock_ns(), Maps(parts.verification.as_uncertain(maps), has_grown=True))
-            parts.plugins.each(lambda plugin: plugin.maps_changed())
-
-    def _describe(self, frame: Frame) -> NDArray[np.float32]:
-        """Describe a frame of another camera; timed as the others are."""
-        self.parts.times.start()
-        return self._recognizer.describe(frame.image)
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
-        """To the journal where it is to have every frame, to the plug-ins, and an event to people."""
+        """To the journal where it is to have every frame, an event to people, and both to the plug-ins."""
         parts, route, rig = self.parts, self._drive.route, self.parts.config.rig
         record = frame_used(frame.index, frame.stamp_ns, match, route, rig, missed)
         parts.frames_used += 1
         parts.events += record.emitted
         if parts.config.telemetry.journal_frames:
             parts.record(record)
-        used = UsedFrame(frame, distance_m, missed, match, record)
-        parts.plugins.each(lambda plugin: plugin.frame_used(used))
+        fix = None
         if match is not None and match.event:
             fix = self._drive.known.position
             if fix is None or fix.stamp_ns != frame.stamp_ns:
                 fix = untracked_fix(match, frame.stamp_ns, route, rig)
             parts.record(fix)
             self._autopilot.publish_place(fix)
-            parts.plugins.each(lambda plugin: plugin.place(fix))
+        used = UsedFrame(frame, distance_m, missed, match, record, fix)
+        parts.plugins.each(lambda plugin: plugin.frame_used(used))
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, and what follows."""
@@ -283,13 +273,12 @@ class Daemon:
         """What was done, for the journal."""
         parts = self.parts
         self._autopilot.restore_sources()
-        self._autopilot.history.release(all_of_them=True)
-        parts.plugins.each(lambda plugin: plugin.stop())
+        parts.warm_start.keep()
+        parts.plugins.close()  # which may write records
         health = parts.camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}
         stopped = Stopped(parts.frames_used, parts.events, parts.times.medians_ms(), counts)
         parts.record(stopped)
-        parts.warm_start.keep()
         return stopped
 
 

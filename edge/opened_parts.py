@@ -8,8 +8,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from edge.camera import Frames
 from edge.camera.newest import NewestFrame
 from edge.camera.picture_check import PictureCheck
@@ -18,13 +16,12 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
-from edge.journal.records import PluginFailed, Record
+from edge.journal.records import Record
 from edge.localization import Drive, Maps, PositionEstimator
 from edge.localization.drive_file import DriveFile
 from edge.map_verification import MapVerification
-from edge.plugin import Plugins
+from edge.plugin import Parts, Plugins
 from edge.recognizer import open_recognizer
-from edge.reference_map import MapSoFar
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
 
@@ -63,33 +60,28 @@ class OpenedParts:
         if config.telemetry.drive:
             file = parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config)))
             self.drive = Drive(PositionEstimator(config), file.write)
-        settings = config.telemetry, clock_ns, self.record, config.gates, self.drive
-        link = AutopilotConnection(*settings, motion=config.motion.use)
+        link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, self.drive)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.
         links = Links(link.set_system_status, link.status_text, link.say_now)
         self.monitor = HealthMonitor(links, self.journal, clock_ns)
-        self.plugins = parts.enter_context(closing(Plugins(self._plugin_failed)))
-        self.mapping_frames = mapping_frames
+        self.plugins = parts.enter_context(closing(Plugins(link)))
         with self.monitor.failures():
-            self.network = network or open_network(config.descriptor)
-            self.plugins.open(self)
-            self._open_recognizer()
+            network = network or open_network(config.descriptor)
+            own = config, clock_ns, self.record, link, self.drive, network, self.times
+            shared = Parts(*own, lambda: self.monitor.health, self._lost, self.plugins, mapping_frames)
+            self.plugins.open(shared)
+            self._open_recognizer(network)
             self._open_camera(parts, frames)
+            shared.recognizer, shared.pictures, shared.camera = self.recognizer, self.pictures, self.camera
             self.plugins.start()
 
-    def _plugin_failed(self, name: str, why: str) -> None:
-        self.record(PluginFailed(name, why))
-        self.autopilot.status_text(f"Lookback: {name} failed, goes on without", mavlink.MAV_SEVERITY_WARNING)
+    def _lost(self) -> int:
+        return self.journal.lost if self.journal else 0
 
-    def newest_map(self) -> MapSoFar | None:
-        """The map of this drive, None where nothing maps it."""
-        newest = self.plugins.each(lambda plugin: plugin.newest_map())
-        return next((one for one in newest if one is not None), None)
-
-    def _open_recognizer(self) -> None:
-        config, newest = self.config, self.newest_map()
-        self.recognizer = open_recognizer(config, network=self.network, newest=newest, stopwatch=self.times.lap)
+    def _open_recognizer(self, network: Network) -> None:
+        config, newest = self.config, self.plugins.newest_map()
+        self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
         self.verification = MapVerification(maps, self.record, self.autopilot.status_text)

@@ -1,34 +1,63 @@
-"""What is added to the daemon from outside: a plug-in is opened with the daemon's parts, and called at its moments.
+"""Plug-ins: guests of the daemon, opened where the config asks for them, and called at its moments.
 
-All that it takes is a function `open_plugin(parts: OpenedParts) -> Plugin | None`: None where the config does not ask
-for it. Those that come with Lookback are listed here; another package adds one by an entry point `lookback.plugins`.
+A plug-in is a section of the config (`edge.config.Section`), which names a class like `Plugin`. No other is imported.
+What it exchanges with the autopilot belongs to it as well, and goes with it: closed is gone.
 """
 
 from __future__ import annotations
 
-import contextlib
 import logging
+import time
+import traceback
 from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.camera import Frame
-from edge.errors import ConfigError
-from edge.journal.records import FrameUsed, PlaceFix
+from edge.camera import Frame, Frames
+from edge.camera.picture_check import PictureCheck
+from edge.config import GROUP, Config, asked_sections, loaded
+from edge.descriptor.network import Network
+from edge.health.health import Health
+from edge.health.monitor import StageTimes
+from edge.journal.records import FrameUsed, PlaceFix, PluginFailed, Record
+from edge.localization import Drive
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map import MapSoFar
 from edge.sequence import PlaceMatch
+from edge.telemetry.autopilot import DRAIN_S, AutopilotConnection, Service
+from edge.telemetry.codec import Message
 
-GROUP = "lookback.plugins"
-NAMES = "motion", "mapping", "layers", "recording", "home", "ros2", "page"
-PLUGINS = [EntryPoint(name, f"edge_plugins.{name}.plugin:open_plugin", GROUP) for name in NAMES]
-"""In the order in which they are opened and called. Names only: edge imports nothing of them."""
 T = TypeVar("T")
 log = logging.getLogger(__name__)
+
+
+@dataclass
+class Parts:
+    """What a plug-in may use of the daemon; the last three from `start` on.
+
+    record: writes a record to the journal. times: of the stages of a frame. lost: records that the journal has lost.
+    mapping_frames: instead of those of [mapping.camera].
+    """
+
+    config: Config
+    clock_ns: Callable[[], int]
+    record: Callable[[Record], object]
+    autopilot: AutopilotConnection
+    drive: Drive
+    network: Network
+    times: StageTimes
+    health: Callable[[], Health]
+    lost: Callable[[], int]
+    plugins: Plugins
+    mapping_frames: Frames | None = None
+    recognizer: PlaceRecognizer = field(init=False)
+    pictures: PictureCheck = field(init=False)
+    camera: Frames = field(init=False)
 
 
 @dataclass(frozen=True)
@@ -36,7 +65,7 @@ class UsedFrame:
     """A frame that showed a new place, and what came of it.
 
     distance_m: driven when it was exposed. missed: places that were passed before it without a frame. record: as in the
-    journal.
+    journal. place: as it was published; None where no event followed.
     """
 
     frame: Frame
@@ -44,17 +73,21 @@ class UsedFrame:
     missed: int
     match: PlaceMatch | None
     record: FrameUsed
+    place: PlaceFix | None
 
 
 class Plugin:
-    """Does nothing at any moment; a plug-in overrides those that it needs.
+    """Does nothing at any moment; a plug-in overrides those that it needs, and is made with its section and `Parts`.
 
     All calls come from the daemon's loop, and none may block: what takes longer belongs in a thread or a process.
-    What `open_plugin` and `start` raise ends the daemon; what another call raises ends the plug-in, see `Plugins`.
+    What is raised while the daemon starts, until the end of `start`, ends it; later, it ends the plug-in (`Plugins`).
     """
 
+    service: Service | None = None
+    """What it exchanges with the autopilot."""
+
     def newest_map(self) -> MapSoFar | None:
-        """A map of this drive that is searched with the others: asked whenever the maps are opened."""
+        """A map of this drive, searched with the others: another object once it has grown. Asked before `start` too."""
         return None
 
     def start(self) -> None:
@@ -63,93 +96,113 @@ class Plugin:
     def frame(self, frame: Frame) -> None:
         """A picture that shows something, also where it shows no new place; before its place is recognized."""
 
-    def spare_turn(self, waited_s: float, describe: Callable[[Frame], NDArray[np.float32]]) -> None:
-        """A turn in which no place was recognized.
-
-        waited_s: for a frame. describe: a frame -> its raw descriptor (R, D) float32.
-        """
-
     def frame_used(self, used: UsedFrame) -> None:
         """A frame was recognized, and is in the journal."""
 
-    def grown_map(self) -> MapSoFar | None:
-        """`newest_map` where enough was added to it since; asked after each used frame."""
-        return None
+    def turn(self, spare_s: float | None) -> None:
+        """The end of each turn of the loop, 50 times a second.
 
-    def place(self, fix: PlaceFix) -> None:
-        """A believed place was published."""
-
-    def maps_changed(self) -> None:
-        """Other maps are searched from now on, or more of the map of this drive."""
-
-    def turn(self) -> None:
-        """The end of each turn of the loop, 50 times a second."""
-
-    def stop(self) -> None:
-        """No further turn comes; everything is still open."""
+        spare_s: waited for a frame, where no place was recognized in this turn; else None.
+        """
 
     def close(self) -> None:
-        """The end, also where `start` was never called; more than once is harmless."""
-
-
-PluginKind = TypeVar("PluginKind", bound=Plugin)
+        """The end, also where `start` was never called, and before the autopilot and the journal are closed."""
 
 
 class Plugins:
     """Those that are open. One that fails is closed, and everything else goes on: a page must not cost a position."""
 
-    def __init__(self, failed: Callable[[str, str], object]) -> None:
-        """failed: called with the name of a plug-in that failed, and why."""
+    def __init__(self, link: AutopilotConnection) -> None:
+        """link: to the autopilot, with which their services exchange messages, and to the journal and the pilot."""
         self._open: dict[str, Plugin] = {}
-        self._failed = failed
+        self._newest: MapSoFar | None = None
+        self._link = link
+        link.services.append(self)
 
-    def open(self, parts: Any) -> None:
-        """Open those that the config asks for; ConfigError for one that is not usable. parts: the daemon's."""
-        loaded: dict[str, Any] = {}
-        for point in (*PLUGINS, *entry_points(group=GROUP)):
-            if point.name in loaded:
-                raise ConfigError(f"plug-in {point.name} ({point.value}): another has this name; uninstall one of them")
-            loaded[point.name] = _loaded(point)
-        for name, open_plugin in loaded.items():
-            plugin: Plugin | None = open_plugin(parts)
-            if plugin is not None:
-                self._open[name] = plugin
+    def open(self, parts: Parts) -> None:
+        """Open those that the config asks for; SetupError for one that cannot be."""
+        for name, section in asked_sections(parts.config):
+            kind = loaded(name, section.plugin, EntryPoint(name, section.plugin, GROUP).load)
+            self._open[name] = loaded(name, section.plugin, partial(kind, section, parts))
 
     def start(self) -> None:
-        """Once everything else is open."""
-        log.info("plug-ins: %s", ", ".join(self._open))
-        for plugin in self._open.values():
-            plugin.start()
-
-    def find(self, kind: type[PluginKind]) -> PluginKind | None:
-        """The plug-in of a class, for another one; None where it is not open."""
-        return next((plugin for plugin in self._open.values() if isinstance(plugin, kind)), None)
-
-    def each(self, moment: Callable[[Plugin], T]) -> list[T]:
-        """Call each at a moment; what they return."""
-        returned = []
+        """Once everything else is open; SetupError."""
+        log.info("plug-ins: %s", ", ".join(self._open) or "none")
         for name, plugin in list(self._open.items()):
-            try:
-                returned.append(moment(plugin))
-            except Exception as error:
-                log.exception("plug-in %s failed and is closed; everything else goes on", name)
-                del self._open[name]
-                with contextlib.suppress(Exception):
-                    plugin.close()
-                self._failed(name, f"{type(error).__name__}: {error}")
-        return returned
+            loaded(name, type(plugin).__qualname__, plugin.start)
+
+    def each(self, moment: Callable[[Plugin], object]) -> None:
+        """Call each at a moment."""
+        for name, plugin in list(self._open.items()):
+            self._call(name, partial(moment, plugin))
+
+    def ask(self, name: str, what: Callable[..., T]) -> T | None:
+        """What a call of the plug-in of that name returns, for another one: it is the former that ends if it fails.
+
+        None where it is not open, or fails.
+        """
+        return self._call(name, lambda: what(self._open[name]))
+
+    def newest_map(self) -> MapSoFar | None:
+        """The map of this drive, None where nothing maps it."""
+        newest = (self._call(name, plugin.newest_map) for name, plugin in list(self._open.items()))
+        self._newest = next((one for one in newest if one is not None), None)
+        return self._newest
+
+    def grown_map(self) -> MapSoFar | None:
+        """The same where it has grown since it was asked for last, else None."""
+        before = self._newest
+        return None if self.newest_map() is before else self._newest
+
+    def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
+        """As `Service` has it, for those of all; what is due is sent here, since sending is where a wrong one fails."""
+        self.each(partial(self._serve, lambda service: service.read(message, now_ns, is_for_us=is_for_us)))
+        return []
+
+    def due(self, now_ns: int) -> list[Message]:
+        """The same."""
+        self.each(partial(self._serve, lambda service: service.due(now_ns)))
+        return []
+
+    def abandon(self, now_ns: int) -> list[Message]:
+        """Nothing: each said its last words when it was closed."""
+        return []
 
     def close(self) -> None:
-        """Close all, the last first."""
-        with ExitStack() as stack:
-            for plugin in self._open.values():
-                stack.callback(plugin.close)
+        """Close all, the last first; more than once is harmless."""
+        said = [self._end(name) for name in reversed(list(self._open))]
+        if any(said):
+            time.sleep(DRAIN_S)
 
+    def _serve(self, exchange: Callable[[Service], list[Message]], plugin: Plugin) -> bool:
+        """Send what its service has; whether that was anything."""
+        messages = [] if plugin.service is None else exchange(plugin.service)
+        if messages:
+            self._link.send(messages)
+        return bool(messages)
 
-def _loaded(point: EntryPoint) -> Any:
-    """Its `open_plugin`; ConfigError where an import fails, whatever the error."""
-    try:
-        return point.load()
-    except Exception as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())  # numpy's has many lines
-        raise ConfigError(f"plug-in {point.name} ({point.value}): {why}; install or uninstall its package") from error
+    def _call(self, name: str, call: Callable[[], T]) -> T | None:
+        """What a call of a plug-in returns; None where it fails, and is closed, or was closed before."""
+        try:
+            return call() if name in self._open else None
+        except Exception as error:
+            self._end(name, error)
+            return None
+
+    def _end(self, name: str, error: Exception | None = None) -> bool:
+        """Close one, because of an error or at the end; whether it had last words for the autopilot."""
+        plugin, has_said = self._open.pop(name), False
+        now_ns = self._link.clock_ns()
+        for step in (partial(self._serve, lambda service: service.abandon(now_ns), plugin), plugin.close):
+            try:
+                has_said = bool(step()) or has_said
+            except Exception as another:
+                error = error or another
+        if error is not None:
+            at = traceback.extract_tb(error.__traceback__)[-1]
+            why = f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
+            log.error("plug-in %s failed and is closed; everything else goes on: %s", name, why)
+            log.debug("where it failed", exc_info=error)
+            self._link.record(PluginFailed(name, why))
+            self._link.status_text(f"Lookback: {name} failed, goes on without", mavlink.MAV_SEVERITY_WARNING)
+        return has_said

@@ -10,5 +10,6 @@
     page/       [page]: the live page, and metrics for Prometheus
     doctor/     `lookback doctor`: what is wrong with config, devices and the vehicle
 
+The front door of each plug-in is its section of the config, which names its class; no more is imported while it is off.
 A plug-in imports `edge` and the plug-ins above it. `edge` knows them only as names in tables.
 """

@@ -7,12 +7,12 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar, Union
 
 import msgspec
 
 from edge.journal.journal import earlier_files
-from edge.journal.records import SCHEMA, FrameUsed, JournalOpened, Record
+from edge.journal.records import KINDS, SCHEMA, FrameUsed, JournalOpened, Record
 
 R = TypeVar("R", bound=Record)
 
@@ -30,12 +30,14 @@ class JournalLine(NamedTuple):
     record: Record | UnknownRecord
 
 
-def read_journal(path: Path) -> Iterator[JournalLine]:
+def read_journal(path: Path, *others: type[Record]) -> Iterator[JournalLine]:
     """The records of a journal, with those of its earlier files, or of what `lookback replay` wrote, in order.
 
-    Lines that a crash or a full disk has torn are skipped. What this schema does not know is an `UnknownRecord`: other
-    values of `event`, and everything that a run with a newer schema has written.
+    others: kinds to read besides those of edge, of plug-ins. Lines that a crash or a full disk has torn are skipped.
+    What is of another kind is an `UnknownRecord`: of plug-ins that are not asked for or not installed, of other
+    versions, and everything that a run with a newer schema has written.
     """
+    known: Any = Union[tuple({*KINDS, *others})]  # noqa: UP007  # as many as there are
     is_known = True
     with ExitStack() as parts:
         for line in itertools.chain.from_iterable(_open_all(path, parts)):
@@ -43,7 +45,7 @@ def read_journal(path: Path) -> Iterator[JournalLine]:
                 fields = _decode_fields(line)
             except (msgspec.DecodeError, UnicodeDecodeError):
                 continue
-            record = _as_record(fields)
+            record = _as_record(fields, known)
             if isinstance(record, JournalOpened):
                 is_known = record.schema <= SCHEMA
             elif not is_known:
@@ -54,18 +56,18 @@ def read_journal(path: Path) -> Iterator[JournalLine]:
 _decode_fields = msgspec.json.Decoder(dict[str, Any]).decode
 
 
-def _as_record(fields: dict[str, Any]) -> Record | UnknownRecord:
+def _as_record(fields: dict[str, Any], known: Any) -> Record | UnknownRecord:
     # The lines of replay are frames without a tag.
-    of_replay = "event" not in fields
     try:
-        return msgspec.convert(fields, FrameUsed) if of_replay else msgspec.convert(fields, Record)
+        record: Record = msgspec.convert(fields, known if "event" in fields else FrameUsed)
+        return record
     except msgspec.ValidationError:
         return UnknownRecord(fields)
 
 
 def records_of(path: Path, kind: type[R]) -> Iterator[R]:
     """The records of one kind, in order."""
-    return (line.record for line in read_journal(path) if isinstance(line.record, kind))
+    return (line.record for line in read_journal(path, kind) if isinstance(line.record, kind))
 
 
 def _open_all(path: Path, parts: ExitStack) -> list[BinaryIO]:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
-from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from edge.reference_map.store import ModelKey, RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim import geodetic

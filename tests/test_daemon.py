@@ -14,9 +14,11 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from edge.config import CameraConfig, Config, MapConfig, PageConfig, TelemetryConfig
-from edge.journal.records import FixAnswered, FixSent, LinkChanged, MotionMeasured, PlaceFix, Stopped
+from edge.config import CameraConfig, Config, MapConfig, TelemetryConfig
+from edge.journal.records import FixAnswered, FixSent, LinkChanged, PlaceFix, Stopped
 from edge.opened_parts import OpenedParts
+from edge_plugins.motion.camera_motion import MotionMeasured
+from edge_plugins.page import PageConfig
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import straight_line
@@ -109,7 +111,7 @@ def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp
     config = Config(
         camera=CameraConfig(kind="feed", device=str(street / "feed")),
         map=MapConfig(path=str(street / "map")),
-        page=PageConfig(port=0),
+        plugins={"page": PageConfig(port=0)},
         telemetry=TelemetryConfig(connection=f"serial:{cable.device}:921600", journal=str(tmp_path / "events.jsonl")),
     )
     stop = threading.Event()

@@ -16,7 +16,7 @@ import tomli_w
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
-from edge.journal.records import HomeAnswered
+from edge_plugins.home.home_requests import HomeAnswered
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot

@@ -8,24 +8,17 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import (
-    CameraConfig,
-    Config,
-    DescriptorConfig,
-    HomeConfig,
-    MapConfig,
-    PageConfig,
-    SamplingConfig,
-    TelemetryConfig,
-)
+from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, SamplingConfig, TelemetryConfig
 from edge.daemon import Daemon
-from edge.journal.records import HomeAnswered
 from edge.opened_parts import OpenedParts
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.home_requests import HomeAnswered
+from edge_plugins.page import PageConfig
 from sim import geodetic
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
-from tests.plugins.mapping.test_drive_mapper import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to
+from tests.plugins.mapping.test_mapping_plugin import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to
 
 
 def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
@@ -39,9 +32,7 @@ def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
             descriptor=DescriptorConfig(keep_statistics_min=0.0),
             sampling=SamplingConfig(spacing_m=SPACING_M),
             map=MapConfig(path=mapping.folder),
-            mapping=mapping,
-            page=PageConfig(port=0),
-            home=HomeConfig(enabled=True),
+            plugins={"mapping": mapping, "page": PageConfig(port=0), "home": HomeConfig(enabled=True)},
             telemetry=TelemetryConfig(
                 connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")
             ),

@@ -17,15 +17,7 @@ import pytest
 import tomli_w
 
 from edge.camera import Frame
-from edge.config import (
-    AcceptanceConfig,
-    Config,
-    MapConfig,
-    PageConfig,
-    SamplingConfig,
-    SequenceConfig,
-    TelemetryConfig,
-)
+from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
@@ -34,6 +26,7 @@ from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.page import PageConfig
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.maps.tiles import split_map
@@ -169,7 +162,7 @@ def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(
         sequence=SequenceConfig(length=10),
         acceptance=AcceptanceConfig(window_m=10.0, hold_off_s=0.2),
         telemetry=TelemetryConfig(connection=f"udpin:127.0.0.1:{free_port()}", journal=str(tmp_path / "events.jsonl")),
-        page=PageConfig(port=0),
+        plugins={"page": PageConfig(port=0)},
     )
 
     with ExitStack() as parts:

@@ -224,3 +224,54 @@ def test_the_tests_mirror_the_program() -> None:
     whole = {"test_import_rule", "test_one_frame"}
     for file in (ROOT / "tests").glob("test_*.py"):
         assert file.stem in whole or any(file.stem.startswith(module) for module in modules - {"test_init"}), file
+
+
+OPENED = """
+import sys
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from edge.camera import open_camera
+from edge.commands import run
+from edge.config import load_config
+from edge.errors import LookbackError
+from edge.opened_parts import OpenedParts
+config = load_config(Path(sys.argv[1]))
+with ExitStack() as parts:
+    with suppress(LookbackError):
+        OpenedParts(config, parts)
+    with suppress(LookbackError):
+        open_camera(config.camera)
+for name, module in sorted(sys.modules.items()):
+    if name.split(".")[0] in ("edge", "edge_plugins", "sim") and module.__file__:
+        print(len(Path(module.__file__).read_text(encoding="utf-8").splitlines()), name)
+"""
+"""Opens what the daemon opens, also where no map and no camera is there."""
+REPORT_LINES_MOST = 17_000
+
+
+def lines_loaded(config: Path) -> dict[str, int]:
+    """The lines of each module of ours that a daemon with this config loads."""
+    words = [sys.executable, "-c", OPENED, str(config)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=config.parent)
+    return {name: int(count) for count, _, name in (line.partition(" ") for line in done.stdout.splitlines())}
+
+
+def test_a_vehicle_loads_what_its_config_names_and_no_more(tmp_path: Path) -> None:
+    """emit = "report" and no plug-in; each plug-in where its section asks for it."""
+    config = tmp_path / "lookback.toml"
+    least = (
+        '[camera]\ndevice = "none"\n[map]\npath = "none"\n[telemetry]\nconnection = "udp:127.0.0.1:9"\njournal = ""\n'
+    )
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none/map.json").touch()
+    config.write_text(f"{least}[page]\nport = 0\n", encoding="utf-8")
+    lines = lines_loaded(config)
+    print(sum(lines.values()), "lines")
+    assert {"edge.camera.v4l2", "edge.telemetry.autopilot", "edge.recognizer"} <= set(lines)
+    assert not [name for name in lines if name.startswith("edge_plugins.") and name.count(".") > 1]
+    assert sum(lines.values()) < REPORT_LINES_MOST
+    config.write_text(f'{least}[motion]\nuse = "report"\n[page]\nport = 0\n', encoding="utf-8")
+    assert {name for name in lines_loaded(config) if name.endswith(".plugin")} == {
+        "edge.plugin",
+        "edge_plugins.motion.plugin",
+    }

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import edge
 from edge.camera import Frame
-from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig, PageConfig, SamplingConfig, SequenceConfig
+from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig, SamplingConfig, SequenceConfig
 from edge.config import TelemetryConfig as Telemetry
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
@@ -28,6 +28,7 @@ from edge.feed import FeedImages, read_feed
 from edge.journal.records import FixSent, FrameUsed, PlaceFix
 from edge.opened_parts import OpenedParts
 from edge.telemetry import open_link
+from edge_plugins.page import PageConfig
 from sim import Pose
 from sim.journal import read_journal
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -75,7 +76,7 @@ class Drive:
             telemetry=Telemetry(
                 connection=f"udpin:127.0.0.1:{port}", emit="external_position", journal=str(self.journal)
             ),
-            page=PageConfig(port=0),
+            plugins={"page": PageConfig(port=0)},
         )
         config = replace(config, telemetry=replace(config.telemetry, journal_frames=True))
         self.daemon = Daemon(OpenedParts(config, parts, self.clock_ns, frames=self.frames, network=network))
@@ -106,7 +107,7 @@ class Drive:
 
 
 class Files:
-    """Counts calls into each file of edge/ while it profiles: on the path of the frame, and in all."""
+    """Counts calls into each file of edge/ and edge_plugins/ while it profiles: on the frame's path, and in all."""
 
     def __init__(self) -> None:
         self.turn: Counter[str] = Counter()
@@ -116,9 +117,10 @@ class Files:
         self._on_path = self._in_telemetry = 0
 
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
-        if event not in ("call", "return") or not frame.f_code.co_filename.startswith(f"{EDGE}/"):
+        file = frame.f_code.co_filename
+        if event not in ("call", "return") or not file.startswith((f"{EDGE}/", f"{EDGE}_plugins/")):
             return
-        name = str(Path(frame.f_code.co_filename).relative_to(EDGE))
+        name = file.removeprefix(f"{EDGE}/").removeprefix(f"{EDGE.parent}/")
         step = 1 if event == "call" else -1
         self._on_path += step * (frame.f_code in self._carriers)
         if event == "call":

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from importlib.metadata import EntryPoint, entry_points
 
 from edge.camera.frame import Camera, CameraHealth, Frames
-from edge.camera.preprocessing import PreprocessedCamera, Preprocessor
 from edge.config import CameraConfig
 from edge.errors import ConfigError
 from edge.feed import Frame
@@ -35,10 +34,14 @@ CAMERAS = {
 def open_camera(config: CameraConfig) -> Camera:
     """Open the camera that `config.kind` names, with its flip, crop and mask; only its module is imported."""
     check_kind(config)
-    # Before the device, so that a bad mask is found without one; a feed's images are processed as they are read.
-    preprocessor = Preprocessor(config) if config.preprocessing and config.kind != "feed" else None
-    camera: Camera = next(_openers(config.kind)).load()(config)
-    return PreprocessedCamera(camera, preprocessor) if preprocessor else camera
+    opener = next(_openers(config.kind))
+    if not config.preprocessing or config.kind == "feed":  # whose images are processed as they are read
+        camera: Camera = opener.load()(config)
+        return camera
+    from edge.camera.preprocessing import PreprocessedCamera, Preprocessor
+
+    preprocessor = Preprocessor(config)  # before the device, so that a bad mask is found without one
+    return PreprocessedCamera(opener.load()(config), preprocessor)
 
 
 def check_kind(config: CameraConfig) -> None:

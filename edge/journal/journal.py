@@ -89,13 +89,20 @@ class Journal:
         """The wall clock in Unix seconds, as records have it."""
         return round(self._unix_time_s(), 3)
 
-    def write(self, record: Record, unix_s: float | None = None) -> bool:
-        """Append one record of that moment, or of now; False, and reported, when it does not fit on the disk."""
+    def encoded(self, record: Record) -> bytes:
+        """A record of this moment as a line. TypeError or ValueError, of msgspec, where a field of it has none."""
+        return msgspec.json.encode({"unix_s": self.now_s, **msgspec.to_builtins(record)}) + b"\n"
+
+    def write(self, record: Record) -> bool:
+        """Append a record of this moment; False, and reported, when it does not fit on the disk."""
+        return self.append(self.encoded(record))
+
+    def append(self, line: bytes) -> bool:
+        """Append a line; False, and reported, when it does not fit on the disk."""
         if self._fd < 0 and (self._is_closed or not self._is_open_again()):
             return False
         self._rotate_if_due()
-        fields = {"unix_s": self.now_s if unix_s is None else unix_s, **msgspec.to_builtins(record)}
-        line = b"\n" * self._torn + msgspec.json.encode(fields) + b"\n"
+        line = b"\n" * self._torn + line
         try:
             written = os.write(self._fd, line)
             self._size += written
@@ -140,7 +147,7 @@ class QueuedJournal:
     def __init__(self, journal: Journal, room: int = QUEUE_RECORDS) -> None:
         """`journal` is closed at the end. room: how many records may wait; further ones are dropped."""
         self._journal = journal
-        self._queue: queue.Queue[tuple[Record, float] | None] = queue.Queue(room)
+        self._queue: queue.Queue[bytes | None] = queue.Queue(room)
         self._dropped = 0
         self._is_closed = False
         self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
@@ -157,11 +164,15 @@ class QueuedJournal:
         return "the disk hangs" if self._dropped else self._journal.why_lost
 
     def write(self, record: Record) -> bool:
-        """Queue a record of this moment; False where it is dropped. A `JournalResumed` that is queued ends the loss."""
+        """Queue a record of this moment; False where it is dropped. A `JournalResumed` that is queued ends the loss.
+
+        It is encoded here: what cannot be is the mistake of whoever calls this, and not the end of the journal.
+        """
+        if self._is_closed:
+            return False
+        line = self._journal.encoded(record)
         try:
-            if self._is_closed:
-                return False
-            self._queue.put_nowait((record, self._journal.now_s))
+            self._queue.put_nowait(line)
         except queue.Full:
             if not self._dropped:
                 log.error("the journal's disk hangs: records are dropped")
@@ -184,7 +195,7 @@ class QueuedJournal:
 
     def _run(self) -> None:
         while (one := self._queue.get()) is not None:
-            self._journal.write(*one)
+            self._journal.append(one)
         self._journal.close()
 
 

@@ -1,4 +1,4 @@
-"""Every record of the journal: one versioned union, distinguished by its key `event`.
+"""The records of the journal, but for those of plug-ins, distinguished by the key `event`.
 
 This module is the reference of the journal's format, to which docs/journal.md leads: `unit` gives a key's unit and
 meaning. SCHEMA grows when a key is removed or changes its meaning. A new record or key does not change it, because
@@ -39,24 +39,24 @@ Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from
 Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none")]
 
 
-class _Tagged(msgspec.Struct, frozen=True, tag_field="event"):
-    """A record whose key `event` names it."""
+class Record(msgspec.Struct, frozen=True, tag_field="event"):
+    """A record whose key `event` names it; those of a plug-in are beside what writes them, and begin with its name."""
 
 
-class JournalOpened(_Tagged, frozen=True, tag="journal_opened"):
+class JournalOpened(Record, frozen=True, tag="journal_opened"):
     """The journal was opened for writing: the first record of each run, and of each file of a long one."""
 
     schema: Annotated[int, unit("", "version of the records that follow")]
     lookback: Annotated[str, unit("", "version of Lookback that writes them")]
 
 
-class JournalResumed(_Tagged, frozen=True, tag="journal"):
+class JournalResumed(Record, frozen=True, tag="journal"):
     """The journal can be written again, after the disk was full or lost."""
 
     lost: Annotated[int, unit("lines", "lines that are missing before this one")]
 
 
-class StateChanged(_Tagged, frozen=True, tag="state"):
+class StateChanged(Record, frozen=True, tag="state"):
     """The daemon's state, or the reason for it, changed; docs/vehicle.md lists the states."""
 
     state: Annotated[str, unit("", "starting, warming up, on the map, off the map, degraded or failed")]
@@ -66,37 +66,28 @@ class StateChanged(_Tagged, frozen=True, tag="state"):
         return f"{self.state}: {self.why}" if self.why else self.state
 
 
-class MapExcluded(_Tagged, frozen=True, tag="map_excluded"):
+class MapExcluded(Record, frozen=True, tag="map_excluded"):
     """A map of the folder cannot be used; the others are."""
 
     map: Annotated[str, unit("", "name of the map")]
     why: Annotated[str, unit("", "what is wrong with it")]
 
 
-class PluginFailed(_Tagged, frozen=True, tag="plugin_failed"):
+class PluginFailed(Record, frozen=True, tag="plugin_failed"):
     """A plug-in is closed until the next start; places and positions go on."""
 
     plugin: Annotated[str, unit("", "its name")]
     why: Annotated[str, unit("", "what it failed by")]
 
 
-class MappingChanged(_Tagged, frozen=True, tag="mapping"):
-    """Live mapping began, pauses or stopped."""
-
-    state: Annotated[str, unit("", "mapping, waiting (until the reason is gone) or stopped")]
-    why: Annotated[str, unit("", 'why nothing is mapped, "" while it is')]
-    map: Annotated[str, unit("", "name of the map of this drive")]
-    places: Annotated[int, unit("places", "places of that map")]
-
-
-class DrivesDisagree(_Tagged, frozen=True, tag="drives_disagree"):
+class DrivesDisagree(Record, frozen=True, tag="drives_disagree"):
     """Two drives of the map show the same road at different positions, which then count as that uncertain."""
 
     where: Annotated[str, unit("", "the places of both drives, and their maps")]
     apart_m: Annotated[float, unit("m", "how far their positions are apart at most")]
 
 
-class LinkChanged(_Tagged, frozen=True, tag="link"):
+class LinkChanged(Record, frozen=True, tag="link"):
     """The state of a link changed."""
 
     state: Annotated[str, unit("", '"closed" (opened again with growing pauses), "waiting" (nobody heard) or "up"')]
@@ -104,7 +95,7 @@ class LinkChanged(_Tagged, frozen=True, tag="link"):
     link: Annotated[str, unit("", '"autopilot", or the connection of a further link')] = "autopilot"
 
 
-class FrameUsed(_Tagged, frozen=True, tag="frame"):
+class FrameUsed(Record, frozen=True, tag="frame"):
     """A frame went through the recognizer; with [telemetry] journal_frames, and as `lookback replay` writes it.
 
     The keys from `place` on are null while there is no match: warming up, searching a large map, or standing.
@@ -133,26 +124,7 @@ class FrameUsed(_Tagged, frozen=True, tag="frame"):
     category: Annotated[str | None, unit("", "what kind of place it shows; of events only")] = None
 
 
-class MotionMeasured(_Tagged, frozen=True, tag="motion"):
-    """The vehicle's motion by its camera, once a second; with [motion] use."""
-
-    stamp_ns: Annotated[int, unit("ns", "exposure time of the newer picture")]
-    speed_mps: Annotated[float | None, unit("m/s", "ahead, null where it could not be measured")] = None
-    sigma_mps: Annotated[float | None, unit("m/s", "one standard deviation of it")] = None
-    turn_radps: Annotated[float | None, unit("rad/s", "turn to the right")] = None
-    gps_mps: Annotated[float | None, unit("m/s", "speed by GPS, null while GPS is not good")] = None
-    height_m: Annotated[float | None, unit("m", "of the camera above the ground, null until it is learned")] = None
-    why: Annotated[str, unit("", 'why nothing was measured, "" where it was')] = ""
-
-
-class VelocityChanged(_Tagged, frozen=True, tag="velocity"):
-    """The camera's velocity is sent to the autopilot from now on, or is not any more; with [motion] use = "send"."""
-
-    is_sent: Annotated[bool, unit("", "whether it is; nothing is sent either while `motion` has no speed")]
-    why: Annotated[str, unit("", 'why not, "" while it is')] = ""
-
-
-class PlaceFix(_Tagged, frozen=True, tag="place"):
+class PlaceFix(Record, frozen=True, tag="place"):
     """A position of the vehicle on a map; the journal has those of events."""
 
     stamp_ns: Annotated[int, unit("ns", "the moment of the position: an exposure, or one to which it was moved on")]
@@ -191,14 +163,14 @@ class PlaceFix(_Tagged, frozen=True, tag="place"):
         return has_sigma and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 180
 
 
-class PositionMessageChosen(_Tagged, frozen=True, tag="way"):
+class PositionMessageChosen(Record, frozen=True, tag="way"):
     """Which message will carry positions from now on."""
 
     way: Annotated[str, unit("", "external_position or global_position_sensor; report: no position is sent")]
     why: Annotated[str, unit("", "the setting, or the firmware and version that it suits")]
 
 
-class FixWithheld(_Tagged, frozen=True, tag="fix_withheld"):
+class FixWithheld(Record, frozen=True, tag="fix_withheld"):
     """A gate held a position back, for the first time since the last one went or since another gate held."""
 
     place: Place
@@ -207,7 +179,7 @@ class FixWithheld(_Tagged, frozen=True, tag="fix_withheld"):
     map: MapName = UNSET
 
 
-class FixSent(_Tagged, frozen=True, tag="fix_sent"):
+class FixSent(Record, frozen=True, tag="fix_sent"):
     """A position was sent to the autopilot; of a steady stream, one per second is recorded."""
 
     place: Place
@@ -226,7 +198,7 @@ class FixSent(_Tagged, frozen=True, tag="fix_sent"):
     level_across_m: Annotated[float | None, unit("m", "protection level across the route")] = None
 
 
-class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):
+class FixAnswered(Record, frozen=True, tag="fix_answered"):
     """The autopilot answered a position, or did not."""
 
     place: Place
@@ -234,7 +206,7 @@ class FixAnswered(_Tagged, frozen=True, tag="fix_answered"):
     map: MapName = UNSET
 
 
-class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
+class FixChecked(Record, frozen=True, tag="fix_checked"):
     """Whether the autopilot's own position moved after it accepted one, or, far from a stream, came nearer in 10 s."""
 
     place: Place
@@ -243,22 +215,14 @@ class FixChecked(_Tagged, frozen=True, tag="fix_checked"):
     map: MapName = UNSET
 
 
-class SourceSetAnswered(_Tagged, frozen=True, tag="source_set"):
+class SourceSetAnswered(Record, frozen=True, tag="source_set"):
     """The autopilot answered a selection of its position sources (command 42007), or did not; repetitions once."""
 
     number: Annotated[int, unit("", "the set of sources, 1 to 3")]
     result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
 
 
-class HomeAnswered(_Tagged, frozen=True, tag="home"):
-    """A request for the way home was answered; docs/home.md describes requests."""
-
-    verified: Annotated[bool, unit("", "whether the autopilot now has the mission, downloaded again and compared")]
-    text: Annotated[str, unit("", "what was uploaded, or why nothing was")]
-    items: Annotated[int, unit("", "items of the mission, with ArduPilot's home position; 0 if nothing was uploaded")]
-
-
-class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
+class GpsJudged(Record, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 
     state: Annotated[str, unit("", "cannot say, agrees, doubtful, disagrees, wrong, map wrong, or not recognized")]
@@ -269,7 +233,7 @@ class GpsJudged(_Tagged, frozen=True, tag="gps_judged"):
     ] = None
 
 
-class Stopped(_Tagged, frozen=True, tag="stopped"):
+class Stopped(Record, frozen=True, tag="stopped"):
     """The daemon ended in order: the last record of such a run."""
 
     frames_used: Annotated[int, unit("frames", "frames that went through the recognizer")]
@@ -278,26 +242,5 @@ class Stopped(_Tagged, frozen=True, tag="stopped"):
     camera: Annotated[dict[str, int], unit("frames", "delivered, overwritten by a newer one before use, and bad")]
 
 
-Record = (
-    JournalOpened
-    | JournalResumed
-    | StateChanged
-    | MapExcluded
-    | MappingChanged
-    | PluginFailed
-    | DrivesDisagree
-    | LinkChanged
-    | FrameUsed
-    | MotionMeasured
-    | VelocityChanged
-    | PlaceFix
-    | PositionMessageChosen
-    | FixWithheld
-    | FixSent
-    | FixAnswered
-    | FixChecked
-    | SourceSetAnswered
-    | HomeAnswered
-    | GpsJudged
-    | Stopped
-)
+KINDS = tuple(Record.__subclasses__())
+"""All of the above: what edge itself records."""

@@ -12,7 +12,6 @@
 
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.gps_motion import GpsMotion, Moved, disagreements
-from edge.reference_map.learned import Learned, LearnedFolder, Newer
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
 from edge.reference_map.map_so_far import MapSoFar
@@ -32,15 +31,12 @@ __all__ = [
     "Drives",
     "ExcludedMap",
     "GpsMotion",
-    "Learned",
-    "LearnedFolder",
     "MapHeader",
     "MapSet",
     "MapSoFar",
     "Mapped",
     "ModelKey",
     "Moved",
-    "Newer",
     "PlaceIndex",
     "Position",
     "Ranges",

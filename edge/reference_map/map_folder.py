@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from edge.errors import MapError
 from edge.extras import import_extra
 from edge.files import read_key
-from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
 from edge.reference_map.map_so_far import MapSoFar
 from edge.reference_map.store import (
@@ -53,9 +52,11 @@ def open_map_set(
     them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded,
     and newer positions, which nobody has signed, are not used. Raises MapError, and ConfigError for the key.
     """
-    folders = maps_in(path)
-    learned = LearnedFolder(path) if folders and not as_recorded else None
-    if learned is not None:
+    folders, learned = maps_in(path), None
+    if folders and not as_recorded:
+        from edge.reference_map.learned import LearnedFolder  # nothing is learned of a single map
+
+        learned = LearnedFolder(path)
         folders = learned.searched(folders)
     _allow_open_files(path, len(folders))
     projections: dict[str, NDArray[np.float32]] = {}

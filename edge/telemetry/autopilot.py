@@ -75,19 +75,16 @@ class AutopilotConnection:
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
         drive: Drive | None = None,
-        *,
-        motion: str = "off",
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
 
         drive: gets what the autopilot reports and does; None: one without maps.
-        motion: [motion] use.
         """
         self.config, self.clock_ns, self.record = config, clock_ns, record
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self.vehicle = vehicle = Vehicle(config.system_id)
-        self._asks_attitude = motion != "off"
-        self.requests = Requests(config, vehicle, asks_attitude=self._asks_attitude)
+        self._asks_attitude = False
+        self.requests = Requests(config, vehicle)
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._people = PeopleLink(self._port, vehicle)
         self._report_links = [
@@ -101,13 +98,22 @@ class AutopilotConnection:
         drive.restore(clock_ns(), self._kept.read())
         self._keep_ns = 0
         self._own: Own | None = None
-        self.velocity_aid = VelocityAid(vehicle, publisher, sends=motion == "send" and config.emit != "report")
+        self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
         self.services: list[Service] = []
-        """Further exchanges on the autopilot's link; each adds itself."""
+        """Further exchanges on the autopilot's link."""
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._was_doubled = False
+
+    def use_camera_motion(self, *, sends: bool) -> None:
+        """A camera measures the vehicle's motion, for which its turns are requested.
+
+        sends: its velocity is sent, unless [telemetry] emit forbids. If that ends, nothing else is assumed to be.
+        """
+        self._asks_attitude = True
+        self.requests = Requests(self.config, self.vehicle, asks_attitude=True)
+        self.velocity_aid.sends = sends and self.config.emit != "report"
 
     @property
     def why_closed(self) -> str:

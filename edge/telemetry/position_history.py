@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Generic, TypeVar
 
 from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
 
+T = TypeVar("T")
 KEPT = 64
 LONGEST_GAP_NS = 2_000_000_000  # between two positions
 AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocity, where none follows
@@ -33,7 +35,6 @@ class PositionHistory:
     def __init__(self, clock_ns: Callable[[], int]) -> None:
         self._clock_ns = clock_ns
         self._positions: deque[VehiclePosition] = deque(maxlen=KEPT)
-        self._waiting: deque[tuple[int, Callable[[VehiclePosition | None], object]]] = deque()
 
     def add(self, position: VehiclePosition) -> None:
         """A position; ignored where it is not after the newest."""
@@ -54,16 +55,6 @@ class PositionHistory:
         newest_ns = self._positions[-1].stamp_ns if self._positions else None
         return newest_ns is not None and newest_ns < stamp_ns and self._clock_ns() - stamp_ns < AWAITED_NS
 
-    def when_known(self, stamp_ns: int, then: Callable[[VehiclePosition | None], object]) -> None:
-        """Have `release` call `then` with the position at a moment, once it is interpolated; in the order of calls."""
-        self._waiting.append((stamp_ns, then))
-
-    def release(self, *, all_of_them: bool = False) -> None:
-        """To be called in each turn; all_of_them: at the end."""
-        while self._waiting and (all_of_them or not self.is_awaited(self._waiting[0][0])):
-            stamp_ns, then = self._waiting.popleft()
-            then(self.at(stamp_ns))
-
     def at(self, stamp_ns: int) -> VehiclePosition | None:
         """The position at a moment; None where it is not known, also within a jump."""
         after = next((one for one in self._positions if one.stamp_ns >= stamp_ns), None)
@@ -73,6 +64,24 @@ class PositionHistory:
         if after is None:
             return _moved_on(before, stamp_ns) if stamp_ns - before.stamp_ns <= AHEAD_NS else None
         return _between(before, after, stamp_ns)
+
+
+class Awaiting(Generic[T]):
+    """What waits for the position at its exposure, in order: whoever owns it asks now and then what waits no more."""
+
+    def __init__(self, history: PositionHistory) -> None:
+        self._history = history
+        self._waiting: deque[tuple[int, T]] = deque()
+
+    def add(self, stamp_ns: int, what: T) -> None:
+        """Have it wait for the position at a moment."""
+        self._waiting.append((stamp_ns, what))
+
+    def known(self, *, all_of_them: bool = False) -> Iterator[tuple[T, VehiclePosition | None]]:
+        """Those whose position is interpolated by now, each once, or never will be; all_of_them: at the end."""
+        while self._waiting and (all_of_them or not self._history.is_awaited(self._waiting[0][0])):
+            stamp_ns, what = self._waiting.popleft()
+            yield what, self._history.at(stamp_ns)
 
 
 def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:

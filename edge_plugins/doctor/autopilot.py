@@ -22,6 +22,7 @@ from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopi
 from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.vehicle import Vehicle
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
+from edge_plugins.motion import MotionConfig
 
 TURN_S = 0.01
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
@@ -170,7 +171,7 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
         yield bad(words, remedy or "")
     else:
         yield good(f"velocity without GPS: {aid}")
-    if examined.settings.motion.use == "send" and aid != VISION:
+    if examined.settings.of(MotionConfig).use == "send" and aid != VISION:
         words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
         yield bad(words, CAMERA_AIDS.get(vehicle.session.autopilot or 0, 'use = "odometer"'))
     if doubted_gps != "report" and aid_of_doubted in (None, NO_AID):

@@ -28,7 +28,9 @@ from edge.errors import LookbackError
 from edge.extras import install_command
 from edge.files import HOME_FOLDERS
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
-from edge_plugins.layers import CLOCK_SET_UNIX_S
+from edge_plugins.layers.stored import CLOCK_SET_UNIX_S
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.page import PageConfig
 
 LEAST_FREE_MB = 500
 OAK_VENDOR = "03e7"
@@ -140,7 +142,7 @@ def check_clock(examined: Examined) -> Iterator[Found]:
 
 def check_page(examined: Examined) -> Iterator[Found]:
     """Whether there will be a live page."""
-    page = examined.settings.page
+    page = examined.settings.of(PageConfig)
     if page.port == 0:
         yield note("the live page is off ([page] port = 0)")
     elif importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
@@ -185,11 +187,11 @@ def check_disk(examined: Examined) -> Iterator[Found]:
 
 def check_mapping(examined: Examined) -> Iterator[Found]:
     """Whether drives can become maps: the folder can be written, and has room."""
-    config = examined.settings
-    if not config.mapping.folder:
+    config, mapping = examined.settings, examined.settings.of(MappingConfig)
+    if not mapping.folder:
         return
-    folder = Path(config.mapping.folder).absolute()
-    yield _room(folder, config.mapping.min_free_mb, "make room, or lower [mapping] min_free_mb")
+    folder = Path(mapping.folder).absolute()
+    yield _room(folder, mapping.min_free_mb, "make room, or lower [mapping] min_free_mb")
     if Path(config.map.path).resolve() != folder.resolve():
         words = "[mapping] folder is not [map] path: a finished map is searched only where the configuration names it"
         yield note(words, "name the same folder in both, unless you want this")

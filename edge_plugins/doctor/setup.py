@@ -27,12 +27,15 @@ from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge.toml_file import read_text, toml_values
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
-from edge_plugins.home import plan_way_home
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import plan_way_home
+from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import spell_accuracy
-from edge_plugins.motion import CameraMotion
-from edge_plugins.motion.camera_motion import LEAST_NS
+from edge_plugins.motion import MotionConfig
+from edge_plugins.motion.camera_motion import LEAST_NS, CameraMotion
 from edge_plugins.motion.ground import FARTHEST, GroundView
 from edge_plugins.motion.height import WINDOW_M, WINDOWS
+from edge_plugins.ros2 import Ros2Config
 from edge_plugins.ros2.messages import message_types
 
 TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
@@ -94,7 +97,7 @@ def check_map(examined: Examined) -> Iterator[Found]:
     """Each map, whether they fit the model and the config, and whether there are enough places with positions."""
     config, path = examined.settings, Path(examined.settings.map.path)
     key = config.map.require_signature_by
-    if config.mapping.folder and not _has_maps(path):
+    if config.of(MappingConfig).folder and not _has_maps(path):
         yield good(f"{path}: no map yet; the first drive becomes one")
         return
     maps = open_map_set(path, require_signature_by=Path(key) if key else None, every_file=True)
@@ -137,11 +140,11 @@ def check_sampling(examined: Examined) -> Iterator[Found]:
 
 def check_way_home(examined: Examined) -> Iterator[Found]:
     """Whether the whole of the newest drive can be driven back, where [home] is enabled."""
-    config = examined.settings
-    if not config.home.enabled:
+    home = examined.settings.of(HomeConfig)
+    if not home.enabled:
         return
     try:
-        way = plan_way_home(_maps(examined), None, config.home, config.rig.left_reverse_m)
+        way = plan_way_home(_maps(examined), None, home, examined.settings.rig.left_reverse_m)
     except LookbackError as error:
         yield note(str(error), "record a drive with positions")
         return
@@ -157,11 +160,11 @@ def _maps(examined: Examined) -> MapSet:
 
 def check_motion(examined: Examined) -> Iterator[Found]:
     """How much of the road the camera of [motion] shows, and whether its height is known."""
-    config = examined.settings
-    if config.motion.use == "off":
+    config, motion = examined.settings, examined.settings.of(MotionConfig)
+    if motion.use == "off":
         return
     camera, height = config.camera, CameraMotion(config).height
-    view = GroundView(config.motion.fov_deg, camera.width, camera.height, math.radians(config.motion.pitch_deg))
+    view = GroundView(motion.fov_deg, camera.width, camera.height, math.radians(motion.pitch_deg))
     between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
     words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
     words += (
@@ -177,7 +180,7 @@ def check_motion(examined: Examined) -> Iterator[Found]:
 
 def check_ros2(examined: Examined) -> Iterator[Found]:
     """Whether ROS 2 can be spoken, where [ros2] names a domain."""
-    ros2 = examined.settings.ros2
+    ros2 = examined.settings.of(Ros2Config)
     if ros2.domain >= 0:
         message_types()
         yield good(f"domain {ros2.domain}: /{ros2.namespace}/place, pose and fix, and /diagnostics")

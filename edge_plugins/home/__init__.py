@@ -12,6 +12,28 @@ These are pure. `home_requests` answers requests, which come by MAVLink, by `loc
 
 from __future__ import annotations
 
-from edge_plugins.home.way_home import MissionItem, Start, WayHome, mission_items, plan_way_home
+from typing import Annotated, ClassVar
 
-__all__ = ["MissionItem", "Start", "WayHome", "mission_items", "plan_way_home"]
+from msgspec import Meta
+
+from edge.config import Config, FilePath, Section
+
+
+class HomeConfig(Section, frozen=True):
+    """[home]: the way home, as a mission for the autopilot; off by default."""
+
+    plugin: ClassVar[str] = "edge_plugins.home.plugin:Home"
+    enabled: bool = False
+    socket: FilePath = ""
+    turning_radius_m: Annotated[float, Meta(ge=0, le=1000)] = 6.0
+    tolerance_m: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
+    speed_mps: Annotated[float, Meta(ge=0, le=50)] = 0.0
+    altitude_m: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    max_start_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
+    max_gap_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
+    max_sigma_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
+    max_length_m: Annotated[float, Meta(gt=0, le=100_000)] = 20_000.0
+
+    def asks(self, config: Config) -> bool:
+        """Where it is enabled."""
+        return self.enabled

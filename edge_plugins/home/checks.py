@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import HomeConfig
 from edge.reference_map import disagreements
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.drive_line import DriveLine
 
 MEETS_M = 8.0

@@ -11,20 +11,20 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import HomeConfig
 from edge.errors import SetupError
-from edge.journal.records import HomeAnswered
+from edge.journal.records import Record, unit
 from edge.telemetry import encoders
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import Message
 from edge.telemetry.vehicle import Session
-from edge_plugins.home import MissionItem, Start, WayHome, mission_items
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.mission_transfer import MissionTransfer, Next
 from edge_plugins.home.replaced_mission import ReplacedMission
+from edge_plugins.home.way_home import MissionItem, Start, WayHome, mission_items
 
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
@@ -51,6 +51,14 @@ Plan = Callable[[Start], WayHome]
 Sender = tuple[int, int]
 """System and component of a command."""
 log = logging.getLogger(__name__)
+
+
+class HomeAnswered(Record, frozen=True, tag="home"):
+    """A request for the way home was answered; docs/home.md describes requests."""
+
+    verified: Annotated[bool, unit("", "whether the autopilot now has the mission, downloaded again and compared")]
+    text: Annotated[str, unit("", "what was uploaded, or why nothing was")]
+    items: Annotated[int, unit("", "items of the mission, with ArduPilot's home position; 0 if nothing was uploaded")]
 
 
 @dataclass(frozen=True)
@@ -106,7 +114,6 @@ class HomeRequests:
         self._config, self._link = config, link
         self._vehicle, self._drive = link.vehicle, link.drive
         self._record, self._send_text = link.record, link.status_text
-        link.services.append(self)
         self.plan: Plan | None = None
         """Plans the way home; None while there is no map."""
         self._upload: Upload | None = None

@@ -4,29 +4,33 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from edge.opened_parts import OpenedParts
-from edge.plugin import Plugin
-from edge_plugins.home import Start, WayHome, plan_way_home
+from edge.plugin import Parts, Plugin
+from edge.reference_map import MapSet
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
 from edge_plugins.home.local_socket import LocalSocket
-from edge_plugins.mapping.plugin import Mapping
+from edge_plugins.home.way_home import Start, WayHome, plan_way_home
+
+if TYPE_CHECKING:
+    from edge_plugins.mapping.plugin import Mapping
 
 
 class Home(Plugin):
     """[home]: requests of all kinds, and the plan by the maps that are searched."""
 
-    def __init__(self, parts: OpenedParts) -> None:
+    def __init__(self, config: HomeConfig, parts: Parts) -> None:
         """ConfigError where the socket cannot be made."""
-        self._parts, config = parts, parts.config.home
-        self.requests = HomeRequests(config, parts.autopilot)
-        self._socket = LocalSocket(Path(config.socket)) if config.enabled and config.socket else None
+        self._config, self._parts = config, parts
+        self.service = self.requests = HomeRequests(config, parts.autopilot)
+        self._socket = LocalSocket(Path(config.socket)) if config.socket else None
 
     def start(self) -> None:
         """From now on there are maps to plan by."""
         self.requests.plan = self._plan
 
-    def turn(self) -> None:
+    def turn(self, spare_s: float | None) -> None:
         """Answer `lookback home`."""
         if self._socket is not None and (request := self._socket.requested()) is not None:
             self.requests.ask(self._socket.reply, restore=request == "restore")
@@ -37,13 +41,11 @@ class Home(Plugin):
             self._socket.close()
 
     def _plan(self, start: Start) -> WayHome:
-        maps, config, mapping = self._parts.recognizer.map_set, self._parts.config, self._parts.plugins.find(Mapping)
-        if mapping is not None:  # with the map of this drive up to the vehicle
-            maps = maps.with_newest(mapping.mapper.live.whole())
-            start = replace(start, route_m=mapping.mapper.driven_m())
-        return plan_way_home(maps, start, config.home, config.rig.left_reverse_m)
+        """With the map of this drive up to the vehicle, if there is one."""
+        maps = self._parts.recognizer.map_set
 
+        def driven(mapping: Mapping) -> tuple[MapSet, Start]:
+            return maps.with_newest(mapping.live.whole()), replace(start, route_m=mapping.driven_m())
 
-def open_plugin(parts: OpenedParts) -> Home:
-    """Always: also what [home] does not allow is answered."""
-    return Home(parts)
+        maps, start = self._parts.plugins.ask("mapping", driven) or (maps, start)
+        return plan_way_home(maps, start, self._config, self._parts.config.rig.left_reverse_m)

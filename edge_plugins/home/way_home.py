@@ -9,10 +9,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import HomeConfig
 from edge.geodesy import east_north, moved
 from edge.reference_map import MapSet
-from edge_plugins.home import checks
+from edge_plugins.home import HomeConfig, checks
 from edge_plugins.home.checks import Finding
 from edge_plugins.home.drive_line import DriveLine, along, drive_line, simplified
 from edge_plugins.home.passes import SAME_PASS_M, SIGMAS, chosen, passes_by

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from edge.errors import MapError
-from edge.reference_map import LearnedFolder, MapHeader, is_signed, maps_in, open_map_set, read_header
+from edge.reference_map import MapHeader, is_signed, maps_in, open_map_set, read_header
+from edge.reference_map.learned import LearnedFolder
 from edge_plugins.layers.road import NEEDED, stretches
 from edge_plugins.layers.tally import Tally, key_of, read_tallies, source_of
 

@@ -7,11 +7,40 @@
 `outage`     places that were passed while GPS was lost: where they are, once it is back
 `missed_places`  places that were passed without a frame
 `status`     what people are shown of all this, and what to expect if GPS were lost now
-`drive_mapper`   which frames of which camera are mapped, for the daemon (`plugin`)
+`plugin`     which frames of which camera are mapped, for the daemon
 """
 
-from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.place_log_records import LogHeader
-from edge_plugins.mapping.status import MappingStatus, MappingView, WayHome
+from __future__ import annotations
 
-__all__ = ["LiveMap", "LogHeader", "MappingStatus", "MappingView", "WayHome"]
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import UNSET, Meta, UnsetType
+
+from edge.config import CameraConfig, Config, FilePath, NotNegative, Positive, Section
+from edge.errors import ConfigError
+
+
+class MappingConfig(Section, frozen=True):
+    """[mapping]: the drive becomes a map while it is driven.
+
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
+    """
+
+    plugin: ClassVar[str] = "edge_plugins.mapping.plugin:Mapping"
+    folder: FilePath = ""
+    max_sigma_m: Positive = 5.0
+    without_gps: Literal["stop", "continue"] = "stop"
+    behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
+    resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
+    layers: Annotated[int, Meta(ge=0, le=100)] = 4
+    quota_mb: Positive = 20_000.0
+    min_free_mb: NotNegative = 500.0
+    camera: CameraConfig | UnsetType = UNSET
+
+    def asks(self, config: Config) -> bool:
+        """Where a folder is named."""
+        if self.camera is not UNSET and not self.folder:
+            raise ConfigError("[mapping] folder: is empty; name the folder of maps, or remove [mapping.camera]")
+        if self.folder and config.sampling.by != "distance":
+            raise ConfigError('[mapping] folder: mapping needs [sampling] by = "distance"')
+        return bool(self.folder)

@@ -13,12 +13,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import MappingConfig
 from edge.errors import MapError
 from edge.files import named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.reference_map import GpsMotion, MapSoFar
-from edge_plugins.layers import delete_oldest, source_of
+from edge_plugins.layers.stored import delete_oldest
+from edge_plugins.layers.tally import source_of
+from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.growing_map import GrowingMap
 from edge_plugins.mapping.missed_places import Trail, straight_m

@@ -9,10 +9,11 @@ share is an upper bound.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
+from edge.journal.records import Record, unit
 from edge.reference_map import NEIGHBOR_PLACES, MapSoFar, rival
 
 
@@ -27,6 +28,15 @@ class WayHome:
     first_m: float
     longest_m: float
     drift_m: float
+
+
+class MappingChanged(Record, frozen=True, tag="mapping"):
+    """Live mapping began, pauses or stopped."""
+
+    state: Annotated[str, unit("", "mapping, waiting (until the reason is gone) or stopped")]
+    why: Annotated[str, unit("", 'why nothing is mapped, "" while it is')]
+    map: Annotated[str, unit("", "name of the map of this drive")]
+    places: Annotated[int, unit("places", "places of that map")]
 
 
 class SelfComparison:

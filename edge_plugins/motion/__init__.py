@@ -6,7 +6,21 @@ seen; `height` learns that height from GPS, and from places where there is none.
 
 from __future__ import annotations
 
-from edge_plugins.motion.camera_motion import CameraMotion, CameraSpeed
-from edge_plugins.motion.height import PassedLine
+from typing import Annotated, ClassVar, Literal
 
-__all__ = ["CameraMotion", "CameraSpeed", "PassedLine"]
+from msgspec import Meta
+
+from edge.config import Config, Section
+
+
+class MotionConfig(Section, frozen=True):
+    """[motion]: the vehicle's speed from the ground that [camera] shows."""
+
+    plugin: ClassVar[str] = "edge_plugins.motion.plugin:Motion"
+    use: Literal["off", "report", "odometer", "send"] = "off"
+    fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
+    pitch_deg: Annotated[float, Meta(ge=-20, le=90)] = 0.0
+
+    def asks(self, config: Config) -> bool:
+        """Where the speed is used."""
+        return self.use != "off"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.journal.records import MotionMeasured, Record
+from edge.journal.records import Record, unit
+from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.ground import GroundView, Step, measure
 from edge_plugins.motion.height import CameraHeight, read_height
 
@@ -32,6 +33,18 @@ LEAST_SIGMA_MPS = 0.05
 LEARNT_MPS = 2.0
 """Slower, the velocity of GPS is wrong by too large a share."""
 RECORDED_NS = 1_000_000_000  # between records in the journal
+
+
+class MotionMeasured(Record, frozen=True, tag="motion"):
+    """The vehicle's motion by its camera, once a second; with [motion] use."""
+
+    stamp_ns: Annotated[int, unit("ns", "exposure time of the newer picture")]
+    speed_mps: Annotated[float | None, unit("m/s", "ahead, null where it could not be measured")] = None
+    sigma_mps: Annotated[float | None, unit("m/s", "one standard deviation of it")] = None
+    turn_radps: Annotated[float | None, unit("rad/s", "turn to the right")] = None
+    gps_mps: Annotated[float | None, unit("m/s", "speed by GPS, null while GPS is not good")] = None
+    height_m: Annotated[float | None, unit("m", "of the camera above the ground, null until it is learned")] = None
+    why: Annotated[str, unit("", 'why nothing was measured, "" where it was')] = ""
 
 
 class CameraSpeed(NamedTuple):
@@ -62,7 +75,7 @@ class CameraMotion:
 
         turned_rad: by how much the vehicle has turned between two moments (`Vehicle.turned_rad`).
         """
-        motion, camera, journal = config.motion, config.camera, config.telemetry.journal
+        motion, camera, journal = config.of(MotionConfig), config.camera, config.telemetry.journal
         self._config = motion
         self._sign = 1.0 if camera.view == "front" else -1.0
         self._record, self._recorded_ns, self._turned_rad = record, 0, turned_rad

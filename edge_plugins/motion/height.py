@@ -18,8 +18,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from edge.errors import reason
-from edge.files import Behind, replacing
+from edge.files import Behind, read_kept, replacing
 
 EARLIER_SHARE = 0.1
 """One standard deviation, as a share: another mount, tires or load. So much is sent to no autopilot (MOST_SCALE)."""
@@ -203,15 +202,9 @@ class _ByPlaces:
 
 def read_height(path: Path | None, camera: str, pitch_rad: float) -> KeptHeight:
     """What is kept for this camera; else nothing, with the pitch of its configuration."""
-    nothing = KeptHeight(camera, pitch_rad)
-    if path is None or not path.exists():
-        return nothing
-    try:
-        kept = msgspec.json.decode(path.read_bytes(), type=KeptHeight)
-    except (OSError, ValueError) as error:
-        log.warning("%s: ignored, the camera's height is learned again: %s", path, reason(error))
-        return nothing
-    return kept if kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m) else nothing
+    kept = path and read_kept(path, KeptHeight, "ignored, the camera's height is learned again")
+    is_known = kept and kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m)
+    return kept if kept and is_known else KeptHeight(camera, pitch_rad)
 
 
 def _by_windows(heights_m: tuple[float, ...]) -> Measured | None:

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from edge.camera import Frame
 from edge.localization.place_fix import line_middle
-from edge.opened_parts import OpenedParts
-from edge.plugin import Plugin, UsedFrame
-from edge_plugins.motion import CameraMotion, PassedLine
+from edge.plugin import Parts, Plugin, UsedFrame
+from edge_plugins.motion import MotionConfig
+from edge_plugins.motion.camera_motion import CameraMotion
+from edge_plugins.motion.height import PassedLine
 from edge_plugins.motion.velocity_sender import VelocitySender
 
 
 class Motion(Plugin):
     """`CameraMotion` at the daemon's moments."""
 
-    def __init__(self, parts: OpenedParts) -> None:
-        self._parts = parts
-        self._sender = VelocitySender(parts.autopilot)
-        self._motion = CameraMotion(parts.config, parts.record, parts.autopilot.vehicle.velocity.turned_rad)
+    def __init__(self, config: MotionConfig, parts: Parts) -> None:
+        self._use, self._parts, link = config.use, parts, parts.autopilot
+        link.use_camera_motion(sends=config.use == "send")
+        self._sender = VelocitySender(link)
+        self._motion = CameraMotion(parts.config, parts.record, link.vehicle.velocity.turned_rad)
 
     def frame(self, frame: Frame) -> None:
         """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
-        link, use = self._parts.autopilot, self._parts.config.motion.use
+        link, use = self._parts.autopilot, self._use
         speed = self._motion.follow(frame.image, frame.stamp_ns, link.gps_speed_mps())
         if speed is not None and use != "report":
             link.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps)
@@ -40,8 +42,3 @@ class Motion(Plugin):
             return
         along_m = line.along_m if match.direction == "forward" else -line.along_m
         height.use_frame(PassedLine(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
-
-
-def open_plugin(parts: OpenedParts) -> Motion | None:
-    """Where [motion] use is not "off"."""
-    return Motion(parts) if parts.config.motion.use != "off" else None

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.journal.records import VelocityChanged
+from edge.journal.records import Record, unit
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import Message
 from edge.telemetry.link_protocol import ARDUPILOT, PX4, VISION
@@ -26,6 +27,13 @@ sent. By headlights 95 % of the errors are within 5 %."""
 MOST_SCALE = 0.05
 """One standard deviation of what all speeds are wrong by alike: GPS of this drive or places must have shown the
 camera's height, since a filter cannot average it out."""
+
+
+class VelocityChanged(Record, frozen=True, tag="velocity"):
+    """The camera's velocity is sent to the autopilot from now on, or is not any more; with [motion] use = "send"."""
+
+    is_sent: Annotated[bool, unit("", "whether it is; nothing is sent either while `motion` has no speed")]
+    why: Annotated[str, unit("", 'why not, "" while it is')] = ""
 
 
 class VelocitySender:

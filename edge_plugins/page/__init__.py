@@ -5,35 +5,22 @@
 
 from __future__ import annotations
 
-import logging
-import os
-from typing import TYPE_CHECKING
+from typing import Annotated, ClassVar
 
-from edge.config import PageConfig
-from edge.extras import install_command
-from edge_plugins.page.snapshot import LiveStatus, MapView, Snapshot, map_view
+from msgspec import Meta
 
-if TYPE_CHECKING:
-    from edge_plugins.page.server import StatusPage
-
-__all__ = ["LiveStatus", "MapView", "Snapshot", "map_view", "open_page"]
-log = logging.getLogger(__name__)
+from edge.config import Config, Section
 
 
-def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:
-    """The live page, or None and a line in the log: without it places are recognized just as well."""
-    if config.port == 0:
-        return None
-    try:
-        # Imported here: a vehicle without the page never loads a web server.
-        from edge_plugins.page.server import StatusPage
+class PageConfig(Section, frozen=True):
+    """[page]: the live page; read-only without a token."""
 
-        page = StatusPage(config, maps)
-    except ModuleNotFoundError as error:
-        log.info("no live page: the package %s is missing: %s", error.name, install_command("page"))
-        return None
-    except OSError as error:
-        log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))
-        return None
-    log.info("live page: http://%s:%d", f"[{config.bind}]" if ":" in config.bind else config.bind, page.port)
-    return page
+    plugin: ClassVar[str] = "edge_plugins.page.plugin:Page"
+    bind: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8642
+    hosts: tuple[str, ...] = ()
+    token: Annotated[str, Meta(pattern="^$|^[!-~]{12,200}$")] = ""
+
+    def asks(self, config: Config) -> bool:
+        """Where it has a port."""
+        return self.port > 0

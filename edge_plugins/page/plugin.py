@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.opened_parts import OpenedParts
-from edge.plugin import Plugin, UsedFrame
-from edge_plugins.home.plugin import Home
-from edge_plugins.mapping.plugin import Mapping
-from edge_plugins.page import LiveStatus, map_view, open_page
+from edge.extras import install_command
+from edge.plugin import Parts, Plugin, UsedFrame
+from edge_plugins.page import PageConfig
+from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, MapView, map_view
 
 if TYPE_CHECKING:
+    from edge_plugins.home.plugin import Home
+    from edge_plugins.mapping.plugin import Mapping
+    from edge_plugins.mapping.status import MappingView
     from edge_plugins.page.server import StatusPage
+
+log = logging.getLogger(__name__)
 
 
 class Page(Plugin):
     """The daemon's side of the page's thread, `StatusPage`."""
 
-    def __init__(self, parts: OpenedParts) -> None:
-        self._parts = parts
+    def __init__(self, config: PageConfig, parts: Parts) -> None:
+        self._config, self._parts = config, parts
         self.server: StatusPage | None = None
 
     def start(self) -> None:
         """Serve it, if that is possible."""
-        config, recognizer = self._parts.config, self._parts.recognizer
-        self._live = LiveStatus(recognizer.model_name, config.acceptance.confidence_from)
-        self.server = open_page(config.page, map_view(recognizer.map_set))
+        recognizer = self._parts.recognizer
+        self._live = LiveStatus(recognizer.model_name, self._parts.config.acceptance.confidence_from)
+        self._maps = recognizer.map_set
+        self.server = open_page(self._config, map_view(self._maps))
 
     def frame_used(self, used: UsedFrame) -> None:
         """Keep it for a while."""
@@ -34,16 +41,14 @@ class Page(Plugin):
         vehicle = (position.lat_deg, position.lon_deg) if position else None
         self._live.add(used.frame, used.match, used.record, vehicle)
 
-    def maps_changed(self) -> None:
-        """Show those that are searched now."""
-        if self.server is not None:
-            self.server.show_map(map_view(self._parts.recognizer.map_set))
-
-    def turn(self) -> None:
-        """Answer what was requested, and hand over what somebody waits for."""
-        server = self.server
+    def turn(self, spare_s: float | None) -> None:
+        """Answer what was requested, and hand over what somebody waits for; maps as they are searched now."""
+        server, maps = self.server, self._parts.recognizer.map_set
         if server is None:
             return
+        if maps is not self._maps:
+            self._maps = maps
+            server.show_map(map_view(maps))
         if (wanted := server.requested()) is not None:
             self._request(server, wanted)
         if server.wanted:
@@ -55,37 +60,56 @@ class Page(Plugin):
             self.server.close()
 
     def _request(self, server: StatusPage, wanted: str) -> None:
-        home, mapping = self._parts.plugins.find(Home), self._parts.plugins.find(Mapping)
-        if wanted in ("home", "restore"):
-            if home is None:
-                server.reply("the way home has failed: see the log")
-            else:
-                home.requests.ask(lambda answer: server.reply(answer.text), restore=wanted == "restore")
-        elif mapping is not None:
-            mapper = mapping.mapper
-            mapper.paused = "paused on the page" if wanted == "pause" else ""
-            server.reply(f"mapping {mapper.paused or 'goes on'}")
-        else:
-            server.reply("nothing is mapped: [mapping] folder is empty")
+        plugins = self._parts.plugins
+
+        def reply(text: str) -> None:
+            plugins.ask("page", lambda page: server.reply(text))  # it may come later, from the way home
+
+        def ask(home: Home) -> bool:
+            home.requests.ask(lambda answer: reply(answer.text), restore=wanted == "restore")
+            return True
+
+        def pause(mapping: Mapping) -> str:
+            mapping.paused = "paused on the page" if wanted == "pause" else ""
+            return f"mapping {mapping.paused or 'goes on'}"
+
+        if wanted not in ("home", "restore"):
+            reply(plugins.ask("mapping", pause) or "nothing is mapped: [mapping] folder is empty")
+        elif not plugins.ask("home", ask):
+            reply("no way home: [home] enabled is false, or it has failed: see the log")
 
     def _show(self, server: StatusPage) -> None:
-        parts, live = self._parts, self._live
-        health, maps, mapping = parts.monitor.health, parts.recognizer.map_set, parts.plugins.find(Mapping)
-        shown = live.snapshot(
-            parts.clock_ns(),
-            health.state,
-            health.why,
-            map_name=f"{Path(parts.config.map.path).name}, {maps}",
-            costs=parts.recognizer.cost_view(live.match),
+        parts, live, health = self._parts, self._live, self._parts.health()
+
+        def mapped(mapping: Mapping) -> MappingView:
+            return mapping.view()
+
+        status = DaemonStatus(
+            stamp_ns=parts.clock_ns(),
+            map_name=f"{Path(parts.config.map.path).name}, {self._maps}",
+            state=health.state,
+            why=health.why,
+            stages_ms=parts.times.medians_ms(),
+            journal_lost=parts.lost(),
             camera=parts.camera.health,
             link=parts.autopilot.status(),
-            stages_ms=parts.times.medians_ms(),
-            journal_lost=parts.journal.lost if parts.journal else 0,
-            mapping=mapping.mapper.view() if mapping else None,
+            mapping=parts.plugins.ask("mapping", mapped),
         )
-        server.show(shown)
+        server.show(live.snapshot(status, parts.recognizer.cost_view(live.match)))
 
 
-def open_plugin(parts: OpenedParts) -> Page | None:
-    """Where [page] port is set."""
-    return Page(parts) if parts.config.page.port else None
+def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:
+    """The live page, or None and a line in the log: without it places are recognized just as well."""
+    try:
+        # Imported here: a vehicle without the page never loads a web server.
+        from edge_plugins.page.server import StatusPage
+
+        page = StatusPage(config, maps)
+    except ModuleNotFoundError as error:
+        log.info("no live page: the package %s is missing: %s", error.name, install_command("page"))
+        return None
+    except OSError as error:
+        log.warning("no live page: [page] %s:%d: %s", config.bind, config.port, os.strerror(error.errno or 0))
+        return None
+    log.info("live page: http://%s:%d", f"[{config.bind}]" if ":" in config.bind else config.bind, page.port)
+    return page

@@ -42,7 +42,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import edge
-from edge.config import PageConfig
+from edge_plugins.page import PageConfig
 from edge_plugins.page.coverage_job import CoverageJob
 from edge_plugins.page.metrics import as_metrics
 from edge_plugins.page.snapshot import MapView, Snapshot

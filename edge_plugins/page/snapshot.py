@@ -22,7 +22,7 @@ from edge.journal.records import FrameUsed
 from edge.reference_map import COST_ONE, Bounds, MapSet
 from edge.sequence import CostView, PlaceMatch
 from edge.telemetry import LinkStatus
-from edge_plugins.mapping import MappingView
+from edge_plugins.mapping.status import MappingView
 
 HISTORY = 2400
 RATE_FRAMES = 20
@@ -37,33 +37,37 @@ class HistoryFrame(msgspec.Struct, frozen=True):
     vehicle: tuple[float, float] | None
 
 
-class Status(msgspec.Struct, frozen=True):
-    """Everything about the daemon that is words and numbers.
-
-    stamp_ns: CLOCK_MONOTONIC of the snapshot; started_unix_s identifies the run of the daemon. newest: the newest
-    used frame, with its match where there is one; slope: places that match passes per frame. fps: used frames per
-    second over the recent ones. stages_ms: medians. history: oldest first.
-    """
+class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """What the daemon says of itself. stamp_ns: CLOCK_MONOTONIC now. stages_ms: medians."""
 
     stamp_ns: int
-    started_unix_s: float
-    version: str
     map_name: str
-    model: str
     state: str
     why: str
+    stages_ms: dict[str, float]
+    journal_lost: int
+    camera: CameraHealth
+    link: LinkStatus
+    mapping: MappingView | None = None
+
+
+class Status(DaemonStatus, frozen=True, kw_only=True):
+    """Everything about it that is words and numbers.
+
+    started_unix_s identifies the run of the daemon. newest: the newest used frame, with its match where there is one;
+    slope: places that match passes per frame. fps: used frames per second over the recent ones. history: oldest first.
+    """
+
+    started_unix_s: float
+    version: str
+    model: str
     newest: FrameUsed | None
     slope: float | None
     frames_used: int
     events: int
     fps: float
     confidence_from: float
-    stages_ms: dict[str, float]
-    journal_lost: int
-    camera: CameraHealth
-    link: LinkStatus
     history: tuple[HistoryFrame, ...]
-    mapping: MappingView | None = None
 
 
 @dataclass(frozen=True)
@@ -105,40 +109,19 @@ class LiveStatus:
         self.events += used.emitted
         self._history.append(HistoryFrame(used, vehicle))
 
-    def snapshot(
-        self,
-        now_ns: int,
-        state: str,
-        why: str,
-        *,
-        map_name: str,
-        costs: CostView,
-        camera: CameraHealth,
-        link: LinkStatus,
-        stages_ms: dict[str, float],
-        journal_lost: int,
-        mapping: MappingView | None = None,
-    ) -> Snapshot:
-        """What is to be shown now; state, why: the daemon's. costs: of `match`. Others: see `Status`."""
+    def snapshot(self, daemon: DaemonStatus, costs: CostView) -> Snapshot:
+        """What is to be shown now. costs: of `match`."""
         status = Status(
-            stamp_ns=now_ns,
+            **msgspec.structs.asdict(daemon),
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
-            map_name=map_name,
             model=self._model,
-            state=state,
-            why=why,
             newest=self._history[-1].used if self._history else None,
             slope=round(self.match.slope, 4) if self.match else None,
             frames_used=self.frames_used,
             events=self.events,
-            fps=self._fps(now_ns),
+            fps=self._fps(daemon.stamp_ns),
             confidence_from=self._confidence_from,
-            stages_ms=stages_ms,
-            journal_lost=journal_lost,
-            camera=camera,
-            link=link,
-            mapping=mapping,
             history=tuple(self._history),
         )
         return Snapshot(status, self._frame.image if self._frame else None, costs)

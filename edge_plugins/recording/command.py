@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -21,9 +20,11 @@ from edge.camera.picture_check import PictureCheck
 from edge.commands.stop_signal import on_stop_signal
 from edge.config import Config, load_config, naming
 from edge.errors import CameraLost, FeedError
-from edge.feed import FeedWriter, Frame
+from edge.feed import Frame
 from edge.feed.sampling import Sampler
+from edge.feed.writer import FeedWriter
 from edge.telemetry.autopilot import AutopilotConnection
+from edge.telemetry.position_history import Awaiting
 from edge_plugins.recording.recorder import DISK_FULL, Recorder, begun_feed, free_bytes_at
 
 TURN_S = 0.02  # at most this long between two reads of the MAVLink port
@@ -122,7 +123,8 @@ def _fill(
 
     None with a position before the age of a stream's pictures is known: it would be of another place.
     """
-    camera_state, history, vehicle, warned = "", autopilot.history, autopilot.vehicle, False
+    camera_state, vehicle, warned = "", autopilot.vehicle, False
+    awaiting: Awaiting[tuple[Frame, float | None]] = Awaiting(autopilot.history)
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:
@@ -135,14 +137,16 @@ def _fill(
                 why_not = pictures.why_undated if own is not None else ""
                 distance_m = vehicle.motion.distance_m(frame.stamp_ns)
                 if not why_not and sampler.is_place(frame.stamp_ns, distance_m):
-                    history.when_known(frame.stamp_ns, partial(recorder.record, frame, distance_m))
+                    awaiting.add(frame.stamp_ns, (frame, distance_m))
                 if why_not and not warned:
                     log.warning("nothing is recorded yet: %s", why_not)
                 warned = bool(why_not)
-            history.release()
+            for waited, position in awaiting.known():
+                recorder.record(*waited, position)
             counter.update(recorder.written - counter.n)
             camera_state = _log_camera(camera, camera_state)
-    history.release(all_of_them=True)
+    for waited, position in awaiting.known(all_of_them=True):
+        recorder.record(*waited, position)
     return why
 
 

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 from edge.backoff import BackOff
-from edge.config import Config
 from edge.geodesy import Origin, east_north_of
 from edge.journal.records import PlaceFix
+from edge_plugins.ros2 import Ros2Config
 from edge_plugins.ros2.messages import message_types
 
 STATE_NS = 1_000_000_000  # between two states, as diagnostics are sent elsewhere
@@ -46,12 +46,12 @@ class Ros2:
 
     def __init__(
         self,
-        config: Config,
+        config: Ros2Config,
         clock_ns: Callable[[], int],
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         """ConfigError without the package. unix_ns: the time of ROS 2."""
-        self._types, self._config = message_types(), config.ros2
+        self._types, self._config = message_types(), config
         self._clock_ns, self._unix_ns = clock_ns, unix_ns
         self.datum: Origin | None = None
         """Where the map frame's origin is; None: no pose is published."""

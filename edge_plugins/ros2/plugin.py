@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from edge.geodesy import first_known
-from edge.journal.records import PlaceFix
 from edge.localization import Fix, Limits
-from edge.opened_parts import OpenedParts
-from edge.plugin import Plugin
-from edge_plugins.ros2 import Ros2
+from edge.plugin import Parts, Plugin, UsedFrame
+from edge_plugins.ros2 import Ros2Config
+from edge_plugins.ros2.participant import Ros2
 
 OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
 
@@ -15,10 +14,10 @@ OLDEST_S = 5.0  # of an exposure, as of a position for ArduPilot
 class Ros2Plugin(Plugin):
     """Positions by the conditions for an autopilot without GPS: nothing is moved by them here."""
 
-    def __init__(self, parts: OpenedParts) -> None:
+    def __init__(self, config: Ros2Config, parts: Parts) -> None:
         """ConfigError without the package."""
         self._parts = parts
-        self._ros2 = Ros2(parts.config, parts.clock_ns)
+        self._ros2 = Ros2(config, parts.clock_ns)
 
     def start(self) -> None:
         """The map frame's origin: that of positions, else the first place that has one."""
@@ -26,13 +25,14 @@ class Ros2Plugin(Plugin):
         known = (origin[0], origin[1]) if origin else None
         self._ros2.datum = known or first_known(places["lat_deg"], places["lon_deg"])
 
-    def place(self, fix: PlaceFix) -> None:
+    def frame_used(self, used: UsedFrame) -> None:
         """Publish a place."""
-        self._ros2.publish_place(fix)
+        if used.place is not None:
+            self._ros2.publish_place(used.place)
 
-    def turn(self) -> None:
+    def turn(self, spare_s: float | None) -> None:
         """Use odometry, publish the state, and a position where there is a new one that may be published."""
-        parts, ros2, health = self._parts, self._ros2, self._parts.monitor.health
+        parts, ros2, health = self._parts, self._ros2, self._parts.health()
         vehicle = parts.autopilot.vehicle
         for odometry in ros2.odometry():
             vehicle.velocity.use_odometry(*odometry)
@@ -51,8 +51,3 @@ class Ros2Plugin(Plugin):
     def close(self) -> None:
         """Leave the domain."""
         self._ros2.close()
-
-
-def open_plugin(parts: OpenedParts) -> Ros2Plugin | None:
-    """Where [ros2] domain is set."""
-    return Ros2Plugin(parts) if parts.config.ros2.domain >= 0 else None

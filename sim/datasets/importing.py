@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
 from edge.errors import FeedError, FrameError
-from edge.feed import Feed, FeedHeader, FeedRow, FeedWriter, Pictures
+from edge.feed import Feed, FeedHeader, FeedRow, Pictures
 from edge.feed.format import LIMITS, check_degrees
 from edge.feed.sampling import Sampler
+from edge.feed.writer import FeedWriter
 from sim.datasets import Traverse
 from sim.traverse import driven_m
 

@@ -24,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import FeedError, FrameError
-from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, FeedWriter, read_feed
+from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, read_feed
 from edge.feed.format import MEASURES, SOURCE
+from edge.feed.writer import FeedWriter
 from edge.geodesy import PositionSource
 from sim.datasets.pictures import PicturesInOrder
 from sim.output import needing, refusing

@@ -12,7 +12,7 @@ from edge.config import Config
 from edge.feed import Feed
 from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
-from edge_plugins.layers import LIGHTS
+from edge_plugins.layers.tally import LIGHTS
 from sim.calibration.offset import Offset
 from sim.evaluation.recognition import Judged, Recognition
 from sim.traverse import driven_m

@@ -7,14 +7,15 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from edge.config import HomeConfig, RigConfig, TelemetryConfig, checked_option, load_config
+from edge.config import RigConfig, TelemetryConfig, checked_option, load_config
 from edge.errors import ConfigError, LinkLost
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import parse_connection
-from edge_plugins.home import Start, WayHome, plan_way_home
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import Answer, HomeRequests, Plan
 from edge_plugins.home.local_socket import Request
+from edge_plugins.home.way_home import Start, WayHome, plan_way_home
 from sim.home.client import ask_for_home
 from sim.home.files import encoder_of, write_way_home
 
@@ -112,6 +113,7 @@ def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
     parse_connection(connection, "--upload")
     link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""))
     home = HomeRequests(config, link)
+    link.services.append(home)
     answers: list[Answer] = []
     with closing(link):
         home.plan = plan
@@ -134,7 +136,7 @@ def _turn(link: AutopilotConnection) -> None:
 
 def _ask(path: Path, request: Request) -> int:
     """Have the running daemon do it, which has the map, the position and the link."""
-    config = load_config(path)
-    if not (config.home.enabled and config.home.socket):
+    home = load_config(path).of(HomeConfig)
+    if not (home.enabled and home.socket):
         raise ConfigError(f"{path}: [home] enabled and socket must be set for the daemon to be asked")
-    return 0 if ask_for_home(Path(config.home.socket), print, request) else 1
+    return 0 if ask_for_home(Path(home.socket), print, request) else 1

@@ -8,11 +8,10 @@ from typing import Any
 
 import msgspec
 
-from edge.config import HomeConfig
 from edge.errors import ConfigError
 from edge.files import replacing
-from edge_plugins.home import MissionItem, WayHome, mission_items
-from edge_plugins.home.way_home import FRAME_RELATIVE_ALT
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import FRAME_RELATIVE_ALT, MissionItem, WayHome, mission_items
 from sim.ground_files import GroundLine, as_geojson
 from sim.output import refusing
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.reference_map import ReferenceMap
-from edge_plugins.layers import NEEDED, REACH_M, Stretch
+from edge_plugins.layers.road import NEEDED, REACH_M, Stretch
 from sim.maps.use import Use
 
 FIRST = 10.0

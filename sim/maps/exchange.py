@@ -25,10 +25,12 @@ import numpy as np
 
 from edge.errors import MapError
 from edge.files import AtomicFolder, flush_to_disk, replacing
-from edge.reference_map import LearnedFolder, maps_in, open_map, read_header
+from edge.reference_map import maps_in, open_map, read_header
+from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_folder import SIGNATURE, check_signature
 from edge.reference_map.store import HEADER
-from edge_plugins.layers import KEEP_FILE, TALLIES, Tally, read_tally
+from edge_plugins.layers.stored import KEEP_FILE
+from edge_plugins.layers.tally import TALLIES, Tally, read_tally
 from sim.output import refusing
 
 INVENTORY = "inventory.json"

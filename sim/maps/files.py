@@ -15,9 +15,11 @@ import numpy as np
 
 from edge.errors import MapError
 from edge.map_agreement import disagreements
-from edge.reference_map import LearnedFolder, ReferenceMap, maps_in, open_map, open_map_set
+from edge.reference_map import ReferenceMap, maps_in, open_map, open_map_set
+from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.store import HEADER, MapHeader
-from edge_plugins.layers import KEEP_FILE, StoredMap, light_of, read_tallies, stored_maps
+from edge_plugins.layers.stored import KEEP_FILE, StoredMap, stored_maps
+from edge_plugins.layers.tally import light_of, read_tallies
 from edge_plugins.mapping.builder import spell_accuracy
 from edge_plugins.mapping.place_log import logs_in, map_of
 from sim.maps.keys import make_key, sign_map

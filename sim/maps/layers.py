@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from edge.errors import ConfigError, MapError
-from edge.reference_map import LearnedFolder
+from edge.reference_map.learned import LearnedFolder
 from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.files import light
 from sim.maps.keys import is_signed_with

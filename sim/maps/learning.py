@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from edge.errors import MapError
 from edge.map_agreement import compared, disagreements_of
-from edge.reference_map import Learned, LearnedFolder, MapSet, Newer, ReferenceMap, open_map_set
-from edge.reference_map.learned import checksum
-from edge_plugins.layers import STRETCH_PLACES, StoredMap, Stretch, Tally, read_tallies, stored_maps, stretches
+from edge.reference_map import MapSet, ReferenceMap, open_map_set
+from edge.reference_map.learned import Learned, LearnedFolder, Newer, checksum
+from edge_plugins.layers.road import Stretch, stretches
+from edge_plugins.layers.stored import StoredMap, stored_maps
+from edge_plugins.layers.tally import STRETCH_PLACES, Tally, read_tallies
 from sim.maps.choice import Choice, choose
 from sim.maps.outvoted import outvoted
 from sim.maps.placing import moved, newer_positions

@@ -14,7 +14,7 @@ from edge.errors import ConfigError, MapError, SetupError
 from edge.extras import install_command
 from edge.geodesy import east_north, first_known
 from edge.reference_map import ReferenceMap, open_map_set
-from edge_plugins.layers import REACH_M
+from edge_plugins.layers.road import REACH_M
 from sim.maps.learning import Lesson
 
 if TYPE_CHECKING:

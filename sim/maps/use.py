@@ -7,7 +7,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from edge.reference_map import MapHeader, ReferenceMap
-from edge_plugins.layers import STRETCH_PLACES, Counts, Stretch, Tally, keys_of
+from edge_plugins.layers.road import Stretch
+from edge_plugins.layers.stored import keys_of
+from edge_plugins.layers.tally import STRETCH_PLACES, Counts, Tally
 
 HALF_LIFE = 20
 """Drives after which a count is worth half: a month of commuting, in which the season changes."""

@@ -16,22 +16,15 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import (
-    CameraConfig,
-    Config,
-    DescriptorConfig,
-    MapConfig,
-    MappingConfig,
-    PageConfig,
-    RigConfig,
-    TelemetryConfig,
-)
+from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, RigConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.journal.records import PluginFailed
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Draft
@@ -97,15 +90,17 @@ class Drive:
             camera=CameraConfig(kind="sim", view="front"),
             descriptor=DescriptorConfig(keep_statistics_min=0.0),
             map=MapConfig(path=str(map_path)),
-            mapping=MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear")),
-            page=PageConfig(port=0),
             rig=RIG,
             telemetry=TelemetryConfig(connection=connection, emit="auto", journal=str(self.journal.resolve())),
+            plugins={
+                "mapping": MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear")),
+                "page": PageConfig(port=0),
+            },
         )
 
     def run_daemon(self, simulation: Simulation, config: Config, until_s: float = math.inf) -> None:
         """To the end of the drive, or up to a moment of it."""
-        mapping = simulation.rear if config.mapping.folder else None
+        mapping = simulation.rear if config.of(MappingConfig).folder else None
         with ExitStack() as parts:
             opened = OpenedParts(
                 config,

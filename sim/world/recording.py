@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import SamplingConfig
-from edge.feed import FeedHeader, FeedRow, FeedWriter
+from edge.feed import FeedHeader, FeedRow
+from edge.feed.writer import FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.world.camera import open_renderer, picture
 from sim.world.drive import Drive

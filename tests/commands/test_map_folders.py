@@ -23,8 +23,8 @@ from edge.recognizer import open_recognizer
 from edge.reference_map.map_folder import SIGNATURE, open_map_set
 from edge.reference_map.store import DESCRIPTORS, open_map
 from edge_plugins.doctor.command import examine
-from edge_plugins.layers import read_tallies
-from edge_plugins.page import map_view
+from edge_plugins.layers.tally import read_tallies
+from edge_plugins.page.snapshot import map_view
 from sim.evaluation.replay import config_for_map, replay
 from sim.journal import records_of
 

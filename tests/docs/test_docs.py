@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -28,10 +28,14 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLink_heartbeat_message
 
 import edge
 from edge.commands.parser import build_parser
-from edge.config import Config, parse_config
+from edge.config import SHIPPED, Config, parse_config
 from edge.feed.format import MEASURES, SOURCE
 from edge.geodesy import POSITION_SOURCES
-from edge.journal.records import Record
+from edge.journal.records import KINDS, Record
+from edge_plugins.home.home_requests import HomeAnswered
+from edge_plugins.mapping.status import MappingChanged
+from edge_plugins.motion.camera_motion import MotionMeasured
+from edge_plugins.motion.velocity_sender import VelocityChanged
 from sim.journal import JournalLine
 from sim.world.scenario import Scenario
 from tests.docs.forked_lookback import forked_lookback
@@ -228,20 +232,26 @@ WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
 
 def config_keys() -> dict[str, set[str]]:
     """The keys of each section of the configuration."""
-    return {field.name: set(field.type.__struct_fields__) for field in msgspec.structs.fields(Config)}
+    return {name: set(kind.__struct_fields__) for name, kind in sections().items()}
+
+
+def sections() -> dict[str, Any]:
+    """The struct of each section, those of plug-ins too."""
+    own = {field.name: field.type for field in msgspec.structs.fields(Config) if field.name != "plugins"}
+    return {**own, **{name: point.load() for name, point in SHIPPED.items()}}
 
 
 def config_values() -> set[str]:
     """The words that a key may be set to."""
-    sections = [field.type for field in msgspec.structs.fields(Config)]
-    kinds = [field.type for section in sections for field in msgspec.structs.fields(section)]
+    kinds = [field.type for section in sections().values() for field in msgspec.structs.fields(section)]
     return {value for kind in kinds for value in get_args(kind) if isinstance(value, str)}
 
 
 def journal_words() -> set[str]:
     """Kinds of journal records, their fields, and the keys of every line."""
-    fields = [field for kind in get_args(Record) for field in msgspec.structs.fields(kind)]
-    tags = {str(kind.__struct_config__.tag) for kind in get_args(Record)}
+    kinds: list[type[Record]] = [*KINDS, MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered]
+    fields = [field for kind in kinds for field in msgspec.structs.fields(kind)]
+    tags = {str(kind.__struct_config__.tag) for kind in kinds}
     return {field.encode_name for field in fields} | tags | set(JournalLine._fields)
 
 

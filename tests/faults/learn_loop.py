@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
-from edge.reference_map import LearnedFolder, Newer, open_map_set
-from edge.reference_map.learned import checksum
+from edge.reference_map import open_map_set
+from edge.reference_map.learned import LearnedFolder, Newer, checksum
 from sim.maps.learning import Lesson, learn
 
 LONGEST_S = 0.01

@@ -20,11 +20,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import MappingConfig, SamplingConfig
+from edge.config import SamplingConfig
 from edge.geodesy import VehiclePosition
 from edge.reference_map import ModelKey, RegionsKey
-from edge_plugins.mapping import LiveMap, LogHeader
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, logs_in
+from edge_plugins.mapping.place_log_records import LogHeader
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="gps")

@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge.config import MappingConfig, SamplingConfig
+from edge.config import SamplingConfig
 from edge.reference_map import ModelKey, RegionsKey
-from edge_plugins.mapping import LiveMap, LogHeader
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.live_map import LiveMap
+from edge_plugins.mapping.place_log_records import LogHeader
 from tests.faults.mapping_loop import GPS
 
 DIMENSIONS = 128

@@ -18,11 +18,12 @@ from hypothesis import strategies as st
 from hypothesis.errors import FlakyFailure
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
+from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.localization import Drive, PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
-from edge_plugins.home import WayHome
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
+from edge_plugins.home.way_home import WayHome
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -215,6 +216,7 @@ class Turns:
         self.drive = Drive(self.estimator)
         self.link = AutopilotConnection(config, self.clock_ns, gates=gates, drive=self.drive)
         self.home = HomeRequests(home, self.link)
+        self.link.services.append(self.home)
         self.home.plan = lambda start: WAY
         self.autopilot: SimulatedAutopilot | None = None
         if self.stranger.cable is not None:

@@ -17,18 +17,10 @@ from typing import Any
 
 import pytest
 
-from edge.config import (
-    CameraConfig,
-    Config,
-    DescriptorConfig,
-    LinkConfig,
-    MapConfig,
-    RecordingConfig,
-    TelemetryConfig,
-    change_paths,
-)
+from edge.config import CameraConfig, Config, DescriptorConfig, LinkConfig, MapConfig, TelemetryConfig, change_paths
 from edge.errors import EXIT_SETUP
 from edge.extras import install_command
+from edge_plugins.recording import RecordingConfig
 
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set=-all", "--inh-caps=-all", "--no-new-privs"]
 PATIENCE_S = 60.0
@@ -51,7 +43,7 @@ def all_keys() -> list[str]:
         descriptor=DescriptorConfig(model="m"),
         map=MapConfig(require_signature_by="k"),
         telemetry=TelemetryConfig(signing_key="k", links=(LinkConfig("udp:127.0.0.1:9", "k"),)),
-        recording=RecordingConfig(folder="f"),
+        plugins={"recording": RecordingConfig(folder="f")},
     )
     keys: list[str] = []
 

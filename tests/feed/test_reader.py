@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from edge.errors import FeedError, FrameError
-from edge.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedImages, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 
 HEADER = FeedHeader("Gardens Point", "rear", 64, 48, source="test", notes="nachts, 夜")
 

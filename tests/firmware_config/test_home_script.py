@@ -19,10 +19,10 @@ pytest.importorskip("lupa")
 
 from lupa import lua53
 
-from edge.config import HomeConfig
 from edge.reference_map import open_map_set
 from edge.telemetry.codec import MavlinkCodec
-from edge_plugins.home import plan_way_home
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import plan_way_home
 from tests.plugins.home.home_requests import DRIVING_ITSELF
 from tests.plugins.home.test_way_home import straight
 from tests.telemetry.rig import Rig

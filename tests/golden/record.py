@@ -17,7 +17,8 @@ from typing import Any
 import cv2
 
 from edge.descriptor.network import Network
-from edge.feed import FeedHeader, FeedWriter
+from edge.feed import FeedHeader
+from edge.feed.writer import FeedWriter
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import get_args
 
 import msgspec
 import pytest
@@ -18,6 +17,7 @@ import edge
 from edge.errors import ConfigError
 from edge.journal.journal import Journal, QueuedJournal, earlier_files, rotate
 from edge.journal.records import (
+    KINDS,
     SCHEMA,
     DrivesDisagree,
     FixAnswered,
@@ -26,13 +26,10 @@ from edge.journal.records import (
     FixWithheld,
     FrameUsed,
     GpsJudged,
-    HomeAnswered,
     JournalOpened,
     JournalResumed,
     LinkChanged,
     MapExcluded,
-    MappingChanged,
-    MotionMeasured,
     PlaceFix,
     PluginFailed,
     PositionMessageChosen,
@@ -40,8 +37,11 @@ from edge.journal.records import (
     SourceSetAnswered,
     StateChanged,
     Stopped,
-    VelocityChanged,
 )
+from edge_plugins.home.home_requests import HomeAnswered
+from edge_plugins.mapping.status import MappingChanged
+from edge_plugins.motion.camera_motion import MotionMeasured
+from edge_plugins.motion.velocity_sender import VelocityChanged
 from sim.evaluation.replay import as_line
 from sim.journal import JournalLine, UnknownRecord, read_journal, records_of
 
@@ -246,14 +246,20 @@ EVERY_KIND: tuple[Record, ...] = (
 )
 
 
+OF_PLUGINS = MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered
+
+
 def test_every_kind_of_record_is_read_as_it_was_written(path: Path) -> None:
-    assert {type(record) for record in EVERY_KIND} == set(get_args(Record))
+    assert {type(record) for record in EVERY_KIND} == {*KINDS, *OF_PLUGINS}
     journal = Journal(path, unix_time_s=lambda: 1.5)
     assert all(journal.write(record) for record in EVERY_KIND)
     journal.close()
-    opened, *lines = read_journal(path)
+    opened, *lines = read_journal(path, *OF_PLUGINS)
     assert opened.record == JournalOpened(SCHEMA, edge.__version__)
     assert lines == [JournalLine(1.5, record) for record in EVERY_KIND]
+    others = [line.record for line in read_journal(path) if isinstance(line.record, UnknownRecord)]
+    assert [one.fields["event"] for one in others] == ["mapping", "motion", "velocity", "home"], "not asked for"
+    assert list(records_of(path, VelocityChanged)) == [VelocityChanged(is_sent=False, why="too old")]
     assert list(records_of(path, FixAnswered)) == [FixAnswered(4, "ACCEPTED")]
 
 
@@ -376,7 +382,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_one_file(path: Path, caplog: 
 
 def test_every_key_says_its_unit_and_meaning() -> None:
     """records.py is the reference that docs/journal.md names."""
-    for kind in get_args(Record):
+    for kind in (*KINDS, *OF_PLUGINS):
         info = type_info(kind)
         assert kind.__doc__ and isinstance(info, StructType)
         for field in info.fields:

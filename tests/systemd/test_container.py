@@ -9,7 +9,8 @@ import subprocess
 from pathlib import Path
 
 import edge
-from edge.config import DEFAULT_TOML, PageConfig, TelemetryConfig, load_config
+from edge.config import DEFAULT_TOML, TelemetryConfig, load_config
+from edge_plugins.page import PageConfig
 
 CONTAINER = Path(__file__).parents[2] / "container"
 DOCKERFILE = (CONTAINER / "Dockerfile").read_text().replace("\\\n", "")
@@ -48,7 +49,7 @@ def test_the_generated_config_is_valid_and_reaches_the_host(tmp_path: Path) -> N
     text = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
     (tmp_path / "lookback.toml").write_text(text)
     config = load_config(tmp_path / "lookback.toml")
-    assert config.page.bind == "0.0.0.0"
-    assert "blueos.local" in config.page.hosts
+    assert config.of(PageConfig).bind == "0.0.0.0"
+    assert "blueos.local" in config.of(PageConfig).hosts
     assert config.telemetry.connection.startswith("udp:host.docker.internal:")
     assert config.telemetry.journal == TelemetryConfig().journal

@@ -19,7 +19,8 @@ import pytest
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import EXIT_SETUP
 from edge.extras import install_command
-from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from edge.journal.records import Stopped
 from sim.journal import read_journal
 from sim.maps.command import build_map

@@ -8,13 +8,14 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from edge.config import Config, GatesConfig, HomeConfig, TelemetryConfig
+from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
 from edge.localization import Drive, GpsFix, GpsVerdict, Limits, PlaceFix, PositionEstimator
 from edge.localization.dead_reckoning import Displacement
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -122,11 +123,14 @@ class Rig:
         self.estimator = ToldEstimator(Config(gates=self._gates))
         self.drive = Drive(self.estimator)
         self.connection = AutopilotConnection(
-            self._config, lambda: self.now_ns, self.journal.write, self._gates, self.drive, motion=self._motion
+            self._config, lambda: self.now_ns, self.journal.write, self._gates, self.drive
         )
+        if self._motion != "off":
+            self.connection.use_camera_motion(sends=self._motion == "send")
         self.unable = ""
         """Why nothing is recognized now."""
         self.home = HomeRequests(self._home, self.connection)
+        self.connection.services.append(self.home)
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""

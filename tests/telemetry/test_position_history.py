@@ -9,7 +9,7 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.telemetry.position_history import PositionHistory
+from edge.telemetry.position_history import Awaiting, PositionHistory
 from sim.vehicle.command import straight_line
 from sim.vehicle.gps import GpsReport
 from tests.telemetry.rig import Rig
@@ -66,15 +66,20 @@ def test_a_frame_waits_for_the_position_after_it_and_not_for_ever() -> None:
 
 def test_frames_get_their_positions_in_order_each_once_it_is_interpolated() -> None:
     kept, given = history(north(1.0, 10.0)), list[float | None]()
+    waiting: Awaiting[float] = Awaiting(kept)
+
+    def give(*, all_of_them: bool = False) -> None:
+        given.extend(None if at is None else north_m(at) for _, at in waiting.known(all_of_them=all_of_them))
+
     for stamp_s in (1.0, 1.1, 1.15, 1.3):
-        kept.when_known(round(stamp_s * S), lambda at: given.append(None if at is None else north_m(at)))
-    kept.release()
+        waiting.add(round(stamp_s * S), stamp_s)
+    give()
     assert given == pytest.approx([10.0], abs=0.01)
     kept.add(north(1.2, 12.0))
-    kept.release()
+    give()
     assert given == pytest.approx([10.0, 11.0, 11.5], abs=0.01)
     kept.clear()
-    kept.release(all_of_them=True)
+    give(all_of_them=True)
     assert given[3:] == [None]
 
 

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.config import CameraConfig, Config, MapConfig, MappingConfig, SamplingConfig
+from edge.config import Config, MapConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.geodesy import VehiclePosition
 from edge.recognizer import PlaceRecognizer, model_key, open_recognizer
 from edge.reference_map import RegionsKey, open_map_set
 from edge.sequence import Travel
-from edge_plugins.mapping import LiveMap
+from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place
+from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import create_log, log_of
 from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, PlacePassed, encoded
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -47,8 +48,7 @@ class TwoCameras:
         began_s = time.monotonic()
         self.live = LiveMap(MappingConfig(folder=str(folder), min_free_mb=0.0), header, "rear")
         self.resumed_s = time.monotonic() - began_s
-        mapping = MappingConfig(folder=str(folder), camera=CameraConfig(view="rear"))
-        config = Config(map=MapConfig(path=str(folder), places_per_frame=2 * places), mapping=mapping)
+        config = Config(map=MapConfig(path=str(folder), places_per_frame=2 * places))
         self.recognizer = open_recognizer(config, network=network, newest=self.live.so_far())
         self._driven_m = 0.0
 

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config, MotionConfig
+from edge.config import Config
 from edge.descriptor.network import Network
-from edge_plugins.motion import CameraMotion
+from edge_plugins.motion import MotionConfig
+from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.frames import SIZE_PX
 from sim.bench.timing import race
 from sim.research.bench.rows import Section, Target, against
@@ -36,7 +37,7 @@ def road(at_m: float) -> NDArray[np.uint8]:
 
 def measure(rounds: int) -> Section:
     """A section of one row."""
-    motion, number = CameraMotion(Config(motion=MotionConfig(use="report"))), count(1)
+    motion, number = CameraMotion(Config(plugins={"motion": MotionConfig(use="report")})), count(1)
     pictures = [road(STEP_M * step) for step in range(PICTURES)]
     network = Network.load()
     batch = np.zeros((2, *network.size, 3), np.uint8)

@@ -30,11 +30,12 @@ from numpy.typing import NDArray
 from edge.config import Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.geodesy import east_north, moved
-from edge.reference_map import LearnedFolder, ModelKey, open_map_set
+from edge.reference_map import ModelKey, open_map_set
+from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
-from edge_plugins.layers import DriveTally
+from edge_plugins.layers.tally import DriveTally
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place, thumbnail
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers

@@ -19,7 +19,7 @@ from edge.config import Config, MapConfig
 from edge.descriptor.network import Network
 from edge.recognizer import model_key, open_recognizer
 from edge.sequence import Travel
-from edge_plugins.layers import learn_command
+from edge_plugins.layers.learner import learn_command
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.simulated_map import SPACING_M, write_simulated_map
 from sim.bench.timing import time_ms, wall_ns

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config, GatesConfig, MappingConfig, MotionConfig
+from edge.config import Config, GatesConfig
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
-from edge_plugins.motion import CameraMotion
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.motion import MotionConfig
+from edge_plugins.motion.camera_motion import CameraMotion
 from edge_plugins.motion.height import WINDOWS_MOST
 from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.research.trial.course import Course, CourseDraft, drafted
@@ -163,10 +165,10 @@ class CourseDrive(Drive):
         return replace(
             config,
             camera=replace(config.camera, kind="stream") if draft.late_s else config.camera,
-            motion=MotionConfig(use=draft.motion),
-            mapping=config.mapping if draft.maps_live else MappingConfig(),
             gates=GatesConfig(doubted_gps=draft.doubted_gps),
             telemetry=replace(config.telemetry, emit=draft.emit, origin=origin),
+            plugins={**config.plugins, "motion": MotionConfig(use=draft.motion)}
+            | ({} if draft.maps_live else {"mapping": MappingConfig()}),
         )
 
     def run_daemon(self, simulation: Simulation, config: Config, until_s: float = math.inf) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.recognizer import model_key
-from edge.reference_map import LearnedFolder
+from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from sim import ORIGIN_ALT_M, geodetic

@@ -10,6 +10,7 @@ import numpy as np
 
 from edge.descriptor.network import Network
 from edge.errors import FeedError
+from edge_plugins.mapping import MappingConfig
 from sim.research.trial.recorded_drive import JOURNAL, read_drive
 from sim.research.trial.replayed_drive import Frames, Positions, Replayed, replay
 from sim.trial.views import RoadLibrary
@@ -45,7 +46,7 @@ def _run(args: argparse.Namespace) -> int:
             output = args.output / folder.name
             output.mkdir(parents=True, exist_ok=True)
             drive = read_drive(folder)
-            if drive.config.mapping.folder:
+            if drive.config.of(MappingConfig).folder:
                 print(f"| {drive.name}: its map was made on the way, which is not replayed |", flush=True)
                 continue
             print(rows(replay(drive, output, library)), flush=True)

@@ -24,7 +24,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
-from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, MappingConfig, PageConfig, SamplingConfig
+from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, SamplingConfig
 from edge.daemon import Daemon
 from edge.geodesy import moved
 from edge.journal.records import FixSent, FrameUsed
@@ -32,6 +32,8 @@ from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge.telemetry.vehicle import Vehicle
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.research.trial.course_map import open_builder, place_at
 from sim.research.trial.course_rules import SENT_WITHIN_S
@@ -230,9 +232,8 @@ def _settings(config: Config, link: PtyLink, map_path: Path, journal: Path) -> C
         camera=CameraConfig(kind="sim", view=config.camera.view),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(map_path)),
-        mapping=MappingConfig(),
-        page=PageConfig(port=0),
         telemetry=telemetry,
+        plugins={**config.plugins, "mapping": MappingConfig(), "page": PageConfig(port=0)},
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.reference_map import open_map_set
-from edge_plugins.home import Start, WayHome, plan_way_home
+from edge_plugins.home.way_home import Start, WayHome, plan_way_home
 from tests.plugins.home.home_requests import ENABLED
 from tests.telemetry import conftest
 from tests.telemetry.rig import START_NS, OpenRig, Rig

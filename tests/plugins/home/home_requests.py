@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import HomeConfig
+from edge_plugins.home import HomeConfig
 from tests.telemetry.rig import Rig
 
 ENABLED = HomeConfig(enabled=True, speed_mps=2.5)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.journal.records import HomeAnswered
-from edge_plugins.home import MissionItem
+from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.home.mission_transfer import MissionTransfer
+from edge_plugins.home.way_home import MissionItem
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     FAILED,

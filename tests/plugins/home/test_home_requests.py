@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import HomeConfig
-from edge.journal.records import HomeAnswered
-from edge_plugins.home import WayHome
-from edge_plugins.home.home_requests import Answer
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.home_requests import Answer, HomeAnswered
+from edge_plugins.home.way_home import WayHome
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     DENIED,

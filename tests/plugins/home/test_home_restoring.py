@@ -7,8 +7,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.journal.records import HomeAnswered
-from edge_plugins.home.home_requests import Answer
+from edge_plugins.home.home_requests import Answer, HomeAnswered
 from tests.plugins.home.home_requests import (
     DRIVING_ITSELF,
     OLD,

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge.config import HomeConfig
 from edge.reference_map import open_map_set
-from edge_plugins.home import Start, WayHome, plan_way_home
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import Start, WayHome, plan_way_home
 from sim import geodetic
 from tests.plugins.home.test_way_home import Points, arc, joined, straight, waypoints_m
 

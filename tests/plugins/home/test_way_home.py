@@ -16,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.config import HomeConfig
 from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.reference_map import open_map_set
-from edge_plugins.home import Start, WayHome, mission_items, plan_way_home
+from edge_plugins.home import HomeConfig
 from edge_plugins.home.checks import BRIEF
 from edge_plugins.home.drive_line import simplified
+from edge_plugins.home.way_home import Start, WayHome, mission_items, plan_way_home
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 
 MapAlong = Callable[..., Path]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.geodesy import moved
 from edge.reference_map import ModelKey, RegionsKey, open_map_set
-from edge_plugins.layers import DriveTally
+from edge_plugins.layers.tally import DriveTally
 from edge_plugins.mapping.builder import MapBuilder, Place
 
 MODEL, DIMENSIONS = ModelKey("test", "0" * 64, "fc6", 32), 32

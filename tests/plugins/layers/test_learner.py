@@ -11,8 +11,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.reference_map import open_map_set
-from edge_plugins.layers import Learner, learn_command
-from edge_plugins.layers.learner import STOOD_NS
+from edge_plugins.layers.learner import STOOD_NS, Learner, learn_command
 from tests.plugins.layers.drives import MADE_S, Driven, build
 
 Follow = Callable[[float, float | None], None]

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from edge.reference_map import open_map_set, read_header
-from edge_plugins.layers import DriveTally, read_tallies
-from edge_plugins.layers.tally import KEPT_FILES, TALLIES
+from edge_plugins.layers.tally import KEPT_FILES, TALLIES, DriveTally, read_tallies
 from sim.maps.learning import learn
 from tests.plugins.layers.drives import MADE_S, SPACING_M, Driven, build, count, picture
 

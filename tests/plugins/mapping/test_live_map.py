@@ -16,14 +16,19 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.__main__ import main
-from edge.config import HomeConfig, MappingConfig, SamplingConfig
+from edge.config import SamplingConfig
 from edge.geodesy import VehiclePosition
-from edge.reference_map import Learned, LearnedFolder, MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
-from edge_plugins.home import plan_way_home
-from edge_plugins.layers import KEEP_FILE, DriveTally, delete_oldest, read_tallies, stored_maps
-from edge_plugins.mapping import LiveMap, LogHeader
+from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
+from edge.reference_map.learned import Learned, LearnedFolder
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import plan_way_home
+from edge_plugins.layers.stored import KEEP_FILE, delete_oldest, stored_maps
+from edge_plugins.layers.tally import DriveTally, read_tallies
+from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, logs_in
+from edge_plugins.mapping.place_log_records import LogHeader
 from tests.plugins.layers.drives import count
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge.geodesy import POSITION_SOURCES, VehiclePosition, east_north_of, moved
-from edge_plugins.mapping import LiveMap
+from edge_plugins.mapping.live_map import LiveMap
 from tests.plugins.mapping.test_live_map import GPS, IMAGE, live, raw_of
 from tests.reference_map.test_gps_motion import FROM, SIGMA_M, Drive
 from tests.reference_map.test_gps_motion import drive as gps_drive

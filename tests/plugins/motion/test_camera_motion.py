@@ -9,9 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.config import CameraConfig, Config, MotionConfig, TelemetryConfig
-from edge.journal.records import MotionMeasured, Record
-from edge_plugins.motion import CameraMotion, CameraSpeed
+from edge.config import CameraConfig, Config, TelemetryConfig
+from edge.journal.records import Record
+from edge_plugins.motion import MotionConfig
+from edge_plugins.motion.camera_motion import CameraMotion, CameraSpeed, MotionMeasured
 from edge_plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
 from tests.files_written import wait_for_files
 from tests.plugins.motion.road import HEIGHT, WIDTH, picture
@@ -22,7 +23,9 @@ STEP_NS, STEP_M, MPS = 100_000_000, 0.7, 7.0
 def config(folder: Path | None = None, view: str = "front") -> Config:
     journal = str(folder / "events.jsonl") if folder else ""
     camera = msgspec.convert({"view": view}, CameraConfig)
-    return Config(camera=camera, motion=MotionConfig(use="report"), telemetry=TelemetryConfig(journal=journal))
+    return Config(
+        camera=camera, telemetry=TelemetryConfig(journal=journal), plugins={"motion": MotionConfig(use="report")}
+    )
 
 
 def known(motion: CameraMotion) -> CameraMotion:

@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.journal.records import VelocityChanged
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link_protocol import NO_AID, VISION
-from edge_plugins.motion import CameraSpeed
-from edge_plugins.motion.velocity_sender import VelocitySender, body_odometry, position_delta
+from edge_plugins.motion.camera_motion import CameraSpeed
+from edge_plugins.motion.velocity_sender import VelocityChanged, VelocitySender, body_odometry, position_delta
 from sim.journal import records_of
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig

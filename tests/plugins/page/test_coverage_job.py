@@ -14,10 +14,9 @@ import pytest
 
 pytest.importorskip("starlette")
 
-from edge.config import PageConfig
-from edge_plugins.page import map_view
+from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
-from edge_plugins.page.snapshot import MapView
+from edge_plugins.page.snapshot import MapView, map_view
 from tests.sim.coverage.roads import road, walk
 
 LONGEST_S = 300.0

@@ -32,14 +32,14 @@ from selenium import webdriver
 from selenium.webdriver.support import expected_conditions
 from selenium.webdriver.support.wait import WebDriverWait
 
-from edge.config import DescriptorConfig, PageConfig, SamplingConfig
-from edge.feed import FeedImages, FeedRow, FeedWriter, read_feed
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.feed import FeedImages, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from edge.telemetry import LinkStatus
-from edge_plugins.mapping import MappingView
-from edge_plugins.mapping.status import MappingStatus
-from edge_plugins.page import map_view
+from edge_plugins.mapping.status import MappingStatus, MappingView
+from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
-from edge_plugins.page.snapshot import Snapshot
+from edge_plugins.page.snapshot import Snapshot, map_view
 from sim.maps.command import build_map
 from tests.plugins.page.test_server import TOKEN, Loop, snapshot
 from tests.sim.coverage.roads import road, walk

@@ -23,10 +23,10 @@ pytest.importorskip("starlette")
 from prometheus_client.parser import text_string_to_metric_families
 
 from edge.camera import CameraHealth
-from edge.config import PageConfig
 from edge.journal.records import FrameUsed
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
+from edge_plugins.page import PageConfig
 from edge_plugins.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
 from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 

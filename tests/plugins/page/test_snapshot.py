@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip("starlette")
 
 from edge.camera import CameraHealth, Frame
-from edge.config import Config, PageConfig, RigConfig, SamplingConfig, SequenceConfig
+from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.journal.records import FrameUsed
@@ -23,8 +23,10 @@ from edge.localization.place_fix import frame_used
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
-from edge_plugins.mapping import MappingStatus, MappingView, WayHome
-from edge_plugins.page import LiveStatus, Snapshot, map_view, open_page
+from edge_plugins.mapping.status import MappingStatus, MappingView, WayHome
+from edge_plugins.page import PageConfig
+from edge_plugins.page.plugin import open_page
+from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, Snapshot, map_view
 from sim.traverse import traverse
 
 FRAMES, LENGTH = 30, 10
@@ -55,18 +57,18 @@ def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
 
 
 def snapshot(status: LiveStatus, recognizer: PlaceRecognizer) -> Snapshot:
-    return status.snapshot(
-        10**9 * FRAMES,
-        "on the map",
-        "",
+    daemon = DaemonStatus(
+        stamp_ns=10**9 * FRAMES,
         map_name="a map",
-        costs=recognizer.cost_view(status.match),
+        state="on the map",
+        why="",
         camera=CameraHealth("running", "", 0, delivered=FRAMES),
         link=LinkStatus("closed", "serial:none:57600", "report"),
         stages_ms={"network": 8.5},
         journal_lost=0,
         mapping=MAPPING,
     )
+    return status.snapshot(daemon, recognizer.cost_view(status.match))
 
 
 def show(status: LiveStatus, recognizer: PlaceRecognizer, frame: Frame) -> None:
@@ -138,7 +140,7 @@ def test_the_map_of_the_page_is_thinned_out(street: ReferenceMap) -> None:
 
 
 def test_no_page_is_no_reason_to_stop(street: ReferenceMap, caplog: pytest.LogCaptureFixture) -> None:
-    assert open_page(PageConfig(port=0), map_view(MapSet.of(street))) is None
+    assert not PageConfig(port=0).asks(Config())
     with socket.create_server(("127.0.0.1", 0)) as taken, caplog.at_level(logging.INFO):
         assert open_page(PageConfig(port=taken.getsockname()[1]), map_view(MapSet.of(street))) is None
         assert "no live page: [page] 127.0.0.1:" in caplog.text

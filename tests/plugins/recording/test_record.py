@@ -18,7 +18,8 @@ from edge.camera.picture_check import UNDATED
 from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
 from edge.errors import CameraLost, ConfigError, FeedError
-from edge.feed import FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedImages, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from edge_plugins.recording.command import record
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot

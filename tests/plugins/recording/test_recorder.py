@@ -109,9 +109,10 @@ def test_a_disk_that_hangs_costs_frames_of_the_recording_only(tmp_path: Path) ->
 
 def test_the_config_is_relative_to_its_file(tmp_path: Path) -> None:
     from edge.config import parse_config
+    from edge_plugins.recording import RecordingConfig
 
     config = parse_config('[recording]\nfolder = "runs"\n', tmp_path / "lookback.toml")
-    assert config.recording.folder == os.fspath(tmp_path / "runs")
+    assert config.of(RecordingConfig).folder == os.fspath(tmp_path / "runs")
 
 
 def test_the_log_names_the_feed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

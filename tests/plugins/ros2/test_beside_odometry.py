@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from edge.camera import Frame
-from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig, PageConfig, Ros2Config
+from edge.config import AcceptanceConfig, Config, GatesConfig, MapConfig
 from edge.config import SequenceConfig as Sequence
 from edge.config import TelemetryConfig as Telemetry
 from edge.daemon import Daemon
@@ -21,6 +21,8 @@ from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north_of
 from edge.opened_parts import OpenedParts
+from edge_plugins.page import PageConfig
+from edge_plugins.ros2 import Ros2Config
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.plugins.ros2.robot import Clock, Robot
 from tests.udp_port import free_port
@@ -40,8 +42,10 @@ def test_a_position_comes_by_odometry_alone(
         acceptance=AcceptanceConfig(uniqueness_min=1.02, window_m=10.0, hold_off_s=0.0),
         gates=GatesConfig(risk=1.0, min_interval_s=0.4),
         telemetry=Telemetry(connection=f"udpin:127.0.0.1:{free_port()}", journal=str(tmp_path / "events.jsonl")),
-        ros2=Ros2Config(domain=robot.domain, odometry="odometry", odometry_is_enu=True),
-        page=PageConfig(port=0),
+        plugins={
+            "ros2": Ros2Config(domain=robot.domain, odometry="odometry", odometry_is_enu=True),
+            "page": PageConfig(port=0),
+        },
     )
     robot.listen("lookback/fix", "sensor_msgs/NavSatFix")
     robot.listen("diagnostics", "diagnostic_msgs/DiagnosticArray")

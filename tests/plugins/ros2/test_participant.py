@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from edge.config import Config, Ros2Config
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.telemetry import LinkStatus
-from edge_plugins.ros2 import Ros2
+from edge_plugins.ros2 import Ros2Config
 from edge_plugins.ros2.messages import DEFINITIONS
+from edge_plugins.ros2.participant import Ros2
 from tests.plugins.ros2.robot import Clock, Robot
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="the extra eval is not installed")
@@ -45,7 +45,7 @@ def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
 @pytest.fixture
 def ros2(robot: Robot) -> Iterator[Ros2]:
     named = Ros2Config(domain=robot.domain, odometry="/odometry", odometry_is_enu=True)
-    with closing(Ros2(Config(ros2=named), clock, clock.unix_ns)) as ours:
+    with closing(Ros2(named, clock, clock.unix_ns)) as ours:
         ours.datum = DATUM
         assert list(ours.odometry()) == []
         yield ours

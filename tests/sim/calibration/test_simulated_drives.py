@@ -18,7 +18,8 @@ from edge.commands.parser import build_parser
 from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig, load_config
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
-from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, FeedWriter, read_feed
+from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from edge.geodesy import east_north_of
 from edge.localization import Displacement
 from edge.localization.route_filter import RouteFilter

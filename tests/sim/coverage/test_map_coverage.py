@@ -13,7 +13,8 @@ from msgspec.structs import replace
 from edge.__main__ import main
 from edge.config import Config, SamplingConfig
 from edge.journal.records import FrameUsed
-from edge.reference_map import Drives, Learned, LearnedFolder, MapSet, open_map_set
+from edge.reference_map import Drives, MapSet, open_map_set
+from edge.reference_map.learned import Learned, LearnedFolder
 from edge.reference_map.store import ModelKey, RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import HomeConfig
 from edge.errors import ConfigError
 from edge.reference_map import open_map_set
-from edge_plugins.home import WayHome, plan_way_home
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import WayHome, plan_way_home
 from sim.home.files import write_way_home
 from tests.plugins.home.test_way_home import arc, joined, straight
 from tests.udp_port import free_port

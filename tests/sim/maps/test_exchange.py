@@ -13,7 +13,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.reference_map import open_map_set
-from edge_plugins.layers import TALLIES, read_tallies
+from edge_plugins.layers.tally import TALLIES, read_tallies
 from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.keys import make_key, sign_map
 from sim.maps.learning import learn

@@ -15,7 +15,8 @@ from edge.reference_map import open_map, open_map_set
 from edge.reference_map.learned import LEARNED_FILE
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
-from edge_plugins.layers import StoredMap, read_tallies
+from edge_plugins.layers.stored import StoredMap
+from edge_plugins.layers.tally import read_tallies
 from edge_plugins.page.snapshot import map_view
 from sim.maps.keys import is_signed_with, make_key, sign_map
 from sim.maps.learning import learn

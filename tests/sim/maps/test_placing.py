@@ -14,11 +14,11 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from edge.__main__ import main
-from edge.config import HomeConfig
 from edge.geodesy import east_north
-from edge.reference_map import LearnedFolder, Route, open_map_set
-from edge.reference_map.learned import POSITIONS
-from edge_plugins.home import plan_way_home
+from edge.reference_map import Route, open_map_set
+from edge.reference_map.learned import POSITIONS, LearnedFolder
+from edge_plugins.home import HomeConfig
+from edge_plugins.home.way_home import plan_way_home
 from sim.maps.learning import Lesson, learn
 from tests.plugins.layers.drives import MADE_S, SPACING_M, Driven, build
 

@@ -14,9 +14,9 @@ pytest.importorskip("starlette")
 pytest.importorskip("matplotlib")
 
 
-from edge.config import PageConfig
-from edge_plugins.page import MapView
+from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
+from edge_plugins.page.snapshot import MapView
 from sim.demo.story import laid
 from sim.research.film import PANEL_PX, WINDOW_M, from_above
 from sim.research.pictures import (

@@ -12,7 +12,8 @@ import pytest
 from edge.commands.parser import build_parser
 from edge.descriptor.network import Head, Network
 from edge.errors import FeedError, ModelError
-from edge.feed import FeedHeader, FeedRow, FeedWriter
+from edge.feed import FeedHeader, FeedRow
+from edge.feed.writer import FeedWriter
 
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.feed import FeedHeader, FeedRow, FeedWriter
+from edge.feed import FeedHeader, FeedRow
+from edge.feed.writer import FeedWriter
 
 WIDTH, HEIGHT = 64, 48
 THERE_M, HERE_M = [2.0 * step for step in range(16)], [4.0 + 2.0 * step for step in range(12)]

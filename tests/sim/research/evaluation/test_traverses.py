@@ -10,7 +10,8 @@ import pytest
 
 from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
-from edge.feed import FeedHeader, FeedRow, FeedWriter
+from edge.feed import FeedHeader, FeedRow
+from edge.feed.writer import FeedWriter
 from sim.research.evaluation.plan import Pair, TraversePlan
 from sim.research.evaluation.traverses import (
     Traverse,

@@ -17,22 +17,16 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.camera import CameraHealth, Frame
-from edge.config import (
-    CameraConfig,
-    Config,
-    DescriptorConfig,
-    MapConfig,
-    MappingConfig,
-    PageConfig,
-    SamplingConfig,
-    TelemetryConfig,
-)
+from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, SamplingConfig, TelemetryConfig
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
-from edge.journal.records import FrameUsed, MappingChanged
+from edge.journal.records import FrameUsed
 from edge.opened_parts import OpenedParts
+from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.place_log import logs_in
 from edge_plugins.mapping.plugin import Mapping
+from edge_plugins.mapping.status import MappingChanged
+from edge_plugins.page import PageConfig
 from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -167,6 +161,10 @@ def opened(config: Config, parts: ExitStack, world: World, front: Camera, rear: 
     return Daemon(OpenedParts(config, parts, world.clock_ns, frames=front, mapping_frames=rear, network=network))
 
 
+def waiting(mapping: Mapping) -> int:
+    return mapping.live.waiting
+
+
 def drive(
     world: World,
     folder: Path,
@@ -190,8 +188,7 @@ def drive(
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
-        mapping=mapping,
-        page=page,
+        plugins={"mapping": mapping, "page": page},
         telemetry=msgspec.structs.replace(
             TelemetryConfig(),
             connection=f"serial:{link.device}:921600",
@@ -207,14 +204,13 @@ def drive(
     for until_m in sorted({killed_at_m, math.inf}):
         with ExitStack() as open_parts:
             daemon = opened(config, open_parts, world, front, rear)
-            live = daemon.parts.plugins.find(Mapping)
             while not world.is_over and world.driven_m < until_m:
                 world.now_ns += STEP_NS
                 each_turn(world.driven_m)
                 for _ in range(2):
                     autopilot.step()
                     daemon.turn()
-                while live is not None and live.mapper.live.waiting > 8:
+                while (daemon.parts.plugins.ask("mapping", waiting) or 0) > 8:
                     os.sched_yield()  # a vehicle is slower than any disk
             if world.is_over:
                 daemon.last_words()
@@ -403,8 +399,7 @@ def test_a_slow_computer_thins_the_second_camera_first(
         camera=CameraConfig(kind="sim", view="front"),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         map=MapConfig(path=str(folder)),
-        mapping=mapping_to(folder, second_camera=True),
-        page=PageConfig(port=0),
+        plugins={"mapping": mapping_to(folder, second_camera=True), "page": PageConfig(port=0)},
         telemetry=msgspec.structs.replace(
             TelemetryConfig(), connection=f"serial:{link.device}:921600", journal=str(tmp_path / "events.jsonl")
         ),
