@@ -57,15 +57,12 @@ class TrialCamera:
         rng: np.random.Generator,
         late_frames: int = 0,
         *,
-        latency_s: tuple[float, float] = LATENCY_S,
-        hole_rate: float = HOLE_RATE,
         shown_m: Callable[[float], float] | None = None,
     ) -> None:
         """late_frames: by how many frames pictures are older than their stamps. shown_m: the arc length
         of the road that a picture shows, at that of the camera; None: they show none.
         """
         self._shown_m = shown_m
-        self._latency_s, self._hole_rate = latency_s, hole_rate
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
         self._now_ns, self._rng = now_ns, rng
@@ -75,18 +72,17 @@ class TrialCamera:
         self._buffered: deque[tuple[View, int]] = deque(maxlen=late_frames + 1)
         self._picture = 0
 
-    def expose(self, view: View, stamp_ns: int | None = None, *, frozen: bool = False) -> None:
-        """A frame of this view, or of the one before if it is frozen, unless there is a hole; stamp_ns: not of now."""
+    def expose(self, view: View, *, frozen: bool = False) -> None:
+        """A frame of this view, or of the one before if it is frozen, unless there is a hole."""
         if not frozen or not self._buffered:
             self._picture += not self._buffered or self._buffered[-1][0] != view
             self._buffered.append((view, self._picture))
         (view, picture), now_s = self._buffered[0], self._now_ns() / 1e9
-        if self._rng.random() < self._hole_rate:
+        if self._rng.random() < HOLE_RATE:
             self._hole_until_s = now_s + self._rng.uniform(0.0, LONGEST_HOLE_S)
-        latency_s = self._rng.uniform(*self._latency_s)
+        latency_s = self._rng.uniform(*LATENCY_S)
         if now_s >= self._hole_until_s:
-            stamp_ns = self._now_ns() if stamp_ns is None else stamp_ns
-            self._waiting.append((now_s + latency_s, stamp_ns, view, picture))
+            self._waiting.append((now_s + latency_s, self._now_ns(), view, picture))
 
     @property
     def health(self) -> CameraHealth:

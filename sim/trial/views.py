@@ -95,14 +95,15 @@ class RoadLibrary:
     def __init__(self, network: Network, folder: Path, cell_m: int = 1) -> None:
         """folder: of one `cell_m`, how far apart views are."""
         self.network = network
-        self._folder, self._cell_m = folder, cell_m
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self._cell_m = folder, cell_m
         self._views: dict[bytes, RoadViews] = {}
 
     def __getitem__(self, scenario: Scenario) -> RoadViews:
         """The views of a scenario."""
         key = msgspec.msgpack.encode(scenario)
         if key not in self._views:
-            self._views[key] = RoadViews(scenario, self.network, self._folder, self._cell_m)
+            self._views[key] = RoadViews(scenario, self.network, self.folder, self._cell_m)
         return self._views[key]
 
     def save(self) -> None:

@@ -2,6 +2,7 @@
 
 `replay_case` runs commands with their arguments, in this process. `run_case` gives the real `Daemon` recorded frames
 and, over a pseudo-terminal, recorded telemetry; all clocks are simulated, so that each run is the same to the byte.
+`drive_case` replays an excerpt of a drive on a real autopilot, as `lookback dev flights` does.
 """
 
 from __future__ import annotations
@@ -10,14 +11,10 @@ import csv
 import fcntl
 import hashlib
 import json
-import os
 import re
-import select
 import struct
 import sys
 import tempfile
-import termios
-import tty
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -34,6 +31,11 @@ from edge.config import load_config
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.opened_parts import OpenedParts
+from edge.telemetry.codec import Message
+from sim.research.trial.recorded_drive import read_drive
+from sim.research.trial.replayed_drive import replay
+from sim.trial.views import RoadLibrary
+from sim.vehicle.pty_link import Cable
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -45,8 +47,6 @@ RECORDINGS = HERE / "recordings"
 CASE, SETTINGS, TELEMETRY = "case.toml", "lookback.toml", "telemetry.tlog"
 EXPECTED, JOURNAL, SENT = "expected.jsonl", "journal.jsonl", "sent.jsonl"
 START_NS, STEP_NS, LATENCY_NS = 1_000_000_000_000, 10_000_000, 120_000_000
-MARK = b"\0all of it\0"
-PATIENCE_S = 20.0
 
 
 class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,8 +67,8 @@ def load_case(folder: Path) -> Case:
 
 
 def cases(kind: str) -> list[Path]:
-    """The folders of a kind: "replay" or "run"."""
-    return sorted(path.parent for path in (HERE / kind).glob(f"*/{CASE}"))
+    """The folders of a kind: "replay", "run" or "drives"."""
+    return sorted(path.parent for path in (HERE / kind).glob(f"*/{SETTINGS}"))
 
 
 def build_maps(case: Case, scratch: Path, network: Network) -> Path:
@@ -107,51 +107,6 @@ def _lookback(*words: str, **parts: Network) -> None:
         raise RuntimeError(f"lookback {' '.join(words)}: failed")
 
 
-class Cable:
-    """A pseudo-terminal on which both directions arrive at once, as no real one promises.
-
-    The kernel hands bytes on in a thread of its own; each end here waits until all of them are there.
-    """
-
-    def __init__(self) -> None:
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
-
-    def send(self, data: bytes) -> bool:
-        """To the daemon."""
-        wanted = self._unread() + len(data)
-        if os.write(self._master, data) != len(data):
-            raise RuntimeError(f"{self.device}: the daemon reads too little")
-        while self._unread() < wanted:
-            self._wait_for(self._slave)
-        return True
-
-    def receive(self) -> bytes:
-        """All that the daemon has written."""
-        os.write(self._slave, MARK)
-        data = b""
-        while not data.endswith(MARK):
-            self._wait_for(self._master)
-            data += os.read(self._master, 65536)
-        return data[: -len(MARK)]
-
-    def fileno(self) -> int:
-        return self._master
-
-    def close(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
-
-    def _unread(self) -> int:
-        return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
-
-    def _wait_for(self, fd: int) -> None:
-        if not select.select([fd], [], [], PATIENCE_S)[0]:
-            raise RuntimeError(f"{self.device}: bytes were lost on the way")
-
-
 class FarEnd(Protocol):
     """What is at the other end of the cable."""
 
@@ -170,11 +125,15 @@ class PlayedTelemetry:
 
     def step(self, now_ns: int) -> None:
         for message in self._parser.parse_buffer(self._cable.receive()) or []:
-            fields = {"at_s": (now_ns - START_NS) / 1e9, "seq": message.get_seq(), **message.to_dict()}
-            self.sent.append(json.dumps(fields) + "\n")
+            self.sent.append(sent_line((now_ns - START_NS) / 1e9, message))
         while self._next < len(self._frames) and self._frames[self._next][0] <= now_ns - START_NS:
             self._cable.send(self._frames[self._next][1])
             self._next += 1
+
+
+def sent_line(at_s: float, message: Message) -> str:
+    """A message that the daemon sent, as a line of SENT; at_s: since the start of the run."""
+    return json.dumps({"at_s": at_s, "seq": message.get_seq(), **message.to_dict()}) + "\n"
 
 
 def read_tlog(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -283,6 +242,19 @@ def run_case(
     return {JOURNAL: journal, SENT: "".join(played.sent)}
 
 
+def drive_case(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
+    """As `run_case`, of an excerpt of a drive on a real autopilot, with the pictures that its camera saw."""
+    drive, library = read_drive(folder), RoadLibrary(network, scratch / f"{folder.name}.views")
+    with closing(library):
+        sent = replay(drive, drive.used, scratch / folder.name, library)
+    journal = re.sub(r"/dev/pts/\d+", "autopilot", stable(scratch / folder.name / JOURNAL))
+    from_s = drive.runs[0].from_s
+    return {JOURNAL: journal, SENT: "".join(sent_line(round(at_s - from_s, 6), message) for at_s, message in sent)}
+
+
+KINDS = {"replay": replay_case, "run": run_case, "drives": drive_case}
+
+
 def outputs_of(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
     """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once."""
-    return (replay_case if folder.parent.name == "replay" else run_case)(folder, scratch, network)
+    return KINDS[folder.parent.name](folder, scratch, network)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from edge.descriptor.network import Network
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from tests.golden.harness import cases, outputs_of
+from tests.golden.harness import KINDS, cases, outputs_of
 
 
 def rebuild(folder: Path, scratch: Path, network: Network) -> None:
@@ -25,7 +25,7 @@ def rebuild(folder: Path, scratch: Path, network: Network) -> None:
 
 if __name__ == "__main__":
     wanted = set(sys.argv[1:])
-    known = {f"{path.parent.name}/{path.name}": path for path in (*cases("replay"), *cases("run"))}
+    known = {f"{path.parent.name}/{path.name}": path for kind in KINDS for path in cases(kind)}
     if not wanted <= set(known):
         sys.exit(f"no such case: {', '.join(sorted(wanted - set(known)))}; there are {', '.join(known)}")
     network = MemoizingNetwork.load()

@@ -20,11 +20,12 @@ from edge.descriptor.network import Network
 from edge.feed import FeedHeader
 from edge.feed.writer import FeedWriter
 from sim.vehicle.autopilot import SimulatedAutopilot
+from sim.vehicle.pty_link import Cable
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
 from sim.world.recording import row_of
 from sim.world.scenario import Scenario
-from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, Cable, PlayedFrames, cases, load_case, run_daemon
+from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, PlayedFrames, cases, load_case, run_daemon
 
 LENGTH_M = 340.0
 SPACING_M = 2.0

@@ -13,7 +13,7 @@ import pytest
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
 
-CASES = [*cases("replay"), *cases("run")]
+CASES = [*cases("replay"), *cases("run"), *cases("drives")]
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_the_goldens_have_all_kinds_of_answers_in_them() -> None:
     assert {"COMMAND_INT", "GLOBAL_POSITION_SENSOR"} <= {line["mavpackettype"] for line in lines("run", SENT)}
 
 
-@pytest.mark.parametrize("folder", cases("run"), ids=lambda folder: str(folder.name))
+@pytest.mark.parametrize("folder", [*cases("run"), *cases("drives")], ids=lambda folder: str(folder.name))
 def test_no_position_is_sent_after_the_state_says_off_the_map(folder: Path) -> None:
     state, sent = "", 0
     for line in map(json.loads, (folder / JOURNAL).read_text().splitlines()):

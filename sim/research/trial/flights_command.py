@@ -1,76 +1,149 @@
-"""`lookback dev flights`: compute the positions of recorded drives anew, without feedback, beside those of then."""
+"""`lookback dev flights`: what the daemon of today does on recorded drives, beside what was recorded."""
 
 from __future__ import annotations
 
 import argparse
 import logging
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from edge.descriptor.network import Network
-from edge.errors import FeedError
-from edge_plugins.mapping import MappingConfig
-from sim.research.trial.recorded_drive import JOURNAL, read_drive
-from sim.research.trial.replayed_drive import Frames, Positions, Replayed, replay
+from edge.errors import ConfigError, FeedError
+from edge.journal.records import FixSent, FrameUsed
+from sim.journal import records_of
+from sim.research.trial.flight_score import Score, autopilot_errors, lane_errors, score
+from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
+from sim.research.trial.replayed_drive import replay
+from sim.trial.records import Array
+from sim.trial.run import JOURNAL
 from sim.trial.views import RoadLibrary
 
 HEADER = (
-    "| drive | positions | error, median / 95 % / largest | over own sigma, rms / largest | share of the time"
-    " | first after | frames used, believed, false, furthest apart |\n|---|---|---|---|---|---|---|"
+    "| drive | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
+    " | levels, exceeded along, across | first after | longest silence | frames used, believed, false |\n"
+    "|---|---|---|---|---|---|---|---|---|"
 )
+
+
+class Flight(msgspec.Struct, frozen=True):
+    """A drive as it was recorded, and as the daemon of today does; recorded: of the autopilot and of the vehicle."""
+
+    name: str
+    then: Score
+    now: Score
+    autopilot_m: list[float]
+    lane_m: list[float]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
     parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
-    kept = "keeps journals and rendered views"
-    parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=kept)
+    parser.add_argument(
+        "--jobs", type=int, default=1, metavar="N", help="maps whose drives run side by side (default 1)"
+    )
+    output = "for the table, flights.json with every position, and journals (default flights)"
+    parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=output)
+    views = "keeps what was rendered for the next time (default OUTPUT/views)"
+    parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    logging.getLogger("edge").setLevel(logging.ERROR)
-    folders = [
-        path
-        for given in args.flights
-        for path in ([given] if (given / JOURNAL).exists() else sorted(given.iterdir() if given.is_dir() else []))
-        if (path / JOURNAL).exists() and (path / "scenario.toml").exists()
-    ]
+    if args.jobs < 1:
+        raise ConfigError("--jobs: at least 1")
+    folders = [path for given in args.flights for path in ([given] if (given / LINK).exists() else _inside(given))]
     if not folders:
-        raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {JOURNAL} and scenario.toml")
-    library = RoadLibrary(Network.load(), args.output / "views")
-    print(HEADER, flush=True)
-    try:
-        for folder in folders:
-            output = args.output / folder.name
-            output.mkdir(parents=True, exist_ok=True)
-            drive = read_drive(folder)
-            if drive.config.of(MappingConfig).folder:
-                print(f"| {drive.name}: its map was made on the way, which is not replayed |", flush=True)
-                continue
-            print(rows(replay(drive, output, library)), flush=True)
-            library.save()
-    finally:
-        library.save()
-        library.close()
+        raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
+    args.output.mkdir(parents=True, exist_ok=True)
+    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs)
+    (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
+    (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
+    print("\n".join([HEADER, *(rows(one) for one in flights)]))
     return 0
 
 
-def rows(found: Replayed) -> str:
-    """Two rows of the table: as recorded, and computed anew."""
-    then, now = _row(found.recorded, found.recorded_frames), _row(found.replayed, found.replayed_frames)
-    return f"| {found.name}, then | {then} |\n| now | {now} |"
+def _inside(folder: Path) -> list[Path]:
+    return sorted(path.parent for path in folder.glob(f"*/{LINK}"))
 
 
-def _row(positions: Positions, frames: Frames) -> str:
-    counts = f"{frames.used}, {frames.believed}, {frames.false}, {frames.apart_m.max(initial=0.0):.0f} m"
-    errors_m = positions.error_m
-    if not len(errors_m):
-        return f"0 | - | - | 0.00 | - | {counts}"
-    sigmas = (errors_m / positions.own_sigma_m)[~np.isnan(positions.own_sigma_m)]
-    return (
-        f"{len(errors_m)} | {np.median(errors_m):.1f} / {np.percentile(errors_m, 95):.1f} / {errors_m.max():.1f} m"
-        f" | {np.sqrt(np.mean(sigmas**2)):.2f} / {sigmas.max(initial=0.0):.1f} | {positions.share:.2f}"
-        f" | {positions.first_m:.0f} m | {counts}"
+def replay_all(folders: Sequence[Path], output: Path, views: Path, jobs: int) -> list[Flight]:
+    """Replay drives, those of one map one after the other."""
+    by_road: dict[int, list[Path]] = {}
+    for folder in folders:
+        by_road.setdefault(read_scenarios(folder)[-1][1].seed, []).append(folder)
+    groups = sorted(by_road.values(), key=len, reverse=True)
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        found = [one for group in pool.map(partial(replay_group, output=output, views=views), groups) for one in group]
+    names = [folder.name for folder in folders]
+    return sorted(found, key=lambda one: names.index(one.name))
+
+
+def replay_group(folders: Sequence[Path], output: Path, views: Path) -> list[Flight]:
+    """Replay drives on one road, in one process; each prints its rows."""
+    logging.getLogger("edge").setLevel(logging.ERROR)
+    library, flights = RoadLibrary(Network.load(), views), []
+    drives = [read_drive(folder) for folder in folders]
+    try:
+        for drive in drives:
+            matched = [frame for one in drives if one.map_name == drive.map_name for frame in one.used]
+            flights.append(_replay(drive, matched, output / drive.name, library))
+            print(rows(flights[-1]), flush=True)
+            library.save()
+    finally:
+        library.close()
+    return flights
+
+
+def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary) -> Flight:
+    folder.mkdir(parents=True, exist_ok=True)
+    then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
+    sent = replay(drive, matched, folder, library)
+    journal = folder / JOURNAL
+    return Flight(
+        drive.name,
+        score(drive, then, drive.sent, drive.used),
+        score(drive, sent, list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))),
+        *(_three(errors_m) for errors_m in (autopilot_errors(drive), lane_errors(drive))),
     )
+
+
+def _three(errors_m: Array) -> list[float]:
+    return [round(float(one), 2) for one in np.percentile(errors_m, [50, 95, 100])] if len(errors_m) else []
+
+
+def rows(flight: Flight) -> str:
+    """Two rows of the table: as recorded, and now."""
+    return f"| {flight.name}, then | {_row(flight.then)} |\n| now | {_row(flight.now)} |"
+
+
+def _row(found: Score) -> str:
+    one = found.row()
+    cells = [
+        "{sent}",
+        "{median_m:.1f} / {p95_m:.1f} / {max_m:.1f} m",
+        "{sigmas_rms:.2f} / {sigmas_max:.1f}",
+        "{beyond_3}, {beyond_4}",
+        "{levels}, {over_along}, {over_across}",
+        "{first_m:.0f} m",
+    ]
+    cells = [cell.format(**one) for cell in cells] if one["sent"] else ["0", *["-"] * 5]
+    return " | ".join([*cells, "{silent_s:.0f} s | {used}, {believed}, {false}".format(**one)])
+
+
+def page(flights: Sequence[Flight]) -> str:
+    """The table, and what the pilot read then and now."""
+    texts = [
+        f"\n## {flight.name}\n\n"
+        + "\n".join(
+            f"{when}:\n\n" + "\n".join(f"    {one.time_s:8.1f} s  {one.text}" for one in found.texts) + "\n"
+            for when, found in (("then", flight.then), ("now", flight.now))
+        )
+        for flight in flights
+    ]
+    return "\n".join([HEADER, *(rows(one) for one in flights), *texts]) + "\n"

@@ -4,29 +4,36 @@ from __future__ import annotations
 
 import csv
 import gzip
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config
 from edge.errors import FeedError
-from edge.journal.records import FixSent, FrameUsed, JournalOpened
+from edge.journal.records import SCHEMA, FixSent, FrameUsed, JournalOpened, Record
 from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.toml_file import parse_toml, read_toml
 from sim.datasets.flight_logs import tlog_frames
-from sim.journal import read_journal
+from sim.journal import UnknownRecord, read_journal
 from sim.trial.records import Array
-from sim.world.scenario import Scenario
+from sim.trial.way import along
+from sim.world.scenario import Scenario, View
 
 Columns = dict[str, NDArray[np.float64]]
 TRUTH, OWN, LINK, JOURNAL = "truth.csv.gz", "autopilot_position.csv.gz", "telem2.tlog.gz", "journal.jsonl.gz"
+SCENARIO, LANE = "scenario.toml", "lane.csv.gz"
+LATENCY_S = 0.04
+"""From an exposure to when the daemon is done with it, where no journal shows it: as in the other drives."""
 WE = 191
 """Component of Lookback on the link."""
 
@@ -51,12 +58,15 @@ class DaemonRun(NamedTuple):
 class RecordedDrive:
     """One folder of recorded drives; all times in seconds of CLOCK_MONOTONIC. own: by the autopilot's own position.
 
-    latency_s: from an exposure to when the daemon was done with the frame.
+    scenarios: from when on which one was seen, the first from the start. lane_m: (n, 2) east and north, which it was to
+    follow. latency_s: from an exposure to when the daemon was done with the frame.
     """
 
     name: str
+    map_name: str
     config: Config
-    scenario: Scenario
+    scenarios: list[tuple[float, Scenario]]
+    lane_m: Array
     truth: Columns
     own: Columns
     link: list[LinkFrame]
@@ -68,6 +78,30 @@ class RecordedDrive:
     def true_m(self, time_s: Array | float) -> Array:
         """Meters east and north (2, ...) of the simulation's origin."""
         return np.array([np.interp(time_s, self.truth["mono_s"], self.truth[name]) for name in ("east_m", "north_m")])
+
+    def heading_deg(self, time_s: float) -> float:
+        """Of the vehicle, clockwise from north."""
+        return float(np.interp(time_s, self.truth["mono_s"], self.truth["heading_deg"])) % 360.0
+
+    def driven_m(self, time_s: float) -> float:
+        """How far it has come since the truth began."""
+        steps_m = np.hypot(np.diff(self.truth["east_m"]), np.diff(self.truth["north_m"]))
+        return float(np.interp(time_s, self.truth["mono_s"], np.r_[0.0, np.cumsum(steps_m)]))
+
+    @property
+    def scenario(self) -> Scenario:
+        """Of its road, in the light and the direction of its last part."""
+        return self.scenarios[-1][1]
+
+    def seen(self, time_s: float, view: View) -> Scenario:
+        """The scenario of a camera at a time."""
+        scenario = next(one for from_s, one in reversed(self.scenarios) if from_s <= time_s)
+        return msgspec.structs.replace(scenario, view=view, epoch_ns=None)
+
+    @property
+    def is_layered(self) -> bool:
+        """Whether its map was a folder of maps, made before."""
+        return not self.config.mapping.folder and any(one.map for one in self.used)
 
     @property
     def moves_s(self) -> tuple[float, float]:
@@ -111,31 +145,65 @@ def read_messages(path: Path) -> Iterator[tuple[float, bytes, Message]]:
 
 
 def read_drive(folder: Path) -> RecordedDrive:
-    """FeedError where the folder is no recorded drive with a journal; ConfigError for its settings."""
-    missing = [name for name in (TRUTH, OWN, LINK, JOURNAL, "lookback.toml") if not (folder / name).exists()]
+    """FeedError where the folder is no recorded drive; ConfigError for its settings. Without a journal none ran."""
+    missing = [name for name in (TRUTH, OWN, LINK, "lookback.toml") if not (folder / name).exists()]
     if missing:
-        raise FeedError(f"{folder}: no recorded drive of the daemon, it has no {' and no '.join(missing)}")
-    own = read_columns(folder / OWN)
+        raise FeedError(f"{folder}: no recorded drive, it has no {' and no '.join(missing)}")
+    own, truth = read_columns(folder / OWN), read_columns(folder / TRUTH)
+    truth["heading_deg"] = np.degrees(np.unwrap(np.radians(truth["heading_deg"])))
     messages = list(read_messages(folder / LINK))
     epoch_s = _epoch_s(messages, own)
-    with TemporaryDirectory() as scratch:
-        journal = Path(scratch, "journal.jsonl")
-        journal.write_bytes(gzip.decompress((folder / JOURNAL).read_bytes()))
-        lines = [(line.unix_s or 0.0, line.record) for line in read_journal(journal)]
-    frames = [(unix_s - epoch_s, record) for unix_s, record in lines if isinstance(record, FrameUsed)]
+    lines = [(unix_s - epoch_s, record) for unix_s, record in _journal(folder / JOURNAL)]
+    frames = [(at_s, record) for at_s, record in lines if isinstance(record, FrameUsed)]
     config_path = folder / "lookback.toml"
+    config = parse_toml(config_path.read_text(encoding="utf-8"), config_path, Config)
+    scenarios = read_scenarios(folder)
+    first_s, last_s = float(truth["mono_s"][0]), float(truth["mono_s"][-1])
+    alone: list[tuple[float, object]] = [(first_s, JournalOpened(SCHEMA, "")), (last_s, None)]
     return RecordedDrive(
         name=folder.name,
-        config=parse_toml(config_path.read_text(encoding="utf-8"), config_path, Config),
-        scenario=read_toml(folder / "scenario.toml", Scenario),
-        truth=read_columns(folder / TRUTH),
+        map_name=f"{folder.parent.name}/{config.map.path}",
+        config=config,
+        scenarios=scenarios,
+        lane_m=_lane_m(folder / LANE, scenarios[-1][1]),
+        truth=truth,
         own=own,
         link=[LinkFrame(unix_s - epoch_s, data, message) for unix_s, data, message in messages],
-        runs=_runs([(unix_s - epoch_s, record) for unix_s, record in lines]),
+        runs=_runs(lines or alone, 1 / config.camera.fps),
         used=[record for _, record in frames],
         sent=[record for _, record in lines if isinstance(record, FixSent)],
-        latency_s=float(np.median([written_s - frame.stamp_ns / 1e9 for written_s, frame in frames])),
+        latency_s=float(np.median([at_s - frame.stamp_ns / 1e9 for at_s, frame in frames] or [LATENCY_S])),
     )
+
+
+def _journal(path: Path) -> list[tuple[float, Record | UnknownRecord]]:
+    """Unix time in seconds, and record of each line of a compressed journal; none where there is no file."""
+    if not path.exists():
+        return []
+    with TemporaryDirectory() as scratch:
+        journal = Path(scratch, "journal.jsonl")
+        journal.write_bytes(gzip.decompress(path.read_bytes()))
+        return [(line.unix_s or 0.0, line.record) for line in read_journal(journal)]
+
+
+def read_scenarios(folder: Path) -> list[tuple[float, Scenario]]:
+    """From when on which one was seen: one, or that of the way out and, from when it began, that of the way home."""
+    if (folder / SCENARIO).exists():
+        return [(-math.inf, read_toml(folder / SCENARIO, Scenario))]
+    out, home = (read_toml(folder / name, Scenario) for name in ("out.toml", "home.toml"))
+    home_s = json.loads((folder / "clock.json").read_text(encoding="utf-8"))["t_go_mono_s"]
+    return [(-math.inf, out), (float(home_s), home)]
+
+
+def _lane_m(path: Path, scenario: Scenario) -> Array:
+    """As it was written down, else that of the scenario's road."""
+    if path.exists():
+        with gzip.open(path, "rt", encoding="utf-8") as file:
+            lane_m: Array = np.loadtxt(file, skiprows=1)
+        return lane_m
+    ends_m = (0.0, scenario.length_m) if scenario.direction == "forward" else (scenario.length_m, 0.0)
+    way = along(scenario, *ends_m)
+    return np.stack([way.east_m, way.north_m], axis=1)
 
 
 def _epoch_s(messages: list[tuple[float, bytes, Message]], own: Columns) -> float:
@@ -153,17 +221,21 @@ def _reboots_at(boot_ms: Array) -> int:
     return int(back[0]) + 1 if len(back) else len(boot_ms)
 
 
-def _runs(lines: list[tuple[float, object]]) -> list[DaemonRun]:
+def _runs(lines: Sequence[tuple[float, object]], period_s: float) -> list[DaemonRun]:
+    """period_s: from one exposure to the next, where the journal has too few frames to show it."""
     opened = [row for row, (_, record) in enumerate(lines) if isinstance(record, JournalOpened)]
     runs = []
     for first, after in zip(opened, [*opened[1:], len(lines)], strict=True):
         used = [record for _, record in lines[first:after] if isinstance(record, FrameUsed)]
         from_s, to_s = lines[first][0], lines[after - 1][0]
-        if len(used) < 2:
-            continue
-        index = np.array([frame.frame for frame in used])
-        stamp_s = np.array([frame.stamp_ns for frame in used]) / 1e9
-        period_s = float(np.median(np.diff(stamp_s) / np.diff(index)))
+        index, stamp_s = np.array([0]), np.array([from_s + period_s])
+        if len(used) >= 2:
+            index = np.array([frame.frame for frame in used])
+            stamp_s = np.array([frame.stamp_ns for frame in used]) / 1e9
+            period_s = float(np.median(np.diff(stamp_s) / np.diff(index)))
+        earlier = stamp_s[0] - period_s * np.arange(index[0], 0, -1)
         later = np.arange(stamp_s[-1] + period_s, to_s, period_s)
-        runs.append(DaemonRun(from_s, to_s, np.r_[np.interp(np.arange(index[-1] + 1), index, stamp_s), later]))
+        between = np.interp(np.arange(index[0], index[-1] + 1), index, stamp_s)
+        exposures_s = np.r_[earlier, between, later]
+        runs.append(DaemonRun(from_s, to_s, exposures_s[exposures_s > from_s]))
     return runs

@@ -1,13 +1,10 @@
-"""Positions of a recorded drive computed anew: the daemon of today on the bytes that a real autopilot sent.
+"""A recorded drive once more: the whole daemon of today, on the bytes that a real autopilot sent, and on its pictures.
 
-The daemon's parts are those of `sim.trial.run`, in the recorded time. The pictures are rendered again where the vehicle
-truly was, and the map is made again with the positions that its places had, so that frames that the recorded daemon did
-not use can be recognized as well. Further than MOST_LEFT_M from the road there are none.
+Time is the recorded one. Pictures are rendered where the vehicle truly was, ten a second, and go through the camera's
+checks, [sampling] and [motion] as a device's do; the map is made again with the errors that its places had.
 
-It is open loop: nothing that is sent now moves the recorded autopilot. What the positions of then did to it is in its
-messages; the daemon learns of them as if it had sent them. What follows a better or a worse position cannot be seen
-here, and where the positions of now differ much from those of then, neither is what a drive would have been. Every
-43003 is accepted.
+It is open loop: nothing that is sent now moves the recorded autopilot, which goes on by the positions of then. Each
+position is answered as accepted, and the autopilot's other answers come when they did.
 """
 
 from __future__ import annotations
@@ -15,7 +12,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,159 +20,129 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
-from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, SamplingConfig
+from edge.config import Config, PageConfig
 from edge.daemon import Daemon
 from edge.geodesy import moved
-from edge.journal.records import FixSent, FrameUsed
+from edge.journal.records import FrameUsed, PluginFailed
 from edge.opened_parts import OpenedParts
+from edge.reference_map import LearnedFolder
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
-from edge.telemetry.vehicle import Vehicle
-from edge_plugins.mapping import MappingConfig
-from edge_plugins.page import PageConfig
 from sim.journal import records_of
+from sim.maps.learning import learn
 from sim.research.trial.course_map import open_builder, place_at
-from sim.research.trial.course_rules import SENT_WITHIN_S
+from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
-from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.records import Array
-from sim.trial.run import JOURNAL, map_scenario, read_position
+from sim.trial.run import JOURNAL, map_scenario
 from sim.trial.simulation import STEP_S
-from sim.trial.views import MOST_LEFT_M, RoadLibrary
-from sim.trial.way import along
+from sim.trial.views import RoadLibrary
 from sim.vehicle.position_inputs import east_north_m
-from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import Cable
+from sim.world.scenario import LightName, View
 
 ANSWERS_S = 0.02
-"""After which a position is accepted."""
+"""After which a position, or a set of sources, is accepted."""
+ANSWERED = EXTERNAL_POSITION_ESTIMATE, mavlink.MAV_CMD_SET_EKF_SOURCE_SET
+DAY: tuple[View, LightName, int] = ("rear", "day", 1)
+LAYERS: tuple[tuple[View, LightName, int], ...] = (DAY, ("front", "dusk", 3))
+"""View, light and seed of the drives of a map, and of one that was learned."""
 
 
-@dataclass(frozen=True)
-class Positions:
-    """Positions that were sent, each with its error in meters (n,); own_sigma_m: NaN where the journal has none.
+def replay(
+    drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary
+) -> list[tuple[float, Message]]:
+    """Run the daemon on a recorded drive; what it sent, and when. The journal stays in `folder`.
 
-    share: of the time without GPS, with a position at most SENT_WITHIN_S old. first_m: driven
-    without GPS before the first one.
+    matched: what was recognized on the drive's map, by whichever drive. RuntimeError where a plug-in failed.
     """
-
-    time_s: Array
-    error_m: Array
-    own_sigma_m: Array
-    share: float
-    first_m: float
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Used frames, how many of them are believed, and how many of those are of another place than the truth.
-
-    apart_m: (n,) driven in truth from one used frame to the next, without GPS.
-    """
-
-    used: int
-    believed: int
-    false: int
-    apart_m: Array
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """A drive as it was recorded, and as the daemon of today would have done."""
-
-    name: str
-    recorded: Positions
-    replayed: Positions
-    recorded_frames: Frames
-    replayed_frames: Frames
-
-
-def replay(drive: RecordedDrive, folder: Path, library: RoadLibrary) -> Replayed:
-    """Replay a recorded drive; the journal of its last run stays in `folder`."""
-    network = PlacedNetwork(library)
     received: list[tuple[float, Message]] = []
     journal = (folder / JOURNAL).resolve()
-    with TemporaryDirectory(dir=folder) as scratch:
+    folder.mkdir(parents=True, exist_ok=True)
+    for left in folder.glob(f"{journal.stem}.*"):
+        left.unlink()
+    with TemporaryDirectory() as scratch, closing(Scenes(library.folder / f"{drive.name}.sqlite")) as scenes:
         map_path = Path(scratch) / "map"
-        _build_map(drive, map_path, network, library)
-        for suffix in (".jsonl", ".bound"):
-            journal.with_suffix(suffix).unlink(missing_ok=True)
+        _build_maps(drive, matched, map_path, library)
         for run in drive.runs:
-            with closing(open_pty()) as link, ExitStack() as parts:
-                playback = Playback(drive, run, link, network)
+            with closing(Cable()) as link, ExitStack() as parts:
+                playback = Playback(drive, run, link, scenes)
                 settings = _settings(drive.config, link, map_path, journal)
-                daemon = Daemon(OpenedParts(settings, parts, playback.clock_ns, frames=playback, network=network))
+                opened = OpenedParts(
+                    settings,
+                    parts,
+                    playback.clock_ns,
+                    frames=playback,
+                    mapping_frames=playback.rear,
+                    network=library.network,
+                )
+                daemon = Daemon(opened)
                 while daemon.turn():
-                    playback.pull(daemon.parts.autopilot.vehicle)
+                    pass
+                if run is drive.runs[-1]:
+                    daemon.last_words()
                 received += playback.received
-    then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
-    return Replayed(
-        drive.name,
-        _positions(drive, then, drive.sent),
-        _positions(drive, received, list(records_of(journal, FixSent))),
-        _frames(drive, drive.used),
-        _frames(drive, list(records_of(journal, FrameUsed))),
-    )
+    for failed in records_of(journal, PluginFailed):
+        raise RuntimeError(f"{drive.name}: plug-in {failed.plugin}: {failed.why}")
+    return received
 
 
 class Playback:
-    """The recorded autopilot and the camera of one run of the daemon: its `Frames`."""
+    """The recorded autopilot and the cameras of one run of the daemon: its `Frames`."""
 
-    def __init__(self, drive: RecordedDrive, run: DaemonRun, link: PtyLink, network: PlacedNetwork) -> None:
+    def __init__(self, drive: RecordedDrive, run: DaemonRun, link: Cable, scenes: Scenes) -> None:
         self.now_ns = round(run.from_s * 1e9)
         self.received: list[tuple[float, Message]] = []
         """What the daemon sent, and when."""
-        self._drive, self._run, self._link = drive, run, link
+        self._run, self._link = run, link
+        sent = [one for one in drive.link if one.message.get_srcComponent() != WE]
         self._frames = deque(
-            one for one in drive.link if run.from_s <= one.time_s < run.to_s and _is_autopilots(one.message)
+            (one.time_s, one.data)
+            for one in sent
+            if run.from_s <= one.time_s < run.to_s and not _is_answer(one.message)
         )
-        values = (one for one in drive.link if one.message.get_type() == "PARAM_VALUE" and _is_autopilots(one.message))
-        self._parameters = {one.message.param_id: one.data for one in values}
-        self._exposures_s = deque(run.exposures_s.tolist())
-        ours = (one.time_s for one in drive.link if one.message.get_srcComponent() == WE and read_position(one.message))
-        self._ours_s = deque(time_s for time_s in ours if run.from_s <= time_s < run.to_s)
-        latency_s = max(0.0, drive.latency_s)
-        self._camera = TrialCamera(
-            self.clock_ns, np.random.default_rng(1), latency_s=(latency_s, latency_s), hole_rate=0.0
-        )
-        self._camera.network = network
+        self._parameters = {one.message.param_id: one.data for one in sent if one.message.get_type() == "PARAM_VALUE"}
+        self._earlier = {one.message.get_msgId(): one.data for one in sent if one.time_s < run.from_s}
+        self._front = FlightCamera(drive, run.exposures_s, "front", scenes, self.clock_ns)
+        has_rear = isinstance(drive.config.mapping.camera, msgspec.Struct)
+        self.rear = FlightCamera(drive, run.exposures_s, "rear", scenes, self.clock_ns) if has_rear else None
+        """The camera that maps."""
         self._codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._answers: deque[tuple[float, bytes]] = deque()
-        self._views = _Views(drive)
 
     def clock_ns(self) -> int:
         """The recorded CLOCK_MONOTONIC."""
         return self.now_ns
-
-    def pull(self, vehicle: Vehicle) -> None:
-        """What was sent then moved the recorded autopilot."""
-        while self._ours_s and self._ours_s[0] <= self.now_ns / 1e9:
-            self._ours_s.popleft()
-            vehicle.velocity.has_our_position = True
 
     def _step(self) -> None:
         self.now_ns += round(STEP_S * 1e9)
         now_s = self.now_ns / 1e9
         for message in self._codec.decode(self._link.receive()):
             self.received.append((now_s, message))
-            if message.get_type() == "COMMAND_INT" and message.command == EXTERNAL_POSITION_ESTIMATE:
-                accepted = acknowledgement(message.command, mavlink.MAV_RESULT_ACCEPTED, 0, 1, WE)
-                self._answers.append((now_s + ANSWERS_S, self._codec.encode(accepted)))
-            if message.get_type() == "PARAM_REQUEST_READ" and message.param_id in self._parameters:
-                self._answers.append((now_s + ANSWERS_S, self._parameters[message.param_id]))
-        while self._frames and self._frames[0].time_s <= now_s:
-            self._link.send(self._frames.popleft().data)
-        while self._answers and self._answers[0][0] <= now_s:
-            self._link.send(self._answers.popleft()[1])
-        while self._exposures_s and self._exposures_s[0] <= now_s:
-            stamp_s = self._exposures_s.popleft()
-            view = self._views.at(stamp_s)
-            if abs(view.left_m) <= MOST_LEFT_M:
-                self._camera.expose(view, round(stamp_s * 1e9))
+            if answer := self._answer(message):
+                self._answers.append((now_s + ANSWERS_S, answer))
+        due = b""
+        for waiting in (self._frames, self._answers):
+            while waiting and waiting[0][0] <= now_s and len(due) + len(waiting[0][1]) <= self._link.room:
+                due += waiting.popleft()[1]
+        if due:
+            self._link.send(due)
+
+    def _answer(self, message: Message) -> bytes | None:
+        """To what does not come when it did: a parameter, what was said before this run, and that all is accepted."""
+        if message.get_type() == "PARAM_REQUEST_READ":
+            return self._parameters.get(message.param_id)
+        command = getattr(message, "command", None)
+        if command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            return self._earlier.get(int(message.param1))
+        if command in ANSWERED:
+            return self._codec.encode(acknowledgement(command, mavlink.MAV_RESULT_ACCEPTED, 0, 1, WE))
+        return None
 
     @property
     def health(self) -> CameraHealth:
         """See NewestFrame."""
-        return self._camera.health
+        return self._front.health
 
     @property
     def ended(self) -> bool:
@@ -187,68 +153,64 @@ class Playback:
         """Let `timeout_s` pass; the newest frame that has arrived meanwhile."""
         for _ in range(max(1, round(timeout_s / STEP_S))):
             self._step()
-        return self._camera.take(0.0)
+        return self._front.take(0.0)
 
     def close(self) -> None:
         """See NewestFrame."""
+        self._front.close()
 
 
-def _is_autopilots(message: Message) -> bool:
-    is_answer = message.get_type() == "COMMAND_ACK" and message.command == EXTERNAL_POSITION_ESTIMATE
-    return message.get_srcComponent() != WE and not is_answer
+def _is_answer(message: Message) -> bool:
+    return message.get_type() == "COMMAND_ACK" and message.command in ANSWERED
 
 
-class _Views:
-    """What the camera sees at a moment, where the vehicle truly was."""
-
-    def __init__(self, drive: RecordedDrive) -> None:
-        self._drive = drive
-        self._scenario = msgspec.structs.replace(drive.scenario, view="front", epoch_ns=None)
-        ends_m = 0.0, self._scenario.length_m
-        self._way = along(self._scenario, *(ends_m if self._scenario.direction == "forward" else ends_m[::-1]))
-        self._heading_rad = np.unwrap(np.radians(drive.truth["heading_deg"]))
-        self._along_m: float | None = None
-
-    def at(self, time_s: float) -> View:
-        """The view at a moment no earlier than those asked for before."""
-        east_m, north_m = self._drive.true_m(time_s).tolist()
-        if self._along_m is None:
-            self._along_m = float(np.argmin(np.hypot(self._way.east_m - east_m, self._way.north_m - north_m)))
-        self._along_m, left_m = self._way.project(east_m, north_m, self._along_m)
-        row = int(np.clip(self._along_m, 0, len(self._way.route_m) - 1))
-        heading_rad = float(np.interp(time_s, self._drive.truth["mono_s"], self._heading_rad))
-        turn_deg = math.degrees(heading_rad - self._way.heading_rad[row])
-        rows = np.arange(len(self._way.route_m))
-        return View(self._scenario, float(np.interp(self._along_m, rows, self._way.route_m)), left_m, turn_deg)
-
-
-def _settings(config: Config, link: PtyLink, map_path: Path, journal: Path) -> Config:
+def _settings(config: Config, link: Cable, map_path: Path, journal: Path) -> Config:
     """As recorded, but for the places of files and devices."""
-    telemetry = msgspec.structs.replace(
+    replaced = msgspec.structs.replace
+    telemetry = replaced(
         config.telemetry, connection=f"serial:{link.device}:921600", journal=str(journal), signing_clock=""
     )
-    return msgspec.structs.replace(
+    mapping = replaced(config.mapping, folder=str(map_path)) if config.mapping.folder else config.mapping
+    return replaced(
         config,
-        camera=CameraConfig(kind="sim", view=config.camera.view),
-        descriptor=DescriptorConfig(keep_statistics_min=0.0),
-        map=MapConfig(path=str(map_path)),
+        home=replaced(config.home, socket=""),
+        map=replaced(config.map, path=str(map_path)),
+        mapping=mapping,
+        page=PageConfig(port=0),
         telemetry=telemetry,
-        plugins={**config.plugins, "mapping": MappingConfig(), "page": PageConfig(port=0)},
     )
 
 
-def _build_map(drive: RecordedDrive, path: Path, network: PlacedNetwork, library: RoadLibrary) -> None:
-    """The map, whose places have the errors that the journal's positions had."""
-    out = map_scenario(drive.scenario)
+def _build_maps(drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary) -> None:
+    """The map before the drive: none where it was made on the way, and layers where it was learned."""
+    if drive.config.mapping.folder:
+        path.mkdir()
+    elif drive.is_layered:
+        for number, layer in enumerate(LAYERS):
+            _build_map(drive, matched, path / f"{number}", library, layer)
+        learn(path).keep(LearnedFolder(path))
+    else:
+        _build_map(drive, matched, path, library)
+
+
+def _build_map(
+    drive: RecordedDrive,
+    matched: list[FrameUsed],
+    path: Path,
+    library: RoadLibrary,
+    layer: tuple[View, LightName, int] = DAY,
+) -> None:
+    """One map, whose places have the errors that the journals' positions had."""
+    out = map_scenario(drive.scenario, layer)
     route, lane_m = out.drive().route, out.lane_m
-    spacing_m = SamplingConfig().spacing_m
+    spacing_m = drive.config.sampling.spacing_m
     places = np.arange(int(drive.scenario.length_m / spacing_m))
     true = [route.at(place * spacing_m, lane_m) for place in places]
-    off_m, first_rows = _map_errors(drive, true)
-    with open_builder(path, network) as builder:
+    off_m, first_rows = map_errors(drive.config, matched, true)
+    with open_builder(path, library.network) as builder:
         for place in places:
             if place in first_rows:
-                builder.begin_segment(f"segment from place {place}", "rear")
+                builder.begin_segment(f"segment from place {place}", out.view, has_odometer=True)
                 row = 0
             route_m = float(place * spacing_m)
             builder.add(library[out].raw(route_m), place_at(row, route_m, true[place], off_m[place]))
@@ -256,59 +218,26 @@ def _build_map(drive: RecordedDrive, path: Path, network: PlacedNetwork, library
         builder.finish()
 
 
-def _map_errors(drive: RecordedDrive, true: list[tuple[float, float, float]]) -> tuple[Array, set[int]]:
-    """East and north (n, 2) by which each place is wrong, and the first places of segments, by the journal's matches.
+def map_errors(
+    config: Config, matched: list[FrameUsed], true: list[tuple[float, float, float]]
+) -> tuple[Array, set[int]]:
+    """East and north (n, 2) by which each place is wrong, and the first places of segments, by what was matched.
 
-    A place that was never matched is as wrong as the nearest one that was.
+    A place that was never matched is as wrong as the nearest one that was, or not at all where none was.
     """
     known, first_rows = {}, {0}
-    for frame in drive.used:
+    for frame in matched:
         if frame.place is None or frame.order != "same" or frame.lat_deg is None or frame.lon_deg is None:
             continue
         if frame.map_row is not None and frame.place < len(true):
             first_rows.add(frame.place - frame.map_row)
             # Its position is that of the vehicle, the rig's offset from the place.
-            ahead_m = drive.config.rig.ahead_m(frame.direction or "forward", frame.order)
+            ahead_m = config.rig.ahead_m(frame.direction or "forward", frame.order)
             heading_rad = math.radians(frame.heading_deg or 0.0)
             at = moved(frame.lat_deg, frame.lon_deg, ahead_m * math.sin(heading_rad), ahead_m * math.cos(heading_rad))
             known[frame.place] = np.array(east_north_m(*at)) - true[frame.place][:2]
+    if not known:
+        return np.zeros((len(true), 2)), first_rows
     places = np.array(sorted(known))
     nearest = places[np.abs(places[None, :] - np.arange(len(true))[:, None]).argmin(axis=1)]
     return np.array([known[place] for place in nearest.tolist()]), first_rows
-
-
-def _positions(drive: RecordedDrive, messages: list[tuple[float, Message]], sent: list[FixSent]) -> Positions:
-    own_sigma_m = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one.sigma_m for one in sent}
-    found = []
-    for sent_s, message in messages:
-        position = read_position(message)
-        if position is not None:
-            *here_m, _, age_s = position
-            at = (message.x, message.y) if message.get_type() == "COMMAND_INT" else (message.lat, message.lon)
-            off_m = math.dist(here_m, drive.true_m(sent_s - age_s).tolist())
-            found.append((sent_s, off_m, own_sigma_m.get(at, math.nan)))
-    time_s, error_m, own_m = np.array(found, np.float64).reshape(-1, 3).T
-    lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
-    moments_s = np.arange(lost_s, stops_s, 0.1)
-    last_s = np.r_[-math.inf, time_s][np.searchsorted(time_s, moments_s, side="right")]
-    share = float(np.mean(moments_s - last_s <= SENT_WITHIN_S))
-    first_s = time_s[time_s >= lost_s][:1]
-    way_m = drive.true_m(moments_s)
-    driven_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(way_m, axis=1)))]
-    first_m = float(np.interp(first_s[0], moments_s, driven_m)) if len(first_s) else math.nan
-    return Positions(time_s, error_m, own_m, share, first_m)
-
-
-FALSE_M = 25.0
-"""Of a believed place from the truth: the lines end up to 20 m off where a stretch begins."""
-
-
-def _frames(drive: RecordedDrive, used: list[FrameUsed]) -> Frames:
-    believed = [frame for frame in used if frame.accepted and frame.lat_deg is not None and frame.lon_deg is not None]
-    off_m = [
-        math.dist(east_north_m(frame.lat_deg or 0.0, frame.lon_deg or 0.0), drive.true_m(frame.stamp_ns / 1e9).tolist())
-        for frame in believed
-    ]
-    stamp_s = np.array([frame.stamp_ns for frame in used]) / 1e9
-    apart_m: Array = np.hypot(*np.diff(drive.true_m(stamp_s[stamp_s >= drive.gps_lost_s]), axis=1))
-    return Frames(len(used), len(believed), sum(off > FALSE_M for off in off_m), apart_m)

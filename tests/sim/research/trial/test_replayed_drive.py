@@ -1,70 +1,166 @@
-"""Recorded drives on real autopilots, whose positions are computed anew."""
+"""Recorded drives on real autopilots, driven once more. What comes out of two is in the goldens of `drives/`."""
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.descriptor.network import Network
 from edge.errors import FeedError
-from sim.research.trial.recorded_drive import read_drive
-from sim.research.trial.replayed_drive import Replayed, replay
-from sim.trial.views import RoadLibrary
+from edge.journal.records import FixSent
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from sim import geodetic
+from sim.research.trial.flight_camera import FlightCamera, Scenes
+from sim.research.trial.flight_score import Score, score
+from sim.research.trial.flights_command import Flight, page, replay_all
+from sim.research.trial.recorded_drive import RecordedDrive, read_drive
+from tests.golden.harness import HERE
+
+EXCERPT = HERE / "drives" / "ardupilot_night"
+
+
+@pytest.fixture(scope="module")
+def drive() -> RecordedDrive:
+    """40 s of a drive home at night."""
+    return read_drive(EXCERPT)
+
+
+def position(drive: RecordedDrive, at_s: float, ahead_m: float, right_m: float) -> mavlink.MAVLink_command_int_message:
+    """A position of half a second before, so far from the truth."""
+    heading_rad = np.radians(drive.heading_deg(at_s - 0.5))
+    ahead = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+    east_m, north_m = drive.true_m(at_s - 0.5) + ahead_m * ahead + right_m * np.array([ahead[1], -ahead[0]])
+    lat_deg, lon_deg = geodetic(east_m, north_m)
+    at = round(lat_deg * 1e7), round(lon_deg * 1e7)
+    return mavlink.MAVLink_command_int_message(1, 1, 0, EXTERNAL_POSITION_ESTIMATE, 0, 0, 0.0, 0.5, 3.0, 0.0, *at, 0.0)
+
+
+def sent(message: mavlink.MAVLink_command_int_message, along_m: float | None) -> FixSent:
+    """What the journal has of it."""
+    at = message.x / 1e7, message.y / 1e7
+    return FixSent(0, "external_position", *at, 2.0, 0.0, 0.5, 1.0, level_along_m=along_m, level_across_m=along_m)
+
+
+def test_positions_are_judged_by_the_truth_at_their_own_moment(drive: RecordedDrive) -> None:
+    lost_s = drive.gps_lost_s
+    messages = [position(drive, lost_s + 5.0, 7.0, 0.0), position(drive, lost_s + 20.0, 0.0, -1.0)]
+    times_s = lost_s + 5.0, lost_s + 20.0
+    found = score(
+        drive, list(zip(times_s, messages, strict=True)), [sent(messages[0], 6.0), sent(messages[1], None)], drive.used
+    )
+    assert [one.along_m for one in found.positions] == pytest.approx([7.0, 0.0], abs=0.02)
+    assert [one.across_m for one in found.positions] == pytest.approx([0.0, -1.0], abs=0.02)
+    row = found.row()
+    assert (row["sent"], row["beyond_3"], row["beyond_4"], row["levels"]) == (2, 1, 0, 1)
+    assert (row["over_along"], row["over_across"]) == (1, 0)
+    assert row["max_m"] == pytest.approx(7.0, abs=0.02)
+    assert row["silent_s"] == pytest.approx(15.0, abs=0.05)
+    driven_m = drive.driven_m(lost_s + 5.0) - drive.driven_m(lost_s)
+    assert driven_m > 5.0 and row["first_m"] == pytest.approx(driven_m, abs=0.01)
+
+
+def test_a_drive_without_positions_is_silent_to_its_end(drive: RecordedDrive) -> None:
+    row = score(drive, [], [], drive.used).row()
+    assert row["sent"] == 0 and np.isnan([row["median_m"], row["first_m"]]).all()
+    assert row["silent_s"] == pytest.approx(drive.moves_s[1] - drive.gps_lost_s, abs=0.01)
+    assert row["used"] == len(drive.used) > row["believed"] > row["false"] == 0
+
+
+def test_pictures_come_when_they_did_and_are_rendered_once(drive: RecordedDrive, tmp_path: Path) -> None:
+    def taken(renders: int) -> list[NDArray[np.uint8]]:
+        stamps_s, now_s = drive.runs[0].exposures_s[[300, 301]], [0.0]
+        with closing(Scenes(tmp_path / "scenes.sqlite")) as scenes:
+            camera = FlightCamera(drive, drive.runs[0].exposures_s, "front", scenes, lambda: round(now_s[0] * 1e9))
+            assert camera.take(0.0) is None
+            pictures = []
+            for index, stamp_s in enumerate(stamps_s, start=300):
+                now_s[0] = stamp_s + drive.latency_s + 0.01
+                frame = camera.take(0.0)
+                assert frame is not None and (frame.index, frame.stamp_ns) == (index, round(stamp_s * 1e9))
+                assert camera.take(0.0) is None
+                pictures.append(frame.image)
+            assert camera.health.delivered == 302
+            assert scenes.rendered == renders
+            return pictures
+
+    first, second = taken(renders=2)
+    assert first.shape == (240, 320, 3) and (first != second).any()
+    again, _ = taken(renders=0)
+    assert (again == first).all()
+
+
+def test_exposures_are_those_of_the_journal_or_of_the_config_without_one(drive: RecordedDrive, tmp_path: Path) -> None:
+    (run,) = drive.runs
+    assert np.diff(run.exposures_s) == pytest.approx(0.1, abs=0.02)
+    assert run.from_s <= run.exposures_s[0] < run.from_s + 0.2 and run.to_s - 0.2 < run.exposures_s[-1] < run.to_s
+    folder = tmp_path / "no_daemon"
+    shutil.copytree(EXCERPT, folder, ignore=shutil.ignore_patterns("*.jsonl*"))
+    (alone,) = read_drive(folder).runs
+    assert (alone.from_s, alone.to_s) == pytest.approx((run.from_s, run.to_s), abs=0.3)
+    assert len(alone.exposures_s) == pytest.approx(len(run.exposures_s), abs=4)
+
+
+def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) -> None:
+    text = mavlink.MAVLink_statustext_message(4, b"Lookback: GPS is wrong")
+    now = score(drive, [(drive.gps_lost_s + 1.5, text)], [], drive.used)
+    found = page([Flight("night", score(drive, [], [], []), now, [1.0, 2.0, 3.0], [])])
+    assert "| night, then | 0 |" in found and "\n| now | 0 |" in found
+    assert "1.5 s  Lookback: GPS is wrong" in found
+
+
+def test_what_cannot_be_replayed_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FeedError, match=r"no recorded drive, it has no truth\.csv\.gz and no autopilot_position"):
+        read_drive(tmp_path)
 
 
 @pytest.fixture
-def replayed(shared: Path, tmp_path: Path) -> Callable[[str], Replayed]:
-    """Replays the recorded drive of that name."""
+def replayed(shared: Path, tmp_path: Path) -> Callable[[str], tuple[Score, Score]]:
+    """Replays the recorded drive of that name: how it was recorded, and how it is now."""
 
-    def found(name: str) -> Replayed:
-        folder = shared / "flights_b06f79e" / name
+    def found(name: str) -> tuple[Score, Score]:
+        folder = shared / name
         if not folder.is_dir():
             pytest.skip(f"needs the recorded drive {folder}")
-        library = RoadLibrary(Network.load(), tmp_path / "views", cell_m=3)
-        try:
-            return replay(read_drive(folder), tmp_path, library)
-        finally:
-            library.close()
+        (flight,) = replay_all([folder], tmp_path, tmp_path / "views", 1)
+        return flight.then, flight.now
 
     return found
 
 
-def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], Replayed]) -> None:
-    """The same frames are used, and the positions are about as good: the map and the pictures are made again."""
-    found = replayed("ardupilot_a914")
-    then, now = found.recorded, found.replayed
-    assert found.replayed_frames.used == pytest.approx(found.recorded_frames.used, abs=5)
-    assert found.replayed_frames.believed == pytest.approx(found.recorded_frames.believed, rel=0.25)
-    assert found.recorded_frames.false == found.replayed_frames.false == 0
-    assert np.median(now.error_m) == pytest.approx(np.median(then.error_m), abs=0.7)
-    # Today's first positions come 190 m sooner, when they are less certain.
-    assert np.percentile(now.error_m, 95) == pytest.approx(np.percentile(then.error_m, 95), abs=1.5)
-    assert (now.error_m / now.own_sigma_m).max() < 3.0
-    assert now.share == pytest.approx(then.share, abs=0.2)
+@pytest.mark.soak
+def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], tuple[Score, Score]]) -> None:
+    then, now = (one.row() for one in replayed("flights_eca2e43/ardupilot_a953"))
+    assert now["used"] == pytest.approx(then["used"], abs=5)
+    assert now["believed"] == pytest.approx(then["believed"], rel=0.1)
+    assert then["false"] == now["false"] == 0
+    assert now["median_m"] == pytest.approx(then["median_m"], abs=0.7)
+    assert now["p95_m"] == pytest.approx(then["p95_m"], abs=1.5)
+    assert now["sigmas_max"] < 3.0
 
 
 @pytest.mark.soak
-def test_where_nothing_measures_the_velocity_no_place_is_believed(replayed: Callable[[str], Replayed]) -> None:
+def test_where_nothing_measures_the_velocity_no_place_is_believed(
+    replayed: Callable[[str], tuple[Score, Score]],
+) -> None:
     """PX4 without a velocity aid, by which a frame was used every 45 m and more: its velocity ran away."""
-    found = replayed("px4_no_aid_person_296_w921")
-    assert found.recorded_frames.apart_m.max() > 45.0
-    assert found.recorded_frames.believed > 0 and found.replayed_frames.believed == 0
-    assert not len(found.replayed.time_s)
+    then, now = replayed("flights_b06f79e/px4_no_aid_person_296_w921")
+    assert then.believed > 0 and now.believed == 0
+    assert not now.positions
 
 
 @pytest.mark.soak
-def test_positions_come_again_after_a_reboot_far_from_the_origin(replayed: Callable[[str], Replayed]) -> None:
-    """342 m from it, 5713 s after the computer's start; then there was none for 558 m."""
-    found = replayed("ardupilot_reboot913")
-    assert not (found.recorded.time_s > 5713.0).any()
-    again = found.replayed.time_s > 5713.0
-    assert again.sum() >= 10
-    assert (found.replayed.error_m / found.replayed.own_sigma_m)[again].max() < 3.0
-
-
-def test_a_folder_without_a_recording_is_named_with_what_it_lacks(tmp_path: Path) -> None:
-    with pytest.raises(FeedError, match=r"no recorded drive of the daemon, it has no truth\.csv\.gz and no auto"):
-        read_drive(tmp_path)
+def test_positions_come_again_after_a_reboot_far_from_the_origin(
+    replayed: Callable[[str], tuple[Score, Score]],
+) -> None:
+    """342 m from it; then there was none for 558 m."""
+    then, now = replayed("flights_b06f79e/ardupilot_reboot913")
+    last_s = max(one.time_s for one in then.positions)
+    again = [one for one in now.positions if one.time_s > last_s + 30.0]
+    assert len(again) >= 10
+    assert max(one.error_m / one.sigma_m for one in again if one.sigma_m) < 3.0

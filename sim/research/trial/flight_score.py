@@ -1,0 +1,145 @@
+"""What a drive's positions were worth, by the truth: of those that were recorded, and of those that are sent now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from edge.journal.records import FixSent, FrameUsed
+from edge.telemetry.codec import Message
+from sim.research.trial.recorded_drive import RecordedDrive
+from sim.trial.records import Array
+from sim.trial.run import read_position
+from sim.vehicle.position_inputs import east_north_m
+
+FALSE_M = 25.0
+"""Of a believed place from the truth: the lines end up to 20 m off where a stretch begins."""
+
+
+class SentPosition(msgspec.Struct, frozen=True):
+    """A position that was sent: how far from the truth, in the direction of travel and to its right.
+
+    message: the number of the command or message. time_s: since GPS was lost, driven_m: since then. sigma_m, levels:
+    as in the journal, None where it has none for this one (of a stream it has one a second).
+    """
+
+    time_s: float
+    driven_m: float
+    message: int
+    error_m: float
+    along_m: float
+    across_m: float
+    sigma_m: float | None = None
+    level_along_m: float | None = None
+    level_across_m: float | None = None
+
+
+class Text(msgspec.Struct, frozen=True):
+    """A line that the pilot read; time_s: since GPS was lost."""
+
+    time_s: float
+    text: str
+
+
+class Score(msgspec.Struct, frozen=True):
+    """One drive, as recorded or now. silent_s: the longest time without a position, from the loss of GPS to the end.
+
+    used, believed, false_places: frames, see FALSE_M.
+    """
+
+    positions: list[SentPosition]
+    silent_s: float
+    used: int
+    believed: int
+    false_places: int
+    texts: list[Text]
+
+    def row(self) -> dict[str, float]:
+        """The figures of the table; NaN where there is nothing to measure."""
+        error_m = np.array([one.error_m for one in self.positions])
+        sigmas = np.array([one.error_m / one.sigma_m for one in self.positions if one.sigma_m])
+        median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
+        bounded = [one for one in self.positions if one.level_along_m and one.level_across_m]
+        return {
+            "sent": len(error_m),
+            "median_m": median_m,
+            "p95_m": most_m,
+            "max_m": largest_m,
+            "sigmas_rms": math.sqrt(np.mean(sigmas**2)) if len(sigmas) else math.nan,
+            "sigmas_max": sigmas.max() if len(sigmas) else math.nan,
+            "beyond_3": int((sigmas > 3).sum()),
+            "beyond_4": int((sigmas > 4).sum()),
+            "levels": len(bounded),
+            "over_along": sum(abs(one.along_m) > (one.level_along_m or 0.0) for one in bounded),
+            "over_across": sum(abs(one.across_m) > (one.level_across_m or 0.0) for one in bounded),
+            "first_m": next((one.driven_m for one in self.positions if one.time_s >= 0), math.nan),
+            "silent_s": self.silent_s,
+            "used": self.used,
+            "believed": self.believed,
+            "false": self.false_places,
+        }
+
+
+def score(
+    drive: RecordedDrive,
+    messages: Sequence[tuple[float, Message]],
+    sent: Sequence[FixSent],
+    used: Sequence[FrameUsed],
+) -> Score:
+    """Score what the daemon sent; sent, used: by its journal."""
+    lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
+    known = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
+    positions = [one for at_s, message in messages if (one := _position(drive, at_s, message, known)) is not None]
+    moments_s = np.array([0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s])
+    texts = [
+        Text(round(at_s - lost_s, 2), message.text) for at_s, message in messages if message.get_type() == "STATUSTEXT"
+    ]
+    believed = [one for one in used if one.accepted and one.lat_deg is not None and one.lon_deg is not None]
+    off_m = [
+        math.dist(east_north_m(one.lat_deg or 0.0, one.lon_deg or 0.0), drive.true_m(one.stamp_ns / 1e9).tolist())
+        for one in believed
+    ]
+    silent_s = float(np.diff(moments_s).max())
+    return Score(positions, round(silent_s, 2), len(used), len(believed), sum(off > FALSE_M for off in off_m), texts)
+
+
+def _position(
+    drive: RecordedDrive, sent_s: float, message: Message, known: dict[tuple[int, int], FixSent]
+) -> SentPosition | None:
+    position = read_position(message)
+    if position is None:
+        return None
+    *here_m, _, age_s = position
+    is_command = message.get_type() == "COMMAND_INT"
+    fix = known.get((message.x, message.y) if is_command else (message.lat, message.lon))
+    off_m = np.array(here_m) - drive.true_m(sent_s - age_s)
+    heading_rad = math.radians(drive.heading_deg(sent_s - age_s))
+    ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
+    right = np.array([ahead[1], -ahead[0]])
+    return SentPosition(
+        round(sent_s - drive.gps_lost_s, 3),
+        round(drive.driven_m(sent_s) - drive.driven_m(drive.gps_lost_s), 2),
+        message.command if is_command else message.get_msgId(),
+        *(round(float(one), 3) for one in (math.hypot(*off_m), off_m @ ahead, off_m @ right)),
+        *(() if fix is None else (fix.sigma_m, fix.level_along_m, fix.level_across_m)),
+    )
+
+
+def autopilot_errors(drive: RecordedDrive) -> Array:
+    """Meters by which the autopilot's own position was off (n,), from the loss of GPS on, as recorded."""
+    own, (_, stops_s) = drive.own, drive.moves_s
+    after = (own["mono_s"] >= drive.gps_lost_s) & (own["mono_s"] <= stops_s)
+    off_m = np.stack([own["east_m"], own["north_m"]])[:, after] - drive.true_m(own["mono_s"][after])
+    return np.asarray(np.hypot(*off_m))
+
+
+def lane_errors(drive: RecordedDrive) -> Array:
+    """Meters by which the vehicle was beside its lane (n,), from the loss of GPS on, as recorded."""
+    moments_s = np.arange(drive.gps_lost_s, drive.moves_s[1], 0.2)
+    starts, legs = drive.lane_m[:-1], np.diff(drive.lane_m, axis=0)
+    off_m: Array = drive.true_m(moments_s).T[:, None] - starts
+    share = np.clip((off_m * legs).sum(axis=2) / np.maximum((legs**2).sum(axis=1), 1e-9), 0.0, 1.0)
+    return np.asarray(np.hypot(*np.moveaxis(off_m - share[..., None] * legs, 2, 0)).min(axis=1))
