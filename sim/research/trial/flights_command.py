@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from edge import __version__
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError
 from edge.journal.records import FixSent, FrameUsed
@@ -20,15 +21,18 @@ from sim.journal import records_of
 from sim.research.trial.flight_score import Score, autopilot_errors, lane_errors, score
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
+from sim.research.trial.table import put_between
 from sim.trial.records import Array
 from sim.trial.run import JOURNAL
 from sim.trial.views import RoadLibrary
 
 HEADER = (
     "| drive | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
-    " | levels, exceeded along, across | first after | longest silence | frames used, believed, false |\n"
-    "|---|---|---|---|---|---|---|---|---|"
+    " | levels, exceeded along, across | first after | longest silence | frames used, believed, false"
+    " | autopilot's error | beside its lane |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|"
 )
+SECTION = "flights"
 
 
 class Flight(msgspec.Struct, frozen=True):
@@ -51,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=output)
     views = "keeps what was rendered for the next time (default OUTPUT/views)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
     parser.set_defaults(run=_run)
 
 
@@ -64,7 +69,11 @@ def _run(args: argparse.Namespace) -> int:
     flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs)
     (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
-    print("\n".join([HEADER, *(rows(one) for one in flights)]))
+    if args.page is not None:
+        given = " ".join(path.name for path in args.flights)
+        text = f"`lookback dev flights {given}` of version {__version__}:\n\n{table(flights)}"
+        put_between(SECTION, args.page, text)
+    print(table(flights))
     return 0
 
 
@@ -117,16 +126,21 @@ def _three(errors_m: Array) -> list[float]:
     return [round(float(one), 2) for one in np.percentile(errors_m, [50, 95, 100])] if len(errors_m) else []
 
 
+def _spread(median_95_largest: Sequence[float]) -> str:
+    return " / ".join(f"{one:.1f}" for one in median_95_largest) + " m" if median_95_largest else "-"
+
+
 def rows(flight: Flight) -> str:
-    """Two rows of the table: as recorded, and now."""
-    return f"| {flight.name}, then | {_row(flight.then)} |\n| now | {_row(flight.now)} |"
+    """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
+    recorded = " | ".join(_spread(errors_m) for errors_m in (flight.autopilot_m, flight.lane_m))
+    return f"| {flight.name}, then | {_row(flight.then)} | {recorded} |\n| now | {_row(flight.now)} | | |"
 
 
 def _row(found: Score) -> str:
     one = found.row()
     cells = [
         "{sent}",
-        "{median_m:.1f} / {p95_m:.1f} / {max_m:.1f} m",
+        _spread([one[key] for key in ("median_m", "p95_m", "max_m")]),
         "{sigmas_rms:.2f} / {sigmas_max:.1f}",
         "{beyond_3}, {beyond_4}",
         "{levels}, {over_along}, {over_across}",
@@ -134,6 +148,22 @@ def _row(found: Score) -> str:
     ]
     cells = [cell.format(**one) for cell in cells] if one["sent"] else ["0", *["-"] * 5]
     return " | ".join([*cells, "{silent_s:.0f} s | {used}, {believed}, {false}".format(**one)])
+
+
+def table(flights: Sequence[Flight]) -> str:
+    """All drives, and what they say together."""
+    together = [f"{when}, {_together([getattr(one, when) for one in flights])}" for when in ("then", "now")]
+    return "\n".join([HEADER, *map(rows, flights), f"\nTogether {'; '.join(together)}."])
+
+
+def _together(scores: Sequence[Score]) -> str:
+    found = [one.row() for one in scores]
+    sums = {key: sum(one[key] for one in found) for key in ("sent", "beyond_3", "beyond_4", "levels")}
+    over = sum(one["over_along"] for one in found), sum(one["over_across"] for one in found)
+    return (
+        f"{len(scores)} drives: {{sent}} positions, {{beyond_3}} beyond three standard deviations, {{beyond_4}} beyond"
+        " four; of {levels} with finite levels {} exceeded that along and {} that across"
+    ).format(*over, **sums)
 
 
 def page(flights: Sequence[Flight]) -> str:
@@ -146,4 +176,4 @@ def page(flights: Sequence[Flight]) -> str:
         )
         for flight in flights
     ]
-    return "\n".join([HEADER, *(rows(one) for one in flights), *texts]) + "\n"
+    return "\n".join([table(flights), *texts]) + "\n"
