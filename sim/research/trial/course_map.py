@@ -61,7 +61,7 @@ def _drive_stretch(
     places_m = _places_m(stretch, rngs[0])
     from_m, to_m = stretch.off_within_m
     is_off = np.array([from_m <= route_m < to_m for route_m in places_m])
-    off_m = _errors_m(places_m, rngs[1]) + np.outer(is_off, stretch.off_m)
+    off_m = map_errors_m(places_m, rngs[1]) + np.outer(is_off, stretch.off_m)
     for row, route_m in enumerate(places_m):
         raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
         builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
@@ -74,8 +74,8 @@ def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
     return places_m[:-1]
 
 
-def _errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
-    """East and north (n, 2) of each place of a drive."""
+def map_errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
+    """East and north (n, 2) by which each place of a drive is wrong, as its stated accuracy says."""
     length_m = places_m[-1] - places_m[0]
     errors = receiver_errors(int(length_m) + 2, 1.0, WANDERS_AT_M, rng)
     rows = np.array([int(route_m - places_m[0]) for route_m in places_m])

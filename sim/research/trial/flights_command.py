@@ -15,7 +15,7 @@ import numpy as np
 
 from edge import __version__
 from edge.descriptor.network import Network
-from edge.errors import ConfigError, FeedError
+from edge.errors import ConfigError, FeedError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import Score, autopilot_errors, lane_errors, score
@@ -45,6 +45,13 @@ class Flight(msgspec.Struct, frozen=True):
     lane_m: list[float]
 
 
+class Failed(msgspec.Struct, frozen=True):
+    """A drive that cannot be replayed, and why not."""
+
+    name: str
+    why: str
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
     parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
@@ -53,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     output = "for the table, flights.json with every position, and journals (default flights)"
     parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=output)
-    views = "keeps what was rendered for the next time (default OUTPUT/views)"
+    views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
     parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
     parser.set_defaults(run=_run)
@@ -81,36 +88,48 @@ def _inside(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob(f"*/{LINK}"))
 
 
-def replay_all(folders: Sequence[Path], output: Path, views: Path, jobs: int) -> list[Flight]:
-    """Replay drives, those of one map one after the other."""
-    by_road: dict[int, list[Path]] = {}
+def replay_all(folders: Sequence[Path], output: Path, views: Path, jobs: int) -> list[Flight | Failed]:
+    """Replay drives, those on one road one after the other."""
+    by_road: dict[int | None, list[Path]] = {}
     for folder in folders:
-        by_road.setdefault(read_scenarios(folder)[-1][1].seed, []).append(folder)
+        by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        found = [one for group in pool.map(partial(replay_group, output=output, views=views), groups) for one in group]
-    names = [folder.name for folder in folders]
-    return sorted(found, key=lambda one: names.index(one.name))
+        found = dict(
+            one for group in pool.map(partial(replay_group, output=output, views=views), groups) for one in group
+        )
+    return [found[folder] for folder in folders]
 
 
-def replay_group(folders: Sequence[Path], output: Path, views: Path) -> list[Flight]:
+def _road(folder: Path) -> int | None:
+    try:
+        return read_scenarios(folder)[-1][1].seed
+    except SetupError:  # which is said with its row
+        return None
+
+
+def replay_group(folders: Sequence[Path], output: Path, views: Path) -> list[tuple[Path, Flight | Failed]]:
     """Replay drives on one road, in one process; each prints its rows."""
     logging.getLogger("edge").setLevel(logging.ERROR)
-    library, flights = RoadLibrary(Network.load(), views), []
-    drives = [read_drive(folder) for folder in folders]
+    library, drives = RoadLibrary(Network.load(), views), {}
+    found: list[tuple[Path, Flight | Failed]] = []
     try:
-        for drive in drives:
-            matched = [frame for one in drives if one.map_name == drive.map_name for frame in one.used]
-            flights.append(_replay(drive, matched, output / drive.name, library))
-            print(rows(flights[-1]), flush=True)
+        for folder in folders:
+            try:
+                drives[folder] = read_drive(folder)
+            except SetupError as error:
+                found.append((folder, Failed(folder.name, str(error))))
+        for folder, drive in drives.items():
+            matched = [frame for one in drives.values() if one.map_name == drive.map_name for frame in one.used]
+            found.append((folder, _replay(drive, matched, output / drive.name, library)))
             library.save()
+            print(rows(found[-1][1]), flush=True)
     finally:
         library.close()
-    return flights
+    return found
 
 
 def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary) -> Flight:
-    folder.mkdir(parents=True, exist_ok=True)
     then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
     sent = replay(drive, matched, folder, library)
     journal = folder / JOURNAL
@@ -130,8 +149,10 @@ def _spread(median_95_largest: Sequence[float]) -> str:
     return " / ".join(f"{one:.1f}" for one in median_95_largest) + " m" if median_95_largest else "-"
 
 
-def rows(flight: Flight) -> str:
+def rows(flight: Flight | Failed) -> str:
     """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
+    if isinstance(flight, Failed):
+        return f"| {flight.name} | not replayed: {flight.why} |"
     recorded = " | ".join(_spread(errors_m) for errors_m in (flight.autopilot_m, flight.lane_m))
     return f"| {flight.name}, then | {_row(flight.then)} | {recorded} |\n| now | {_row(flight.now)} | | |"
 
@@ -150,9 +171,10 @@ def _row(found: Score) -> str:
     return " | ".join([*cells, "{silent_s:.0f} s | {used}, {believed}, {false}".format(**one)])
 
 
-def table(flights: Sequence[Flight]) -> str:
+def table(flights: Sequence[Flight | Failed]) -> str:
     """All drives, and what they say together."""
-    together = [f"{when}, {_together([getattr(one, when) for one in flights])}" for when in ("then", "now")]
+    replayed = [one for one in flights if isinstance(one, Flight)]
+    together = [f"{when}, {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
     return "\n".join([HEADER, *map(rows, flights), f"\nTogether {'; '.join(together)}."])
 
 
@@ -166,7 +188,7 @@ def _together(scores: Sequence[Score]) -> str:
     ).format(*over, **sums)
 
 
-def page(flights: Sequence[Flight]) -> str:
+def page(flights: Sequence[Flight | Failed]) -> str:
     """The table, and what the pilot read then and now."""
     texts = [
         f"\n## {flight.name}\n\n"
@@ -175,5 +197,6 @@ def page(flights: Sequence[Flight]) -> str:
             for when, found in (("then", flight.then), ("now", flight.now))
         )
         for flight in flights
+        if isinstance(flight, Flight)
     ]
     return "\n".join([table(flights), *texts]) + "\n"

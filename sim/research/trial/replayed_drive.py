@@ -30,7 +30,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from sim.journal import records_of
 from sim.maps.learning import learn
-from sim.research.trial.course_map import open_builder, place_at
+from sim.research.trial.course_map import map_errors_m, open_builder, place_at
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.records import Array
@@ -206,7 +206,7 @@ def _build_map(
     spacing_m = drive.config.sampling.spacing_m
     places = np.arange(int(drive.scenario.length_m / spacing_m))
     true = [route.at(place * spacing_m, lane_m) for place in places]
-    off_m, first_rows = map_errors(drive.config, matched, true)
+    off_m, first_rows = _map_errors(drive, matched, true)
     with open_builder(path, library.network) as builder:
         for place in places:
             if place in first_rows:
@@ -218,12 +218,12 @@ def _build_map(
         builder.finish()
 
 
-def map_errors(
-    config: Config, matched: list[FrameUsed], true: list[tuple[float, float, float]]
+def _map_errors(
+    drive: RecordedDrive, matched: list[FrameUsed], true: list[tuple[float, float, float]]
 ) -> tuple[Array, set[int]]:
     """East and north (n, 2) by which each place is wrong, and the first places of segments, by what was matched.
 
-    A place that was never matched is as wrong as the nearest one that was, or not at all where none was.
+    A place that was never matched is as wrong as the nearest one that was; where none was, each as its accuracy says.
     """
     known, first_rows = {}, {0}
     for frame in matched:
@@ -232,12 +232,13 @@ def map_errors(
         if frame.map_row is not None and frame.place < len(true):
             first_rows.add(frame.place - frame.map_row)
             # Its position is that of the vehicle, the rig's offset from the place.
-            ahead_m = config.rig.ahead_m(frame.direction or "forward", frame.order)
+            ahead_m = drive.config.rig.ahead_m(frame.direction or "forward", frame.order)
             heading_rad = math.radians(frame.heading_deg or 0.0)
             at = moved(frame.lat_deg, frame.lon_deg, ahead_m * math.sin(heading_rad), ahead_m * math.cos(heading_rad))
             known[frame.place] = np.array(east_north_m(*at)) - true[frame.place][:2]
     if not known:
-        return np.zeros((len(true), 2)), first_rows
+        places_m = (drive.config.sampling.spacing_m * np.arange(len(true))).tolist()
+        return map_errors_m(places_m, np.random.default_rng(drive.scenario.seed)), first_rows
     places = np.array(sorted(known))
     nearest = places[np.abs(places[None, :] - np.arange(len(true))[:, None]).argmin(axis=1)]
     return np.array([known[place] for place in nearest.tolist()]), first_rows

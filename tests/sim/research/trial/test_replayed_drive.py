@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.journal.records import FixSent
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
@@ -114,9 +115,18 @@ def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) ->
     assert "1.5 s  Lookback: GPS is wrong" in found
 
 
-def test_what_cannot_be_replayed_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(FeedError, match=r"no recorded drive, it has no truth\.csv\.gz and no autopilot_position"):
-        read_drive(tmp_path)
+def test_what_cannot_be_replayed_has_a_row_that_says_why(tmp_path: Path) -> None:
+    folder = tmp_path / "half"
+    shutil.copytree(EXCERPT, folder, ignore=shutil.ignore_patterns("truth*", "*.jsonl*"))
+    found = replay_all([folder], tmp_path, tmp_path / "views", 1)
+    assert page(found).split("\n")[2] == f"| half | not replayed: {folder}: no recorded drive, it has no truth.csv.gz |"
+
+
+def test_a_folder_without_drives_is_one_line(tmp_path: Path) -> None:
+    words = ["dev", "flights", str(tmp_path)]
+    args = build_parser(words).parse_args(words)
+    with pytest.raises(FeedError, match=r"no recorded drive in it; one has telem2\.tlog\.gz"):
+        args.run(args)
 
 
 @pytest.fixture
@@ -128,6 +138,7 @@ def replayed(shared: Path, tmp_path: Path) -> Callable[[str], tuple[Score, Score
         if not folder.is_dir():
             pytest.skip(f"needs the recorded drive {folder}")
         (flight,) = replay_all([folder], tmp_path, tmp_path / "views", 1)
+        assert isinstance(flight, Flight)
         return flight.then, flight.now
 
     return found
