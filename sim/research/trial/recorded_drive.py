@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config
 from edge.errors import FeedError
-from edge.journal.records import SCHEMA, FixSent, FrameUsed, JournalOpened, Record
+from edge.journal.records import SCHEMA, FixSent, FrameUsed, JournalOpened, Record, StateChanged
 from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.toml_file import parse_toml, read_toml
@@ -224,6 +224,9 @@ def _reboots_at(boot_ms: Array) -> int:
 def _runs(lines: Sequence[tuple[float, object]], period_s: float) -> list[DaemonRun]:
     """period_s: from one exposure to the next, where the journal has too few frames to show it."""
     opened = [row for row, (_, record) in enumerate(lines) if isinstance(record, JournalOpened)]
+    if not opened:  # of schema 1, which has no such line
+        starts = enumerate(record for _, record in lines)
+        opened = [row for row, record in starts if isinstance(record, StateChanged) and record.state == "starting"]
     runs = []
     for first, after in zip(opened, [*opened[1:], len(lines)], strict=True):
         used = [record for _, record in lines[first:after] if isinstance(record, FrameUsed)]
