@@ -9,16 +9,16 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-test test-core test-python soak: export OMP_NUM_THREADS := 1
-test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
+flights test test-core test-python soak: export OMP_NUM_THREADS := 1
+flights test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+flights test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
 WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
-.PHONY: demo test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
+.PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -78,6 +78,11 @@ bench: $(VENV)/.dev
 
 bench-quick: $(VENV)/.dev
 	$(BIN)/python -m sim.research.bench --quick
+
+# Drives on real autopilots once more, before anything that concerns positions is done; RECORDED: folders of them.
+RECORDED := ../shared/flights_eca2e43 ../shared/flights_b06f79e
+flights: $(VENV)/.dev
+	$(BIN)/lookback dev flights $(RECORDED) -o .flights --jobs 2 --page docs/flights.md
 
 # What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
 dist: $(VENV)/.dev

@@ -70,6 +70,7 @@ class Score(msgspec.Struct, frozen=True):
             "max_m": largest_m,
             "sigmas_rms": math.sqrt(np.mean(sigmas**2)) if len(sigmas) else math.nan,
             "sigmas_max": sigmas.max() if len(sigmas) else math.nan,
+            "known": len(sigmas),
             "beyond_3": int((sigmas > 3).sum()),
             "beyond_4": int((sigmas > 4).sum()),
             "levels": len(bounded),

@@ -174,17 +174,17 @@ def _row(found: Score) -> str:
 def table(flights: Sequence[Flight | Failed]) -> str:
     """All drives, and what they say together."""
     replayed = [one for one in flights if isinstance(one, Flight)]
-    together = [f"{when}, {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
-    return "\n".join([HEADER, *map(rows, flights), f"\nTogether {'; '.join(together)}."])
+    together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
+    return "\n".join([HEADER, *map(rows, flights), f"\nAll {len(replayed)} drives together:\n", *together])
 
 
 def _together(scores: Sequence[Score]) -> str:
     found = [one.row() for one in scores]
-    sums = {key: sum(one[key] for one in found) for key in ("sent", "beyond_3", "beyond_4", "levels")}
+    sums = {key: sum(one[key] for one in found) for key in ("sent", "known", "beyond_3", "beyond_4", "levels")}
     over = sum(one["over_along"] for one in found), sum(one["over_across"] for one in found)
     return (
-        f"{len(scores)} drives: {{sent}} positions, {{beyond_3}} beyond three standard deviations, {{beyond_4}} beyond"
-        " four; of {levels} with finite levels {} exceeded that along and {} that across"
+        "{sent} positions; of {known} whose standard deviation the journal has, {beyond_3} beyond three and {beyond_4}"
+        " beyond four of them; of {levels} with finite levels, {} beyond that along and {} beyond that across"
     ).format(*over, **sums)
 
 
