@@ -18,7 +18,6 @@ from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
 from edge.localization import Drive, Maps, PositionEstimator
-from edge.localization.drive_file import DriveFile
 from edge.map_verification import MapVerification
 from edge.plugin import Parts, Plugins
 from edge.recognizer import open_recognizer
@@ -58,6 +57,8 @@ class OpenedParts:
             self.record = self.journal.write
         self.drive = Drive(PositionEstimator(config))
         if config.telemetry.drive:
+            from edge.localization.drive_file import DriveFile  # which few vehicles need
+
             file = parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config)))
             self.drive = Drive(PositionEstimator(config), file.write)
         link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, self.drive)

@@ -23,6 +23,7 @@ from edge.journal.records import SCHEMA, FixSent, FrameUsed, JournalOpened, Reco
 from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.toml_file import parse_toml, read_toml
+from edge_plugins.mapping import MappingConfig
 from sim.datasets.flight_logs import tlog_frames
 from sim.journal import UnknownRecord, read_journal
 from sim.trial.records import Array
@@ -101,7 +102,7 @@ class RecordedDrive:
     @property
     def is_layered(self) -> bool:
         """Whether its map was a folder of maps, made before."""
-        return not self.config.mapping.folder and any(one.map for one in self.used)
+        return not self.config.of(MappingConfig).folder and any(one.map for one in self.used)
 
     @property
     def moves_s(self) -> tuple[float, float]:

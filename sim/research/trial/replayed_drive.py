@@ -20,14 +20,17 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
-from edge.config import Config, PageConfig
+from edge.config import Config
 from edge.daemon import Daemon
 from edge.geodesy import moved
 from edge.journal.records import FrameUsed, PluginFailed
 from edge.opened_parts import OpenedParts
-from edge.reference_map import LearnedFolder
+from edge.reference_map.learned import LearnedFolder
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
+from edge_plugins.home import HomeConfig
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.maps.learning import learn
 from sim.research.trial.course_map import map_errors_m, open_builder, place_at
@@ -104,7 +107,7 @@ class Playback:
         self._parameters = {one.message.param_id: one.data for one in sent if one.message.get_type() == "PARAM_VALUE"}
         self._earlier = {one.message.get_msgId(): one.data for one in sent if one.time_s < run.from_s}
         self._front = FlightCamera(drive, run.exposures_s, "front", scenes, self.clock_ns)
-        has_rear = isinstance(drive.config.mapping.camera, msgspec.Struct)
+        has_rear = isinstance(drive.config.of(MappingConfig).camera, msgspec.Struct)
         self.rear = FlightCamera(drive, run.exposures_s, "rear", scenes, self.clock_ns) if has_rear else None
         """The camera that maps."""
         self._codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
@@ -170,20 +173,15 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path) -> Con
     telemetry = replaced(
         config.telemetry, connection=f"serial:{link.device}:921600", journal=str(journal), signing_clock=""
     )
-    mapping = replaced(config.mapping, folder=str(map_path)) if config.mapping.folder else config.mapping
-    return replaced(
-        config,
-        home=replaced(config.home, socket=""),
-        map=replaced(config.map, path=str(map_path)),
-        mapping=mapping,
-        page=PageConfig(port=0),
-        telemetry=telemetry,
-    )
+    plugins = {**config.plugins, "page": PageConfig(port=0), "home": replaced(config.of(HomeConfig), socket="")}
+    if config.of(MappingConfig).folder:
+        plugins["mapping"] = replaced(config.of(MappingConfig), folder=str(map_path))
+    return replaced(config, map=replaced(config.map, path=str(map_path)), plugins=plugins, telemetry=telemetry)
 
 
 def _build_maps(drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary) -> None:
     """The map before the drive: none where it was made on the way, and layers where it was learned."""
-    if drive.config.mapping.folder:
+    if drive.config.of(MappingConfig).folder:
         path.mkdir()
     elif drive.is_layered:
         for number, layer in enumerate(LAYERS):
