@@ -39,7 +39,7 @@ RULES = (
         TWO_AUTOPILOTS,
         "positions or velocities of two vehicles come in turns",
         "nothing is known of either, and both use what is sent",
-        "test_two_autopilots_with_the_same_ids_get_no_position",
+        "test_situations_in_which_nothing_is_published",
         lambda now: now.own.is_doubled,
     ),
     Rule(
@@ -61,7 +61,7 @@ RULES = (
         "no position in the map",
         "the map has no position at this place, or one that is not finite",
         "the vehicle is sent anywhere",
-        "test_fixes_that_are_not_published",
+        "test_situations_in_which_nothing_is_published",
         lambda now: not now.place.is_position,
     ),
     Rule(
@@ -104,7 +104,7 @@ RULES = (
         "the newest matches disagree",
         "matches or reckoning contradict the estimate",
         "the vehicle follows one of two places",
-        "test_fixes_that_are_not_published",
+        "test_situations_in_which_nothing_is_published",
         lambda now: now.place.disputed,
     ),
     Rule(
@@ -118,7 +118,7 @@ RULES = (
         TOO_FAR,
         "over `max_move_m` from where GPS or a position bounded the autopilot",
         "a single error carries the vehicle away",
-        "test_fixes_that_are_not_published",
+        "test_situations_in_which_nothing_is_published",
         lambda now: now.move_m > now.gates.max_move_m,
     ),
     Rule(

@@ -2,27 +2,46 @@
 
 A drive is simulated at 10 Hz. Matches come from the truth, as the recognizer would give them: a line through the last
 frames that were on the map, wrong by a constant bias and by an error that changes over CORRELATED_M, and for a while
-also after the vehicle has left the mapped road. The autopilot moves by a velocity with a scale and a heading error,
-and is reset by each fix that is sent. The filter, the integrity check and the dead reckoning are the daemon's own.
+also after the vehicle has left the mapped road. The autopilot moves by a velocity with a scale and a heading error. It
+is reset by each position that is sent, as ArduPilot, or follows a stream of them, as PX4. The position estimator gets
+the events that the daemon would send it, at the same moments, and is asked as the daemon asks; `events` is their list.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from edge.localization.report import Report
 
-from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
+from edge.config import Config, RigConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.localization import GPS_SIGMA_M, DeadReckoning, GpsFix, Limits, PlaceFix, ProtectionLevel
-from edge.localization.position_estimator import PositionEstimator
+from edge.localization import (
+    AGREE_SIGMAS,
+    GPS_SIGMA_M,
+    DeadReckoning,
+    Drive,
+    Fix,
+    GpsFix,
+    Limits,
+    Maps,
+    Moved,
+    Own,
+    PlaceFix,
+    PositionEstimator,
+    ProtectionLevel,
+    Refusal,
+    Used,
+)
+from edge.localization.drive import Asked, Entry, Restored
+from edge.localization.events import Frame
 from edge.sequence import PlaceMatch
 from edge.sequence.consensus import probability
+from edge.telemetry.acknowledgements import Sent
 from tests.localization.region_bench import PLACES_APART, RegionViews
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
@@ -32,34 +51,57 @@ STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 TURN_RADIUS_M = 8.0
+ARRIVES, ANSWERS = 2, 2
+"""Steps from an exposure to the answer to its frame, and from a position to an autopilot that has moved by it."""
+STREAM_S, FOLLOWS = 0.2, 0.05
+"""Between the positions of a stream, and the share of their distance by which an autopilot comes nearer to each."""
+RESETS = Limits("exposure", 5.0, is_reset=True)
+STREAM = Limits("now", 1.0)
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
+EntryAt = tuple[int, Entry]
+"""Of the list of a drive, with its time in ns."""
+
+
+def replay(config: Config, entries: list[EntryAt]) -> list[Fix | Refusal]:
+    """What an estimator that gets the list of a drive answers where that was asked for a position."""
+    estimator, answers = PositionEstimator(config), []
+    for t_ns, entry in entries:
+        if isinstance(entry, Asked):
+            answers.append(estimator.fix(t_ns, entry.limits))
+        elif isinstance(entry, Restored):
+            estimator.restore(entry.kept)
+        else:
+            estimator.update(t_ns, entry)
+    return answers
 
 
 class Bounded(NamedTuple):
-    """A position whose place is certain enough: errors along and across, its deviations, and its protection level."""
+    """A position whose place is certain enough: errors along and across, and its protection level."""
 
     at_m: float
     along_m: float
     across_m: float
-    along_sigma_m: float
-    across_sigma_m: float
     level_along_m: float
     level_across_m: float
+
+    @property
+    def is_exceeded(self) -> bool:
+        """Whether an error is above its level."""
+        return self.along_m > self.level_along_m or self.across_m > self.level_across_m
 
 
 @dataclass
 class Result:
-    """What was sent: error over sigma of each, errors, and the autopilot's own error each second with and without."""
+    """What was sent: error over sigma of each, and the meters driven until then.
+
+    own_m, alone_m: the autopilot's own error each second, with and without what was sent. bounded: see `Bounded`.
+    """
 
     sigmas: list[float] = field(default_factory=list)
-    errors_m: list[float] = field(default_factory=list)
     sent_at_m: list[float] = field(default_factory=list)
     own_m: list[float] = field(default_factory=list)
     alone_m: list[float] = field(default_factory=list)
-    across_m: list[float] = field(default_factory=list)
-    predicted_sigmas: list[float] = field(default_factory=list)
-    withheld: dict[str, int] = field(default_factory=dict)
     bounded: list[Bounded] = field(default_factory=list)
 
 
@@ -77,8 +119,9 @@ def reckoned(moved_m: Points, turned_rad: float, scale: float) -> Points:
 class Bench:
     """One seeded drive."""
 
-    def __init__(self, course: Course, seed: int, folder: Path, tracking: TrackingConfig = TrackingConfig()) -> None:  # noqa: B008  # frozen
-        self.course, self.rng = course, rng_of(seed)
+    def __init__(self, course: Course, seed: int, folder: Path, *, is_stream: bool = False) -> None:
+        """is_stream: the autopilot gets a stream of positions, as PX4, and no resets, as ArduPilot."""
+        self.course, self.rng, self.is_stream = course, rng_of(seed), is_stream
         rng = self.rng
         if course.laps > 1:
             self.line, self.heading = lap_line(course.road_m, course.laps)
@@ -89,12 +132,12 @@ class Bench:
         stretches = tuple(
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
-        self.maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
+        maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
-        self.gates = GatesConfig()
-        config = Config(rig=rig, tracking=tracking, sequence=SequenceConfig(length=LENGTH), gates=self.gates)
-        self.estimator = PositionEstimator(config)
-        self.estimator.use_maps(self.maps)
+        self.config = Config(rig=rig, tracking=TrackingConfig(), sequence=SequenceConfig(length=LENGTH))
+        self.events: list[EntryAt] = []
+        self.drive = Drive(PositionEstimator(self.config), lambda t_ns, entry: self.events.append((t_ns, entry)))
+        self.drive.update(0, Maps(maps))
         self.motion = DeadReckoning()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
@@ -104,31 +147,27 @@ class Bench:
         self.regions = RegionViews(rng, SPACING_M)
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
-        self.seconds = self.lane = self.aims_m = self.sampled_m = self.driven_m = self.steered_m = 0.0
+        self.step = 0
+        self.lane = self.aims_m = self.sampled_m = self.driven_m = self.steered_m = 0.0
         self.own_error = np.zeros(2)
-        self.last_sent_ns: int | None = None
+        self.reported: Own | None = None
+        self.frames: deque[tuple[int, Frame]] = deque()  # that have not arrived, and the step at which they do
+        self.exposed: dict[int, tuple[Points, Points]] = {}  # truth, and the autopilot alone, at each exposure
+        self.sent: Sent | None = None
+        self.followed_at = 0  # the step at which the autopilot has moved by it
+        self.bounded_ns = 0
         self.alias_now = False
 
     def run(self) -> Result:
         """The whole drive."""
-        for move in self.begin():
-            self.advance(move)
-        return self.result
-
-    def begin(self) -> Iterator[Move]:
-        """Put the vehicle at its start; the drive, step by step, which `advance` makes."""
-        course, rng = self.course, self.rng
         self.truth = self._point(0.0, 0.0)
-        self.own = self.truth + rng.normal(0.0, 1.0 if course.gps else 20.0, 2)
+        self.own = self.truth + self.rng.normal(0.0, 1.0 if self.course.gps else 20.0, 2)
         self.alone = self.own.copy()
-        return self._moves()
-
-    def advance(self, move: Move) -> None:
-        """One step."""
-        s, at, speed_mps = move
-        before, self.truth = self.truth, self._truth(s, at)
-        self.driven_m += abs(speed_mps) * STEP_S
-        self._step(self.truth, self.truth - before, speed_mps, s)
+        for s, at, speed_mps in self._moves():
+            before, self.truth = self.truth, self._truth(s, at)
+            self.driven_m += abs(speed_mps) * STEP_S
+            self._step(self.truth - before, speed_mps, s)
+        return self.result
 
     def _moves(self) -> Iterator[Move]:
         """The drive, step by step."""
@@ -207,54 +246,62 @@ class Bench:
         self.right_m = right_m
         return self._point(s, right_m)
 
-    def _step(self, truth: Points, step: Points, speed_mps: float, s: float) -> None:
-        self.seconds += STEP_S
-        now_ns = round((1000 + self.seconds) * 1e9)
+    def _step(self, step: Points, speed_mps: float, s: float) -> None:
+        self.step += 1
+        now_ns = 1000 * 10**9 + round(self.step * STEP_S * 1e9)
         gps = self.course.gps and self.driven_m < GPS_M
         ferried = speed_mps == 0.0
         moved_m = np.zeros(2) if ferried else step
-        seen = moved_m if gps else reckoned(moved_m, self.turned, self.scale)
-        self.own = truth + self.rng.normal(0, 0.3, 2) if gps else self.own + seen
+        seen: Points = np.zeros(2) if ferried else reckoned(moved_m, self.turned, self.scale)
+        self.own = self.truth + self.rng.normal(0, 0.3, 2) if gps else self.own + seen
         self.alone = self.own.copy() if gps else self.alone + seen
         velocity = seen / STEP_S
         self.motion.add_velocity(now_ns, float(velocity[0]), float(velocity[1]))
         self.motion.add_speed(now_ns, math.copysign(float(np.hypot(*velocity)), speed_mps), 0)
-        distance_m = self.motion.distance_m(now_ns) or 0.0
-        is_frame = distance_m - self.sampled_m >= SPACING_M
-        report = self._report(now_ns, velocity, gps=gps, is_located=gps or is_frame)
-        self.estimator.bind_by_gps(report)
-        if is_frame:
-            self.sampled_m += SPACING_M * math.floor((distance_m - self.sampled_m) / SPACING_M)
-            own = report.position
-            fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps and own is not None else None
-            self.estimator.update(self._match(s), now_ns, report.displacement, report, fix)
-        self.own_error = self.own - truth
-        self._send(truth, report)
-        if round(self.seconds / STEP_S) % 10 == 0 and not gps:
-            self.result.own_m.append(float(np.hypot(*(self.own - truth))))
-            self.result.alone_m.append(float(np.hypot(*(self.alone - truth))))
-            self.result.across_m.append(abs(self.right_m))
-            predicted = self.estimator.position(now_ns, report.displacement)
-            if predicted is not None:
-                off = np.array(east_north_of(predicted.lat_deg or 0, predicted.lon_deg or 0, HOME)) - truth
-                self.result.predicted_sigmas.append(float(np.hypot(*off)) / predicted.sigma_m)
+        own = self._report(now_ns, velocity, gps=gps)
+        if self.sent is not None and self.step == self.followed_at:
+            self._follow(now_ns, own, self.sent)
+        self._expose(now_ns, own, s, gps=gps)
+        if self.frames and self.step >= self.frames[0][0]:
+            self.drive.update(now_ns, self.frames.popleft()[1])
+        if self._is_due(now_ns):
+            self._ask(now_ns, own)
+        self.own_error = self.own - self.truth
+        if self.step % 10 == 0 and not gps:
+            self.result.own_m.append(float(np.hypot(*self.own_error)))
+            self.result.alone_m.append(float(np.hypot(*(self.alone - self.truth))))
 
-    def _report(self, now_ns: int, velocity: Points, *, gps: bool, is_located: bool) -> Report:
-        """What the autopilot reports; its position only where it is read, since a third of the time would go there."""
-        position = None
-        if is_located:
-            east_mps, north_mps = velocity.tolist()
-            place = moved(*HOME, float(self.own[0]), float(self.own[1]))
-            position = VehiclePosition(now_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
-        return Report(
-            now_ns,
+    def _report(self, now_ns: int, velocity: Points, *, gps: bool) -> VehiclePosition:
+        """What the autopilot reports, where it is something new; its position."""
+        east_mps, north_mps = velocity.tolist()
+        place, motion = moved(*HOME, float(self.own[0]), float(self.own[1])), self.motion
+        position = VehiclePosition(now_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
+        own = Own(
             gps="healthy" if gps else "not healthy",
             gps_sigma_m=GPS_SIGMA_M if gps else None,
             position=position,
-            displacement=self.motion.displacement(now_ns),
-            speed_mps=self.motion.speed_mps(now_ns),
-            driven_m=self.motion.total_m,
+            motion=motion.displacement(now_ns),
+            speed_mps=motion.speed_mps(now_ns),
+            driven_m=motion.driven_m(now_ns),
+            system_id=1,
+            booted_ns=0,
         )
+        if own != self.reported:
+            self.reported = own
+            self.drive.update(now_ns, own)
+        return position
+
+    def _expose(self, now_ns: int, own: VehiclePosition, s: float, *, gps: bool) -> None:
+        """A frame, where the vehicle is at a new place."""
+        distance_m = self.motion.distance_m(now_ns) or 0.0
+        places = math.floor((distance_m - self.sampled_m) / SPACING_M)
+        if places < 1:
+            return
+        self.sampled_m += SPACING_M * places
+        self.exposed[now_ns] = self.truth, self.alone
+        fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps else None
+        frame = Frame(now_ns, self._match(s), self.motion.displacement(now_ns), fix, missed=places - 1)
+        self.frames.append((self.step + ARRIVES, frame))
 
     def _match(self, s: float) -> PlaceMatch | None:
         """The best line through the last frames, as the recognizer would find it."""
@@ -304,36 +351,51 @@ class Bench:
                 return number, s - begins_m
         return None
 
-    def _send(self, truth: Points, report: Report) -> None:
-        fix, now_ns = self.estimator.position_at_exposure(), report.now_ns
-        if fix is None or fix.stamp_ns != now_ns:
-            return
-        if self.last_sent_ns is not None and now_ns - self.last_sent_ns < self.gates.min_interval_s * 1e9:
-            return
-        limits = Limits(self.gates.min_interval_s, 5.0, is_reset=False)
-        decision = self.estimator.decide(fix, limits, self.last_sent_ns, report, report.displacement)
-        if decision.level is not None:
-            self._bounded(fix, truth, decision.level)
-        refused = decision.refusal
-        if refused is not None:
-            self.result.withheld[refused.reason] = self.result.withheld.get(refused.reason, 0) + 1
-            return
-        self._reset(fix, truth, report, decision.bound_wrong)
+    def _is_due(self, now_ns: int) -> bool:
+        period_s = STREAM_S if self.is_stream else self.config.gates.min_interval_s
+        return self.sent is None or now_ns - self.sent.at_ns >= round(period_s * 1e9)
 
-    def _bounded(self, fix: PlaceFix, truth: Points, level: ProtectionLevel) -> None:
-        east_m, north_m = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME)) - truth
-        sin, cos = math.sin(math.radians(fix.heading_deg or 0.0)), math.cos(math.radians(fix.heading_deg or 0.0))
-        errors = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
-        self.result.bounded.append(
-            Bounded(self.driven_m, *errors, fix.sigma_along_m, fix.sigma_across_m, level.along_m, level.across_m)
-        )
+    def _ask(self, now_ns: int, own: VehiclePosition) -> None:
+        if self.is_stream:
+            self.drive.update(now_ns, Moved(self.motion.displacement(now_ns)))
+        answer = self.drive.fix(now_ns, STREAM if self.is_stream else RESETS)
+        place = answer.place if isinstance(answer, Fix) else answer.fix
+        if place is None or (self.sent is not None and place.stamp_ns == self.sent.place.stamp_ns):
+            return
+        truth, alone = (self.truth, self.alone) if self.is_stream else self.exposed[place.stamp_ns]
+        off_m = _meters(place) - truth
+        if answer.level is not None and place.stamp_ns != self.bounded_ns:
+            self.bounded_ns = place.stamp_ns
+            self._bound(place, off_m, answer.level)
+        if isinstance(answer, Fix):
+            self._send(now_ns, own, answer, float(np.hypot(*off_m)), _meters(place) + self.alone - alone)
 
-    def _reset(self, fix: PlaceFix, truth: Points, report: Report, wrong: float) -> None:
-        place = np.array(east_north_of(fix.lat_deg or 0.0, fix.lon_deg or 0.0, HOME))
-        error_m = float(np.hypot(*(place - truth)))
-        self.result.errors_m.append(error_m)
-        self.result.sigmas.append(error_m / fix.sigma_m)
+    def _bound(self, place: PlaceFix, off_m: Points, level: ProtectionLevel) -> None:
+        (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)
+        sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+        errors_m = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
+        self.result.bounded.append(Bounded(self.driven_m, *errors_m, level.along_m, level.across_m))
+
+    def _send(self, now_ns: int, own: VehiclePosition, fix: Fix, off_m: float, now_m: Points) -> None:
+        """now_m: where the position puts the vehicle now, by the autopilot's velocity since."""
+        self.result.sigmas.append(off_m / fix.place.sigma_m)
         self.result.sent_at_m.append(self.driven_m)
-        self.own = place
-        self.last_sent_ns = report.now_ns
-        self.estimator.bind(fix.sigma_m, report, wrong)
+        self.sent = Sent(fix, now_ns, own)
+        self.drive.update(now_ns, Used(fix))
+        if not self.is_stream:
+            self.own, self.followed_at = now_m, self.step + ANSWERS
+            return
+        self.own = self.own + FOLLOWS * (now_m - self.own)
+        if self.sent.distance_m <= AGREE_SIGMAS * fix.place.sigma_m:
+            self.drive.update(now_ns, Used(fix, self.sent.distance_m))
+
+    def _follow(self, now_ns: int, own: VehiclePosition, sent: Sent) -> None:
+        """A reset must have moved the autopilot by now."""
+        left_m = sent.remaining_m(own)
+        if not self.is_stream and sent.moved(left_m):
+            self.drive.update(now_ns, Used(sent.fix, left_m))
+
+
+def _meters(place: PlaceFix) -> Points:
+    """East and north (2,)."""
+    return np.array(east_north_of(place.lat_deg or 0.0, place.lon_deg or 0.0, HOME))

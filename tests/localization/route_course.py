@@ -24,7 +24,8 @@ Points = NDArray[np.float64]
 class Stretch:
     """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states.
 
-    continues: it is no segment of its own, but of one with the stretch before, which ends where it begins.
+    continues: it is no segment of its own, but of one with the stretch before, which ends where it begins. recording:
+    that it comes from, by default one of its own. has_odometer: whether its meters were measured.
     """
 
     begins_m: float
@@ -33,6 +34,8 @@ class Stretch:
     north_m: float = 0.0
     sigma_m: float = math.sqrt(2)
     continues: bool = False
+    recording: str = ""
+    has_odometer: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,8 @@ def build_maps(
         for number, stretch in enumerate(stretches):
             before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
             if not stretch.continues:
-                builder.begin_segment(f"stretch {number}", "rear")
+                recording = stretch.recording or f"stretch {number}"
+                builder.begin_segment(recording, "rear", has_odometer=stretch.has_odometer)
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
             for row, s in enumerate(at_m):
                 east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]

@@ -1,80 +1,141 @@
-"""What the estimator joins: GPS is compared with a place only where the vehicle heads along its road."""
+"""What is known of the autopilot's own position, and of GPS: what bounds it, and for how long."""
 
 from __future__ import annotations
 
-import ast
 import math
-from pathlib import Path
+from dataclasses import replace
+from typing import Any
 
 import pytest
-from edge.localization.report import Report
-from msgspec.structs import replace
 
-from edge.config import RigConfig
-from edge.geodesy import VehiclePosition
-from edge.localization import GpsFix, PlaceFix
-from edge.localization.position_estimator import PositionEstimator
-from edge.reference_map import MapSet
-from tests.localization.straight_road import LAT_DEG, METRE_DEG, SPACING_M, match, settings
+from edge.config import GatesConfig
+from edge.localization import Break, Fix, Known, Maps
+from tests.localization.events_of import LENGTH, Road, S, Vehicle, settings
 
-TURNED_AT, FRAMES = 110, 40
-ROOT = Path(__file__).parents[2]
-PARTS = "Integrity", "RouteFilter"
+
+def known(one: Vehicle, **own: Any) -> Known:
+    """After what the autopilot reports."""
+    one.own(**own)
+    return one.drive.known
+
+
+def test_uncertainty_grows_with_the_distance_since_it_was_bound(road: Road) -> None:
+    one = Vehicle(road)
+    assert not known(one).is_bounded and known(one).own_sigma_m is None
+    assert known(one, gps_sigma_m=3.0, driven_m=100.0).own_sigma_m == 3.0
+    assert known(one, driven_m=180.0).own_sigma_m == pytest.approx(5.0)
+    assert known(one, driven_m=180.0, accuracy_m=9.0).own_sigma_m == 9.0, "the larger one"
+    assert known(one, driven_m=None).own_sigma_m is None
+
+
+def test_it_grows_by_what_the_velocity_was_found_wrong_by(road: Road) -> None:
+    one = Vehicle(road)
+    one.go(60, gps=True)
+    one.odometer = 0.9
+    one.go(240)
+    assert one.place is not None and one.place.velocity_error > 0.07
+    assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, one.place.velocity_error * 216.0), abs=0.01)
+
+
+def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it(road: Road) -> None:
+    one = Vehicle(road)
+    reports: list[dict[str, Any]] = [{"gps_sigma_m": 3.0}, {"is_aided": False}, {}, {"gps_sigma_m": 3.0}]
+    assert [known(one, **own).own_sigma_m for own in reports] == [3.0, None, None, 3.0]
+
+
+def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road) -> None:
+    one = Vehicle(road, settings(gates=GatesConfig(risk=1.0)))
+    one.go(100)
+    fix = one.ask()
+    assert isinstance(fix, Fix)
+    assert not one.drive.known.is_bounded and not one.drive.known.rests_on_fixes
+    one.use(fix, left_m=40.0)
+    assert one.drive.known.own_sigma_m == 40.0 and one.drive.known.rests_on_fixes
+    one.use(fix, left_m=0.1)
+    assert one.drive.known.own_sigma_m == fix.place.sigma_m
+    one.own(is_aided=False)
+    one.use(fix, left_m=0.1)
+    assert known(one).own_sigma_m is None, "of one that nothing aids, nobody knows"
+
+
+def test_after_a_reboot_nothing_bounds_the_autopilot_and_gps_had_the_vehicle_where_it_was(road: Road) -> None:
+    one = Vehicle(road)
+    one.go(100, gps=True)
+    one.drive.update(one.t_ns, Break("reboot"))
+    assert one.drive.known.own_sigma_m is None and not one.drive.known.is_bounded
+    one.off_m, one.reports = -100.0, {"booted_ns": one.t_ns}  # at its origin
+    assert one.go(20)[-1] is None, "a place is confirmed by where GPS had the vehicle, moved on by its velocity"
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_known"),
+    [({}, True), ({"system_id": 2}, False), ({"booted_ns": 99 * S}, False), ({"is_aided": False}, False)],
+)
+def test_what_bounds_the_autopilot_outlives_this_program(changed: dict[str, Any], is_known: bool, road: Road) -> None:
+    """Not another autopilot, nor one that has rebooted meanwhile, nor one whose position runs away."""
+    before, after = Vehicle(road), Vehicle(road)
+    before.own(has_gps=True)
+    after.drive.restore(after.t_ns, before.drive.snapshot())
+    after.t_ns += 2 * S
+    found = known(after, **changed)
+    assert found.is_bounded is is_known
+    if is_known:
+        assert found.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 2 * 10.0 * 1.5))
+        assert not found.rests_on_fixes
+    after.drive.restore(after.t_ns, b"damaged")
+
+
+@pytest.mark.parametrize("kind", ["blind", "carried"])
+def test_no_position_rests_on_frames_from_before_a_blindness(kind: Any, road: Road) -> None:
+    one = Vehicle(road)
+    one.go(250, gps=True)
+    one.drive.update(one.t_ns, Break(kind))
+    assert one.place is None and one.drive.known.gps.state == "agrees" and one.drive.known.is_bounded
+    reasons = one.go(2 * LENGTH + 2)
+    assert reasons.index(None) == LENGTH - 1, "a line of new frames"
+
+
+def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None:
+    one = Vehicle(road)
+    one.go(250, gps=True)
+    place = one.place
+    one.drive.update(one.t_ns, Maps(road.maps, has_grown=True))
+    assert one.place == place is not None
+    one.drive.update(one.t_ns, Maps(road.maps))
+    assert one.place is None and one.drive.known.gps.state == "agrees"
 
 
 @pytest.mark.parametrize(("heading_deg", "is_called"), [(0.0, False), (None, True)])
 def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(
-    map_set: MapSet, heading_deg: float | None, is_called: bool
+    heading_deg: float | None, is_called: bool, road: Road
 ) -> None:
     """A drive that turned round is in the map; matches follow it back for a while, and GPS goes on with the vehicle.
 
     Without a heading, an honest GPS is called wrong.
     """
-    estimator = PositionEstimator(settings(RigConfig()))
-    estimator.use_maps(map_set)
-
-    def judged(place: int, direction: str, seen: int) -> str:
-        gps = GpsFix(LAT_DEG + place * SPACING_M * METRE_DEG, 153.0, 1.0)
-        report = Report(0, position=VehiclePosition(0, gps.lat_deg, gps.lon_deg, 0.0, heading_deg, 8.0))
-        return estimator.update(match(seen, direction), 0, None, report, gps).state
-
-    states = [judged(place, "forward", place) for place in range(30, TURNED_AT)]
-    assert states[-1] == "agrees"
-    turned = [judged(TURNED_AT + far, "reverse", TURNED_AT - far) for far in range(FRAMES)]
-    assert ("wrong" in turned) == is_called
+    one, turns_m, states = Vehicle(road), 220.0, []
+    one.frame = {"motion": None}
+    one.go(turns_m, gps=True)
+    assert one.drive.known.gps.state == "agrees"
+    for _ in range(40):
+        one.reports = {"position": replace(one.position, heading_deg=heading_deg)}
+        one.go(2, lambda at_m: one.road.match(2 * turns_m - at_m, "reverse"), gps=True)
+        states.append(one.drive.known.gps.state)
+    assert ("wrong" in states) == is_called
 
 
-def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it() -> None:
-    estimator = PositionEstimator(settings(RigConfig()))
-    known_m = []
-    for gps_sigma_m, is_aided in ((3.0, True), (None, False), (None, True), (3.0, True)):
-        report = Report(0, gps_sigma_m=gps_sigma_m, driven_m=100.0, is_aided=is_aided)
-        estimator.bind_by_gps(report)
-        known_m.append(estimator.uncertainty_m(report))
-    assert known_m == [3.0, None, None, 3.0]
-
-
-def test_the_autopilot_is_uncertain_by_what_its_velocity_was_found_wrong_by_last() -> None:
-    estimator, after = PositionEstimator(settings(RigConfig())), Report(0, driven_m=100.0)
-    estimator.bind_by_gps(Report(0, gps_sigma_m=3.0, driven_m=0.0))
-    fix, known_m = PlaceFix(0, 7, LAT_DEG, 153.0, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street"), []
-    for error in (0.1, 0.2, 0.15):
-        estimator.observe(replace(fix, velocity_error=error), after, None)
-        known_m.append(estimator.uncertainty_m(after))
-    assert known_m == pytest.approx([math.hypot(3.0, of_m) for of_m in (10.0, 20.0, 15.0)])
-
-
-def test_positions_are_estimated_in_one_place() -> None:
-    """The daemon, the trial, the replays and the hours of the protection level put nothing together themselves."""
-    found = set()
-    bench = ROOT / "tests" / "localization"
-    for path in (
-        *ROOT.glob("edge/**/*.py"),
-        *ROOT.glob("sim/**/*.py"),
-        bench / "route_bench.py",
-        bench / "level_hours.py",
-    ):
-        calls = (node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call))
-        if any(isinstance(called, ast.Name) and called.id in PARTS for called in calls):
-            found.add(path.name)
-    assert found == {"position_estimator.py"}
+@pytest.mark.parametrize("acts", ["report", "send"])
+def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_followed_it(
+    acts: Any, road: Road
+) -> None:
+    """It is dragged 40 m off; the places have the vehicle where it is, and bound the autopilot where GPS is ignored."""
+    one = Vehicle(road, settings(gates=GatesConfig(doubted_gps=acts)))
+    one.go(140, gps=True)
+    while one.drive.known.gps.state != "wrong":
+        one.off_m += 1.0
+        one.go(2, gps=True)
+    verdict, ignores = one.drive.known.gps, acts == "send"
+    assert verdict.north_m == pytest.approx(one.off_m, abs=12.0)
+    assert one.drive.known.ignores_gps is ignores
+    answer = one.answers(2, gps=True)[0]
+    assert isinstance(answer, Fix) is ignores

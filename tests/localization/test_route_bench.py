@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.localization.route_bench import Bench, Result
+from edge.localization import Fix, Refusal
+from edge.localization.drive import Asked
+from tests.localization.route_bench import Bench, Result, replay
 from tests.localization.route_course import Course, Stretch
 
 WHOLE = (Stretch(0.0, 1200.0),)
@@ -129,8 +131,8 @@ def check_false(results: list[Result]) -> None:
 
 @pytest.mark.parametrize("name", [name for name in RIGHT if name != "false stretch of 140 m"])
 def test_positions_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
-    # Without GPS from boot there are few positions before places have confirmed each other.
-    check_right(drives(RIGHT[name], 4 if "no GPS from boot" in name else 2, tmp_path))
+    # Without GPS from boot there are few positions before places have confirmed each other; an alias follows 200 m.
+    check_right(drives(RIGHT[name], 4 if "no GPS from boot" in name or name == "alias" else 2, tmp_path))
 
 
 @pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
@@ -152,6 +154,22 @@ def test_right_positions_go_on_soon_after_a_false_stretch(tmp_path: Path) -> Non
     for result in results:
         after_m = [at_m for at_m in result.sent_at_m if at_m > 490.0]
         assert min(after_m) <= 490.0 + 200.0
+
+
+@pytest.mark.parametrize("is_stream", [False, True], ids=["resets", "a stream"])
+def test_the_list_of_a_drive_gives_the_same_answers_again(is_stream: bool, tmp_path: Path) -> None:
+    one = Bench(Course(stretches=(Stretch(0.0, 500.0), Stretch(520.0, 1200.0))), 7, tmp_path, is_stream=is_stream)
+    one.run()
+    answers = [entry.answer for _, entry in one.events if isinstance(entry, Asked)]
+    assert sum(isinstance(answer, Fix) for answer in answers) > 50
+    assert len({answer.reason for answer in answers if isinstance(answer, Refusal)}) > 2
+    assert replay(one.config, one.events) == answers
+
+
+@pytest.mark.parametrize("name", ["the whole road", "it steers itself", "false stretch of 260 m"])
+def test_positions_of_a_stream_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
+    """As PX4 follows them."""
+    check_right([Bench(RIGHT[name](np.random.default_rng([0, 9])), 0, tmp_path, is_stream=True).run()])
 
 
 @pytest.mark.soak

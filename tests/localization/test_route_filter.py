@@ -1,214 +1,204 @@
-"""Where the route filter has a vehicle that its matches agree with: by lines, regions and reckoning."""
+"""Where the vehicle is by matches that agree: by lines, regions and reckoning."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
-from edge.config import RigConfig
-from edge.localization.route_filter import RouteFilter
-from edge.reference_map.map_set import MapSet
-from edge.reference_map.route import Route
+from edge.config import Config, RigConfig
+from edge.journal.records import PlaceFix
+from edge.localization import Maps
 from edge.sequence import PlaceMatch
-from tests.localization.straight_road import (
+from tests.localization.events_of import (
     LENGTH,
     SPACING_M,
-    Drive,
+    Direction,
+    Road,
     S,
-    beside_m,
-    match,
+    Sees,
+    Vehicle,
+    left_m,
+    north_m,
+    nothing,
     regions,
     settings,
-    warm,
 )
+
+LINE_M = LENGTH * SPACING_M
+
+
+def shown(road: Road, further_m: float = 0.0, direction: Direction = "forward", **changes: Any) -> Sees:
+    """Frames that show the place so many meters further, with something else of the match."""
+    return lambda at_m: road.match(at_m + further_m, direction, **changes)
+
+
+def warm(
+    road: Road,
+    config: Config | None = None,
+    north_m: float = 120.0,
+    direction: Direction = "forward",
+    sees: Sees | None = None,
+    meters: float = 60.0,
+    **frame: Any,
+) -> Vehicle:
+    """A vehicle that has passed as many frames as a line has, and then so many meters of places."""
+    one = Vehicle(road, config, north_m, direction)
+    one.frame = frame
+    one.go(LINE_M, nothing)
+    one.go(meters, sees)
+    return one
+
+
+def placed(one: Vehicle) -> PlaceFix:
+    """The position, where there is one."""
+    assert one.place is not None
+    return one.place
 
 
 @pytest.mark.parametrize(("direction", "heading_deg"), [("forward", 0.0), ("reverse", 180.0)])
-def test_a_vehicle_is_followed(open_filter: Callable[..., RouteFilter], direction: str, heading_deg: float) -> None:
-    drive = warm(open_filter(), 100, direction)
-    fix = drive.filter.at_exposure()
-    assert drive.north_m(fix) == pytest.approx(drive.place * SPACING_M, abs=0.05)
-    assert fix is not None
-    assert (fix.heading_deg, fix.matches, fix.stamp_ns) == (heading_deg, 30, drive.stamp_ns)
-    assert fix.lon_deg == pytest.approx(153.0, abs=1e-7)
+def test_a_vehicle_is_followed(road: Road, direction: Direction, heading_deg: float) -> None:
+    one = warm(road, north_m=200.0, direction=direction)
+    fix = placed(one)
+    assert (north_m(fix), left_m(fix)) == pytest.approx((one.north_m, 0.0), abs=0.05)
+    assert (fix.heading_deg, fix.matches, fix.stamp_ns) == (heading_deg, 30, one.t_ns)
 
 
-def test_places_passed_unseen_are_part_of_the_line(open_filter: Callable[..., RouteFilter]) -> None:
-    drive = warm(open_filter())
-    drive.frames += 5
-    drive.place += 5
+def test_places_passed_unseen_are_part_of_the_line(road: Road) -> None:
+    one = warm(road)
+    for _ in range(5):
+        one.move()
     for frames in range(7):
-        passed = (*range(frames + 1), *range(frames + 6, LENGTH + 5))
-        drive.go(1, partial(match, passed=passed), missed=0 if frames else 5)
-        assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
+        one.frame = {"missed": 0 if frames else 5}
+        one.go(2, shown(road, passed=(*range(frames + 1), *range(frames + 6, LENGTH + 5))))
+        assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
 
 
-def test_it_is_moved_on_by_the_velocity_also_backwards_and_to_the_side(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
-    drive = warm(open_filter())
-    before, later_ns = drive.filter.at_exposure(), drive.stamp_ns + S
-    ahead = drive.filter.at(later_ns, drive.displacement(9.0))
-    back = drive.filter.at(later_ns, drive.displacement(-9.0))
-    east = drive.filter.at(later_ns, replace(drive.displacement(), east_m=9.0))
-    assert before is not None and ahead is not None and back is not None and east is not None
-    assert drive.north_m(ahead) - drive.north_m(before) == pytest.approx(9.0, abs=0.02)
-    assert drive.north_m(back) - drive.north_m(before) == pytest.approx(-9.0, abs=0.02)
-    assert beside_m(east) == pytest.approx(-9.0, abs=0.02)
-    assert ahead.stamp_ns == later_ns
-    assert ahead.sigma_m > before.sigma_m
+def test_it_is_moved_on_by_the_velocity_also_backwards_and_to_the_side(road: Road) -> None:
+    one = warm(road)
+    before = placed(one)
+    ahead, back, east = one.place_at(S, 9.0), one.place_at(S, -9.0), one.place_at(S, east_m=9.0)
+    assert [north_m(at) - north_m(before) for at in (ahead, back)] == pytest.approx([9.0, -9.0], abs=0.02)
+    assert left_m(east) == pytest.approx(-9.0, abs=0.02)
+    assert ahead is not None and (ahead.stamp_ns, ahead.sigma_m > before.sigma_m) == (one.t_ns + S, True)
 
 
-def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_road(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
-    (dated, known), (undated, unknown) = (
-        (drive, drive.filter.at_exposure()) for drive in (warm(open_filter()), warm(open_filter(), undated_m=4.0))
-    )
-    assert known is not None and unknown is not None
-    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02)
+def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_road(road: Road) -> None:
+    dated, undated = warm(road), warm(road, undated_s=0.4)
+    known, unknown = placed(dated), placed(undated)
+    assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02), "at 10 m/s"
     assert unknown.sigma_across_m == known.sigma_across_m
-    later = undated.filter.at(undated.stamp_ns + S, undated.displacement(8.0))
+    later = undated.place_at(S, 8.0)
     assert later is not None and later.sigma_along_m >= unknown.sigma_along_m
-    assert dated.north_m(known) == undated.north_m(unknown)
+    assert north_m(known) == north_m(unknown)
 
 
-def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(open_filter: Callable[..., RouteFilter]) -> None:
-    drive = warm(open_filter(RigConfig(ahead_forward_swapped_m=26.0, left_forward_m=3.5)))
-    fix = drive.filter.at_exposure()
-    assert drive.north_m(fix) == pytest.approx(drive.place * SPACING_M - 26.0, abs=0.05)
-    assert beside_m(fix) == pytest.approx(3.5, abs=0.01), "left of north is west"
+def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(road: Road) -> None:
+    one = warm(road, settings(RigConfig(ahead_forward_swapped_m=26.0, left_forward_m=3.5)))
+    assert north_m(one.place) == pytest.approx(one.north_m - 26.0, abs=0.05)
+    assert left_m(one.place) == pytest.approx(3.5, abs=0.01), "left of north is west"
 
 
 @pytest.mark.parametrize(("direction", "turned_deg"), [("forward", 0.0), ("reverse", 180.0)])
 def test_its_heading_is_that_of_the_road_where_it_is_not_where_it_looks(
-    map_set: MapSet, direction: str, turned_deg: float
+    road: Road, direction: Direction, turned_deg: float
 ) -> None:
     """On a road that turns by a tenth of a degree with each place; the camera sees 13 places ahead."""
-    places = map_set.places.copy()
+    config = settings(RigConfig(ahead_forward_swapped_m=26.0, ahead_reverse_swapped_m=26.0))
+    one = warm(road, config, 200.0, direction, meters=0)
+    places = road.maps.places.copy()
     places["heading_deg"] = 0.1 * (np.arange(len(places)) % 200)
-    rig = RigConfig(ahead_forward_swapped_m=26.0, ahead_reverse_swapped_m=26.0)
-    drive = warm(RouteFilter(Route(replace(map_set, places=places)), settings(rig)), 100, direction)
-    fix = drive.filter.at_exposure()
-    assert fix is not None and fix.heading_deg is not None
-    assert fix.heading_deg == pytest.approx(turned_deg + 0.1 * (drive.place - drive.sign * 13), abs=0.05)
-
-
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
-@pytest.mark.parametrize("left_m", [5.0, 8.0, 0.0])
-def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
-    open_filter: Callable[..., RouteFilter], direction: str, left_m: float
-) -> None:
-    """The lane is 3.5 m to the left; this vehicle is somewhere else, and each meter shows as 2.4 m of lag."""
-    rig = RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=2.4)
-
-    def sees(place: int) -> PlaceMatch:
-        return match(place, direction, order="same", parallax=regions(0.0, left_m))
-
-    filters = {}
-    for name, one in (("measured", rig), ("not measured", msgspec.structs.replace(rig, parallax=0.0))):
-        drive = Drive(open_filter(one), 120 if direction == "reverse" else 40, direction)
-        drive.go(LENGTH, lambda _: None)
-        drive.go(40, sees)
-        filters[name] = drive.filter.at_exposure()
-    left = 1 if direction == "forward" else -1
-    assert left * beside_m(filters["measured"]) == pytest.approx(left_m, abs=0.5)
-    assert left * beside_m(filters["not measured"]) == pytest.approx(3.5, abs=0.01)
-    found, guessed = filters["measured"], filters["not measured"]
-    assert found is not None and guessed is not None
-    assert found.sigma_across_m < guessed.sigma_across_m
-
-
-def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_both_is(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
-    """The line of both together is that of one of them, 4 m ahead."""
-    drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(60, lambda place: match(place + 2, order="same", parallax=regions(-4.0, 0.0)))
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.5)
-
-
-@pytest.mark.parametrize("seen", [{"accepted": False}, {"uniqueness": 0.98}])
-def test_a_match_that_is_not_believed_or_not_the_best_changes_nothing(
-    open_filter: Callable[..., RouteFilter], seen: dict[str, Any]
-) -> None:
-    """It shows a vehicle that is 1 m further left."""
-    drive = Drive(open_filter(RigConfig(parallax=2.4)), 40)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(20, partial(match, order="same", parallax=regions(0.0, 0.0)))
-    last = drive.filter.at_exposure()
-    drive.go(8, partial(match, order="same", parallax=regions(0.0, 1.0), **seen))
-    found = drive.filter.at(drive.stamp_ns, drive.displacement())
-    assert beside_m(found) == pytest.approx(0.0, abs=0.5)
-    assert found is not None and last is not None
-    assert found.matches == last.matches
-    drive.go(3, partial(match, **seen))
-    assert drive.filter.at(drive.stamp_ns, drive.displacement()) is None, "20 m without a believed match"
+    one.drive.update(one.t_ns, Maps(replace(road.maps, places=places)))
+    one.go(2 * LINE_M)
+    expected = turned_deg + 0.1 * (one.north_m / SPACING_M - one.sign * 13)
+    assert placed(one).heading_deg == pytest.approx(expected, abs=0.05)
 
 
 @pytest.mark.parametrize(("direction", "heading_deg"), [("forward", 0.0), ("reverse", 180.0)])
 def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
-    map_set: MapSet, direction: str, heading_deg: float
+    road: Road, direction: Direction, heading_deg: float
 ) -> None:
-    places = map_set.places.copy()
+    one = warm(road, settings(RigConfig(left_forward_m=3.5, left_reverse_m=-3.5)), 200.0, direction, meters=0)
+    places = road.maps.places.copy()
     places["heading_deg"] = np.nan
-    rig = RigConfig(left_forward_m=3.5, left_reverse_m=-3.5)
-    route = Route(replace(map_set, places=places))
-    fix = warm(RouteFilter(route, settings(rig)), 100, direction).filter.at_exposure()
-    assert fix is not None
-    assert fix.heading_deg == pytest.approx(heading_deg, abs=1e-3)
-    assert beside_m(fix) == pytest.approx(3.5, abs=0.01), "west, both ways"
+    one.drive.update(one.t_ns, Maps(replace(road.maps, places=places)))
+    one.go(2 * LINE_M)
+    assert math.remainder((placed(one).heading_deg or 0.0) - heading_deg, 360.0) == pytest.approx(0.0, abs=1e-3)
+    assert left_m(one.place) == pytest.approx(3.5, abs=0.01), "west, both ways"
 
 
-def test_a_line_too_steep_counts_by_its_middle(open_filter: Callable[..., RouteFilter]) -> None:
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+@pytest.mark.parametrize("beside_m", [5.0, 8.0, 0.0])
+def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
+    road: Road, direction: Direction, beside_m: float
+) -> None:
+    """The lane is 3.5 m to the left; this vehicle is somewhere else, and each meter shows as 2.4 m of lag."""
+    sees, fixes = shown(road, direction=direction, order="same", parallax=regions(0.0, beside_m)), []
+    for parallax in (2.4, 0.0):
+        config = settings(RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=parallax))
+        fixes.append(placed(warm(road, config, 240.0 if direction == "reverse" else 80.0, direction, sees, 80.0)))
+    left = 1 if direction == "forward" else -1
+    measured, not_measured = fixes
+    assert left * left_m(measured) == pytest.approx(beside_m, abs=0.5)
+    assert left * left_m(not_measured) == pytest.approx(3.5, abs=0.01)
+    assert measured.sigma_across_m < not_measured.sigma_across_m
+
+
+def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_both_is(road: Road) -> None:
+    """The line of both together is that of one of them, 4 m ahead."""
+    sees = shown(road, 4.0, order="same", parallax=regions(-4.0, 0.0))
+    one = warm(road, settings(RigConfig(parallax=2.4)), 80.0, sees=sees, meters=120.0)
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.5)
+
+
+@pytest.mark.parametrize("seen", [{"accepted": False}, {"uniqueness": 0.98}])
+def test_a_match_that_is_not_believed_or_not_the_best_changes_nothing(road: Road, seen: dict[str, Any]) -> None:
+    """It shows a vehicle that is 1 m further left."""
+    config, sees = settings(RigConfig(parallax=2.4)), shown(road, order="same", parallax=regions(0.0, 0.0))
+    one = warm(road, config, 80.0, sees=sees, meters=40.0)
+    matches = placed(one).matches
+    one.go(16, shown(road, order="same", parallax=regions(0.0, 1.0), **seen))
+    found = one.place_at()
+    assert left_m(found) == pytest.approx(0.0, abs=0.5)
+    assert found is not None and found.matches == matches
+    one.go(6, shown(road, **seen))
+    assert one.place_at() is None, "20 m without a believed match"
+
+
+def test_a_line_too_steep_counts_by_its_middle(road: Road) -> None:
     """At slope 1.1 over 19 steps of 2 m it ends 1.9 m too far, as this vehicle's matches do."""
-    drive = Drive(open_filter(), 60)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(30, lambda place: match(place + 1, slope=1 + 2 / 19))  # 2 m too far
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(drive.place * SPACING_M, abs=0.05)
+    one = warm(road, sees=shown(road, 2.0, slope=1 + 2 / 19))
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
 
 
 @pytest.mark.parametrize(
-    ("direction", "aside_m", "used"),
+    ("direction", "aside_m", "is_used"),
     [("forward", 0.0, True), ("forward", 2.0, True), ("forward", 4.0, False), ("reverse", 0.0, False)],
 )
 def test_a_line_that_leads_another_way_than_the_vehicle_went_is_not_used(
-    open_filter: Callable[..., RouteFilter], direction: str, aside_m: float, used: bool
+    road: Road, direction: Direction, aside_m: float, is_used: bool
 ) -> None:
     """aside_m: to the east, for each 2 m that it goes north."""
-    drive = Drive(open_filter(), 60)
-    for frame in range(LENGTH + 20):
-        drive.east_m += aside_m
-        drive.go(1, partial(match, direction=direction) if frame >= LENGTH else lambda _: None)
-    assert (drive.filter.at_exposure() is not None) == used
+    one = Vehicle(road, north_m=120.0)
+    one.aside_m = aside_m
+    one.go(LINE_M, nothing)
+    one.go(40, shown(road, direction=direction))
+    assert (one.place is not None) == is_used
 
 
-@pytest.mark.parametrize(("sharpness", "used"), [(0.04, False), (0.06, True)])
-def test_a_line_that_is_not_sharp_is_not_used(
-    open_filter: Callable[..., RouteFilter], sharpness: float, used: bool
-) -> None:
-    drive = Drive(open_filter(), 60)
-    drive.go(LENGTH, lambda _: None)
-    drive.go(10, lambda place: match(place, sharpness=sharpness))
-    assert (drive.filter.at_exposure() is not None) == used
+@pytest.mark.parametrize(("sharpness", "is_used"), [(0.04, False), (0.06, True)])
+def test_a_line_that_is_not_sharp_is_not_used(road: Road, sharpness: float, is_used: bool) -> None:
+    assert (warm(road, sees=shown(road, sharpness=sharpness)).place is not None) == is_used
 
 
-def test_the_fainter_a_line_the_less_certain_the_position(open_filter: Callable[..., RouteFilter]) -> None:
+def test_the_fainter_a_line_the_less_certain_the_position(road: Road) -> None:
     def seen_at(sharpness: float, **seen: Any) -> tuple[float, float]:
-        drive = Drive(open_filter(rig=RigConfig(parallax=2.4)), 60)
-        drive.go(LENGTH, lambda _: None)
-        drive.go(10, partial(match, sharpness=sharpness, **seen))
-        fix = drive.filter.at_exposure()
-        assert fix is not None
+        config, sees = settings(RigConfig(parallax=2.4)), shown(road, sharpness=sharpness, **seen)
+        fix = placed(warm(road, config, sees=sees, meters=20.0))
         return fix.sigma_along_m, fix.sigma_across_m
 
     both: dict[str, Any] = {"order": "same", "parallax": regions(0.0, 0.0)}
@@ -216,72 +206,218 @@ def test_the_fainter_a_line_the_less_certain_the_position(open_filter: Callable[
     assert all(faint > 1.2 * sharp for faint, sharp in zip(seen_at(0.06, **both), seen_at(0.2, **both), strict=True))
 
 
-@pytest.mark.parametrize(("start", "used"), [(0, False), (3, True), (196, True), (198, False)])
-def test_a_line_at_an_end_of_a_drive_may_have_been_pushed_there(
-    open_filter: Callable[..., RouteFilter], start: int, used: bool
-) -> None:
-    drive = Drive(open_filter(), start - LENGTH if start > 100 else start)
-    drive.go(LENGTH - 1, lambda _: None)
-    drive.go(1)
-    assert (drive.filter.at_exposure() is not None) == used
+@pytest.mark.parametrize(("ends_m", "is_used"), [(40, False), (46, True), (392, True), (396, False)])
+def test_a_line_at_an_end_of_a_drive_may_have_been_pushed_there(road: Road, ends_m: float, is_used: bool) -> None:
+    one = Vehicle(road, north_m=ends_m - LINE_M)
+    one.go(LINE_M - 2, nothing)
+    one.go(2)
+    assert (one.place is not None) == is_used
 
 
-def test_without_a_displacement_there_is_no_position(open_filter: Callable[..., RouteFilter]) -> None:
-    drive = warm(open_filter())
-    assert drive.filter.at(drive.stamp_ns + S, None) is None
-    assert drive.filter.at(drive.stamp_ns + S, drive.displacement(leg=2)) is None, "of another leg"
-    assert drive.filter.at_exposure() is not None
-    drive.filter.update(match(drive.place), drive.stamp_ns + S, None)
-    assert drive.filter.at_exposure() is None
+def test_without_a_displacement_there_is_no_position(road: Road) -> None:
+    one = warm(road)
+    assert one.place_at(S, leg=2) is None, "of another leg"
+    assert one.place is not None
+    one.frame = {"motion": None}
+    one.go(2)
+    assert one.place is None
 
 
-def test_a_frame_that_no_line_leads_through_moves_none(open_filter: Callable[..., RouteFilter]) -> None:
+def test_a_frame_that_no_line_leads_through_moves_none(road: Road) -> None:
     """As one whose distance is not known, after which a gap of seven places follows."""
-    expected, drive = (warm(open_filter(scale_error_percent=5.0)) for _ in range(2))
+    expected, one = (warm(road, settings(scale_error_percent=5.0)) for _ in range(2))
     for number in range(4):
-        drive.filter.update(None, drive.stamp_ns + number, drive.displacement(2.0 * number), in_line=False)
-    for one in (expected, drive):
-        one.place, one.frames = one.place + 7, one.frames + 7
-        one.go(LENGTH // 2)
-    at_m = expected.north_m(expected.filter.at_exposure())
-    assert drive.north_m(drive.filter.at_exposure()) == pytest.approx(at_m, abs=0.001)
+        one.frame = {"in_line": False, "motion": one.moved(2.0 * number)}
+        one.show(None)
+    one.frame = {}
+    for vehicle in (expected, one):
+        for _ in range(7):
+            vehicle.move()
+        vehicle.go(LINE_M / 2)
+    assert north_m(one.place) == pytest.approx(north_m(expected.place), abs=0.001)
 
 
-def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrated(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
+def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrated(road: Road) -> None:
     """Each 60 m, faint matches are as far ahead as the last ones were behind, as in light that is unlike the map's."""
 
-    def after(apart_places: int) -> tuple[float, float]:
-        drive = Drive(open_filter(), 40)
+    def after(apart_m: float) -> tuple[float, float]:
+        one = Vehicle(road, north_m=80.0)
         for _ in range(4):
-            drive.go(25, lambda _: None)
-            drive.place += apart_places
-            drive.go(5, partial(match, sharpness=0.06))
-            drive.place -= apart_places
-            apart_places = -apart_places
-        fix = drive.filter.at_exposure()
-        assert fix is not None
-        return drive.north_m(fix) - drive.place * SPACING_M, fix.sigma_along_m
+            one.go(50, nothing)
+            one.go(10, shown(road, apart_m, sharpness=0.06))
+            apart_m = -apart_m
+        return north_m(one.place) - one.north_m, placed(one).sigma_along_m
 
-    (_, usual_m), (off_m, sigma_m) = after(1), after(6)
+    (_, usual_m), (off_m, sigma_m) = after(2.0), after(12.0)
     assert sigma_m > 1.15 * usual_m
     assert abs(off_m) < sigma_m
 
 
-def test_many_matches_are_hardly_better_than_one(open_filter: Callable[..., RouteFilter]) -> None:
-    few, many = (warm(open_filter(), frames=frames).filter.at_exposure() for frames in (1, 30))
-    assert few is not None and many is not None
+def test_many_matches_are_hardly_better_than_one(road: Road) -> None:
+    few, many = (placed(warm(road, meters=meters)) for meters in (2.0, 60.0))
     assert 3.0 <= many.sigma_along_m < few.sigma_along_m < 1.5 * many.sigma_along_m
 
 
-def test_a_position_is_less_certain_by_what_the_odometer_may_be_wrong_over_a_whole_line(
-    open_filter: Callable[..., RouteFilter],
-) -> None:
+def test_a_position_is_less_certain_by_what_the_odometer_may_be_wrong_over_a_whole_line(road: Road) -> None:
     """A line of 38 m; one vehicle's odometer is wrong by 20 %, the other's by no more than what is always allowed."""
     rig = RigConfig(sigma_along_m=0.5)
-    unknown, known = (
-        warm(open_filter(rig, scale_error_percent=one), frames=1).filter.at_exposure() for one in (20.0, 1.5)
-    )
-    assert unknown is not None and known is not None
+    unknown, known = (placed(warm(road, settings(rig, scale_error_percent=one), meters=2.0)) for one in (20.0, 1.5))
     assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 0.2 * 38.0), rel=0.05)
+
+
+# Lost or disputed: which matches are used, and what a position begins from.
+
+
+def beside(road: Road, beside_m: float, further_m: float = 0.0) -> Sees:
+    """Frames whose regions show a vehicle so far to the left."""
+    return shown(road, further_m, order="same", parallax=regions(0.0, beside_m))
+
+
+@pytest.mark.parametrize(("further_m", "expected_m"), [(0.0, 2.0), (80.0, 0.0)])
+def test_a_lost_position_goes_on_only_where_the_next_match_agrees(
+    road: Road, further_m: float, expected_m: float
+) -> None:
+    """A vehicle 2 m beside the map's drive, which only its regions have shown; then 60 m without a match."""
+    one = warm(road, settings(RigConfig(parallax=2.4, sigma_across_m=4.0)), 80.0, sees=beside(road, 2.0))
+    one.go(60, nothing)
+    assert one.place is None
+    one.go(2, shown(road, further_m))
+    assert north_m(one.place) == pytest.approx(one.north_m + further_m, abs=1.0)
+    assert left_m(one.place) == pytest.approx(expected_m, abs=0.5)
+
+
+@pytest.mark.parametrize(("meters", "stays"), [(40, False), (80, True)])
+def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_for_long(
+    road: Road, meters: float, stays: bool
+) -> None:
+    """A track that is lost before that is nothing from which the next one could begin."""
+    one, disputed = warm(road, north_m=40.0), []
+    one.go(60, nothing)
+    for _ in range(round(meters / SPACING_M)):
+        one.go(2, shown(road, 120.0))
+        disputed.append(placed(one).disputed)
+    assert all(disputed[:29])
+    assert disputed[-1] is not stays
+    one.go(60, nothing)
+    one.go(2)
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=1.0)
+    assert placed(one).disputed is stays
+
+
+def test_far_beside_the_road_no_match_corrects_a_position(road: Road) -> None:
+    """By its own reckoning the vehicle goes 26 m to the side; its regions would have it at 21 m there."""
+    config = settings(RigConfig(parallax=2.4, sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
+    one = warm(road, config)
+    one.aside_m = 1.3
+    one.go(40, nothing)
+    one.aside_m = 0.0
+    one.go(LINE_M, nothing)
+    one.go(8, beside(road, -21.0))
+    later = one.place_at()
+    assert left_m(later) == pytest.approx(-26.0, abs=1.0)
+    assert later is not None and later.matches == 30, "none has agreed since"
+
+
+def bounded_beside(road: Road) -> Vehicle:
+    """A vehicle 2 m beside where the map expects it, as only GPS has said."""
+    one = Vehicle(road, settings(RigConfig(sigma_across_m=4.0)), 80.0)
+    one.go(LINE_M - 2, nothing)
+    one.move()
+    where = replace(one.position, lon_deg=one.position.lon_deg - 2.0 / 99_255)
+    one.own(position=where, gps_sigma_m=1.0)
+    one.show(None)
+    return one
+
+
+def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(road: Road) -> None:
+    with_gps, without = bounded_beside(road), warm(road, settings(RigConfig(sigma_across_m=4.0)), 80.0, meters=0)
+    for one, expected_m in ((with_gps, 2.0), (without, 0.0)):
+        one.go(6)
+        assert left_m(one.place) == pytest.approx(expected_m, abs=0.5)
+
+
+def test_false_matches_a_kilometer_away_do_not_move_where_gps_had_the_vehicle(road: Road) -> None:
+    """So far away, local meters get another origin."""
+    one = bounded_beside(road)
+    one.go(6, shown(road, 1060.0))
+    assert placed(one).disputed
+    assert north_m(one.place) == pytest.approx(one.north_m + 1060.0, abs=1.0)
+    one.go(60, nothing)
+    one.go(2)
+    assert not placed(one).disputed
+    assert left_m(one.place) == pytest.approx(2.0, abs=0.5)
+
+
+def test_gps_that_disagrees_with_the_matches_begins_no_track(road: Road) -> None:
+    one = Vehicle(road, north_m=80.0)
+    one.off_m = 120.0
+    one.go(LINE_M, nothing, gps=True)
+    one.go(6)
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
+
+
+def test_a_wrong_scale_is_found_and_disputes_nothing(road: Road) -> None:
+    """The odometer reads 8 % too little."""
+    one = Vehicle(road, north_m=20.0)
+    one.odometer = 0.92
+    one.go(2 * LINE_M, nothing)
+    one.go(260)
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=2.0)
+    assert placed(one).velocity_error == pytest.approx(0.087, abs=0.03)
+    assert not placed(one).disputed
+
+
+def test_one_false_match_changes_nothing(road: Road) -> None:
+    one = warm(road)
+    one.go(2, lambda at_m: road.match(1200.0))
+    one.go(4)
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
+    assert placed(one).matches == 32
+
+
+def test_matches_that_disagree_in_a_row_dispute_the_position(road: Road) -> None:
+    """By [tracking] lost_after_m another one begins where they are, and is disputed for a correlation length."""
+    one, disputed = warm(road), []
+    for _ in range(44):
+        one.go(2, shown(road, 1040.0))
+        disputed.append(placed(one).disputed)
+    assert disputed.index(True) == 2
+    assert disputed.index(False, 2) * SPACING_M == pytest.approx(20.0 + 60.0, abs=4.0)
+    assert north_m(one.place) == pytest.approx(one.north_m + 1040.0, abs=0.1)
+    assert placed(one).matches < 45
+
+
+@pytest.mark.parametrize("unseen", [{}, {"accepted": False}])
+def test_off_the_map_it_is_lost_after_some_meters(road: Road, unseen: dict[str, Any]) -> None:
+    sees: Callable[[float], PlaceMatch | None] = shown(road, **unseen) if unseen else nothing
+    one = warm(road)
+    one.go(20, sees)
+    assert one.place is not None
+    one.go(2, sees)
+    assert one.place is None
+    assert one.place_at() is None
+
+
+def test_it_is_lost_after_a_silence_and_not_moved_on_further_than_it_may_go_unseen(road: Road) -> None:
+    """A camera that stalls leaves the odometer running."""
+    one = warm(road, settings(lost_after_s=2.0))
+    assert one.place_at(2 * S) is not None and one.place_at(2 * S + 1) is None
+    assert one.place_at(S, 19.9) is not None and one.place_at(S, 20.1) is None
+
+
+def test_an_odometer_that_counts_anew_begins_a_new_track(road: Road) -> None:
+    one = warm(road)
+    one.motion = one.moved(leg=2)
+    one.go(2)
+    assert one.place is None
+
+
+@pytest.mark.parametrize(("further_m", "agrees"), [(6.0, True), (10.0, False)])
+def test_a_match_beyond_three_sigma_of_the_estimate_corrects_nothing(
+    road: Road, further_m: float, agrees: bool
+) -> None:
+    """A match alone is known to 3 m."""
+    one = warm(road)
+    one.go(2, shown(road, further_m))
+    later = one.place_at()
+    assert later is not None and (later.matches == 31) == agrees

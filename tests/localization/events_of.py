@@ -1,0 +1,209 @@
+"""The events of a vehicle that drives due north along a mapped road, and sees exactly what it should.
+
+A test says what else happens: what the autopilot reports (`reports`), what the frames show, how the vehicle moves. Then
+it asks for a position. All are meters north of HOME.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
+from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.localization import (
+    GPS_SIGMA_M,
+    Displacement,
+    Drive,
+    Fix,
+    GpsFix,
+    GpsVerdict,
+    Limits,
+    Maps,
+    Moved,
+    Own,
+    PlaceFix,
+    PositionEstimator,
+    Refusal,
+    Used,
+)
+from edge.localization.events import Frame
+from edge.sequence import Parallax, PlaceMatch
+from tests.localization.route_course import HOME, SPACING_M, Stretch, build_maps
+
+S = 1_000_000_000
+LENGTH, FRAME_NS, SPEED_MPS = 20, S // 5, 10.0
+Direction: TypeAlias = Literal["forward", "reverse"]
+Sees: TypeAlias = Callable[[float], PlaceMatch | None]
+"""What a frame shows at so many meters."""
+
+
+def settings(rig: RigConfig = RigConfig(), gates: GatesConfig = GatesConfig(), **tracking: Any) -> Config:  # noqa: B008
+    return Config(rig=rig, gates=gates, tracking=TrackingConfig(**tracking), sequence=SequenceConfig(length=LENGTH))
+
+
+class Road:
+    """A straight road to the north, and the map of some stretches of it."""
+
+    def __init__(self, folder: Path, *stretches: Stretch) -> None:
+        line = np.column_stack([np.zeros(round(stretches[-1].ends_m) + 1), np.arange(round(stretches[-1].ends_m) + 1)])
+        self.stretches = stretches
+        self.maps, self._segments = build_maps(folder / "map", line, np.zeros(len(line)), stretches)
+
+    def match(self, at_m: float, direction: Direction = "forward", part: int | None = None, **changes: Any) -> Any:
+        """The place at so many meters, of one of the stretches; None where there is none."""
+        for number, (first, begins_m, ends_m, _) in enumerate(self._segments):
+            if part in (None, number) and begins_m <= at_m <= ends_m:
+                return match(first + round((at_m - begins_m) / SPACING_M), direction, **changes)
+        return None
+
+
+def match(place: int, direction: Direction = "forward", **changes: Any) -> PlaceMatch:
+    fields: dict[str, Any] = {
+        "place_index": place,
+        "place": place,
+        "direction": direction,
+        "order": "swapped",
+        "slope": 1.0,
+        "distance": 0.5,
+        "uniqueness": 1.2,
+        "sharpness": 0.2,
+        "accepted": True,
+        "confidence": 0.999,
+    }
+    return PlaceMatch(**{**fields, **changes})
+
+
+def nothing(at_m: float) -> None:
+    """What a frame shows off the map."""
+
+
+def gps_at(north_m: float, east_m: float = 0.0, sigma_m: float = GPS_SIGMA_M) -> GpsFix:
+    return GpsFix(*moved(*HOME, east_m, north_m), sigma_m)
+
+
+class Vehicle:
+    """One frame each 2 m, a fifth of a second apart.
+
+    north_m: where it is. odometer: meters that it measures for each. aside_m: to the east, in each frame. off_m: how
+    far the autopilot has it too far north. reports, frame: what else the autopilot says than that GPS is lost, and what
+    is known of each frame; see `Own` and `Frame`.
+    """
+
+    def __init__(
+        self, road: Road, config: Config | None = None, north_m: float = 0.0, direction: Direction = "forward"
+    ) -> None:
+        self.road, self.direction = road, direction
+        self.drive = Drive(PositionEstimator(config or settings()))
+        self.drive.update(0, Maps(road.maps))
+        self.sign = 1 if direction == "forward" else -1
+        self.north_m, self.t_ns, self.driven_m = north_m, 100 * S, 0.0
+        self.odometer, self.aside_m, self.off_m = 1.0, 0.0, 0.0
+        self.motion = Displacement(1, 0.0, 0.0)
+        self.reports: dict[str, Any] = {}
+        self.frame: dict[str, Any] = {}
+
+    def go(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[str | None]:
+        """Drive on; why there is no position for ArduPilot after each frame, None where there is one."""
+        return [one.reason if isinstance(one, Refusal) else None for one in self.answers(meters, sees, gps=gps)]
+
+    def answers(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[Fix | Refusal]:
+        """The same, with the positions."""
+        return [self._step(sees, gps=gps) for _ in range(round(meters / SPACING_M))]
+
+    def _step(self, sees: Sees | None, *, gps: bool) -> Fix | Refusal:
+        self.move()
+        self.own(has_gps=gps)
+        self.show((sees or self._sees)(self.north_m), gps_at(self.north_m + self.off_m) if gps else None)
+        return self.ask()
+
+    def move(self) -> None:
+        """To the next place."""
+        self.t_ns += FRAME_NS
+        self.north_m += self.sign * SPACING_M
+        self.driven_m += self.odometer * SPACING_M
+        self.motion = self.moved(self.odometer * SPACING_M, self.aside_m)
+
+    def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
+        """What a frame shows here; what is known of GPS then."""
+        self.drive.update(self.t_ns, Frame(self.t_ns, seen, **{"motion": self.motion, "gps": gps, **self.frame}))
+        return self.drive.known.gps
+
+    def _sees(self, at_m: float) -> PlaceMatch | None:
+        found: PlaceMatch | None = self.road.match(at_m, self.direction)
+        return found
+
+    @property
+    def position(self) -> VehiclePosition:
+        """Where the autopilot has it."""
+        at = moved(*HOME, 0.0, self.north_m + self.off_m)
+        heading_deg, north_mps = 90.0 * (1 - self.sign), self.sign * SPEED_MPS
+        return VehiclePosition(self.t_ns, *at, 0.0, heading_deg, SPEED_MPS, north_mps)
+
+    def own(self, *, has_gps: bool = False, **reports: Any) -> None:
+        """The autopilot reports something."""
+        own = Own(
+            gps="healthy" if has_gps else "not healthy",
+            gps_sigma_m=GPS_SIGMA_M if has_gps else None,
+            position=self.position,
+            motion=self.motion,
+            speed_mps=SPEED_MPS,
+            driven_m=self.driven_m,
+            system_id=1,
+            booted_ns=0,
+        )
+        self.drive.update(self.t_ns, replace(own, **{**self.reports, **reports}))
+
+    def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Displacement:
+        """The displacement once it has moved on by so much."""
+        now = self.motion
+        return replace(now, north_m=now.north_m + self.sign * ahead_m, east_m=now.east_m + east_m, **changes)
+
+    def unheard(self, meters: float, unknown_m: float) -> None:
+        """The vehicle moves on while its velocity is unknown, by at most so much."""
+        self.north_m += self.sign * meters
+        self.t_ns += S
+        self.motion = self.moved(leg=self.motion.leg + 1, unknown_m=self.motion.unknown_m + unknown_m)
+
+    def ask(self, later_ns: int = 0, **limits: Any) -> Fix | Refusal:
+        return self.drive.fix(self.t_ns + later_ns, Limits(**{"oldest_s": 5.0, **limits}))
+
+    def use(self, fix: Fix, left_m: float = 0.0) -> None:
+        """The autopilot gets a position, and is so far from it then."""
+        self.drive.update(self.t_ns, Used(fix))
+        self.drive.update(self.t_ns, Used(fix, left_m))
+
+    @property
+    def place(self) -> PlaceFix | None:
+        """The position at the newest exposure, whether or not it may be published; None while it is lost."""
+        return self.drive.known.position
+
+    def place_at(self, later_ns: int = 0, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> PlaceFix | None:
+        """The same at another moment, once the vehicle has moved on."""
+        self.drive.update(self.t_ns + later_ns, Moved(self.moved(ahead_m, east_m, **changes)))
+        answer = self.ask(later_ns, at="now")
+        return answer.place if isinstance(answer, Fix) else answer.fix
+
+
+def north_m(place: PlaceFix | None) -> float:
+    """Meters north of HOME."""
+    assert place is not None and place.lat_deg is not None and place.lon_deg is not None
+    return east_north_of(place.lat_deg, place.lon_deg, HOME)[1]
+
+
+def left_m(place: PlaceFix | None) -> float:
+    """Meters west of the road."""
+    assert place is not None and place.lat_deg is not None and place.lon_deg is not None
+    return -east_north_of(place.lat_deg, place.lon_deg, HOME)[0]
+
+
+def regions(beyond_m: float, left_m: float) -> Parallax:
+    """Lines that are clearly so far beyond that of both regions, of a vehicle so far to the left of the map's drive."""
+    steps_m = SPACING_M * np.arange(-20, 21)
+    away_m = [steps_m - beyond_m - side * 2.4 * left_m for side in (-0.5, 0.5)]
+    rows = [np.tile(1 - 0.3 / (1 + (one / 4) ** 2), (LENGTH, 1)) for one in away_m]
+    return Parallax(np.arange(LENGTH), np.array(rows))
