@@ -39,7 +39,7 @@ RULES = (
         TWO_AUTOPILOTS,
         "positions or velocities of two vehicles come in turns",
         "nothing is known of either, and both use what is sent",
-        "test_situations_in_which_nothing_is_published",
+        "test_two_autopilots_with_the_same_ids_get_no_position",
         lambda now: now.own.is_doubled,
     ),
     Rule(

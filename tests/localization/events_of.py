@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 
 from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, TrackingConfig
@@ -130,7 +131,8 @@ class Vehicle:
 
     def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
         """What a frame shows here; what is known of GPS then."""
-        self.drive.update(self.t_ns, Frame(self.t_ns, seen, **{"motion": self.motion, "gps": gps, **self.frame}))
+        known = {"motion": self.motion, "without_gps": self.motion, "gps": gps}
+        self.drive.update(self.t_ns, Frame(self.t_ns, seen, **{**known, **self.frame}))
         return self.drive.known.gps
 
     def _sees(self, at_m: float) -> PlaceMatch | None:
@@ -151,12 +153,13 @@ class Vehicle:
             gps_sigma_m=GPS_SIGMA_M if has_gps else None,
             position=self.position,
             motion=self.motion,
+            without_gps=self.motion,
             speed_mps=SPEED_MPS,
             driven_m=self.driven_m,
             system_id=1,
             booted_ns=0,
         )
-        self.drive.update(self.t_ns, replace(own, **{**self.reports, **reports}))
+        self.drive.update(self.t_ns, msgspec.structs.replace(own, **{**self.reports, **reports}))
 
     def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Displacement:
         """The displacement once it has moved on by so much."""

@@ -34,10 +34,9 @@ from edge.localization import (
     PlaceFix,
     PositionEstimator,
     ProtectionLevel,
-    Refusal,
     Used,
 )
-from edge.localization.drive import Asked, Entry, Restored
+from edge.localization.drive import Entry
 from edge.localization.events import Frame
 from edge.sequence import PlaceMatch
 from edge.sequence.consensus import probability
@@ -59,21 +58,6 @@ RESETS = Limits("exposure", 5.0, is_reset=True)
 STREAM = Limits("now", 1.0)
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
-EntryAt = tuple[int, Entry]
-"""Of the list of a drive, with its time in ns."""
-
-
-def replay(config: Config, entries: list[EntryAt]) -> list[Fix | Refusal]:
-    """What an estimator that gets the list of a drive answers where that was asked for a position."""
-    estimator, answers = PositionEstimator(config), []
-    for t_ns, entry in entries:
-        if isinstance(entry, Asked):
-            answers.append(estimator.fix(t_ns, entry.limits))
-        elif isinstance(entry, Restored):
-            estimator.restore(entry.kept)
-        else:
-            estimator.update(t_ns, entry)
-    return answers
 
 
 class Bounded(NamedTuple):
@@ -135,7 +119,7 @@ class Bench:
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
         self.config = Config(rig=rig, tracking=TrackingConfig(), sequence=SequenceConfig(length=LENGTH))
-        self.events: list[EntryAt] = []
+        self.events: list[tuple[int, Entry]] = []
         self.drive = Drive(PositionEstimator(self.config), lambda t_ns, entry: self.events.append((t_ns, entry)))
         self.drive.update(0, Maps(maps))
         self.motion = DeadReckoning()
@@ -281,6 +265,7 @@ class Bench:
             gps_sigma_m=GPS_SIGMA_M if gps else None,
             position=position,
             motion=motion.displacement(now_ns),
+            without_gps=motion.displacement(now_ns),
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
             system_id=1,
@@ -300,7 +285,8 @@ class Bench:
         self.sampled_m += SPACING_M * places
         self.exposed[now_ns] = self.truth, self.alone
         fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps else None
-        frame = Frame(now_ns, self._match(s), self.motion.displacement(now_ns), fix, missed=places - 1)
+        motion = self.motion.displacement(now_ns)
+        frame = Frame(now_ns, self._match(s), motion, without_gps=motion, gps=fix, missed=places - 1)
         self.frames.append((self.step + ARRIVES, frame))
 
     def _match(self, s: float) -> PlaceMatch | None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from tests.localization.splitting import LEVELS
 
 from edge.journal.records import PlaceFix
 from edge.localization import Displacement
