@@ -6,13 +6,13 @@ All by what happens to a vehicle on a straight road to the north (`events_of`), 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
+from msgspec.structs import replace
 
 from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition
@@ -72,7 +72,7 @@ def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | Re
     def ask(one: Vehicle) -> Fix | Refusal:
         fix = one.ask()
         assert isinstance(fix, Fix)
-        changed = replace(fix, place=msgspec.structs.replace(fix.place, **place), motion=motion and fix.motion)
+        changed = replace(fix, place=replace(fix.place, **place), motion=motion and fix.motion)
         return one.ask(again=changed)
 
     return ask
@@ -151,11 +151,13 @@ def test_situations_in_which_nothing_is_published(why: str, long_road: Road) -> 
         assert answer.reason == why
 
 
-def test_the_page_has_each_rule_and_each_has_its_test() -> None:
+def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     assert list(SITUATIONS) == [rule.reason for rule in RULES]
-    tests = "".join(path.read_text() for path in Path(__file__).parents[1].glob("*/test_*.py"))
-    assert [rule.test for rule in RULES if f"def {rule.test}(" not in tests] == []
-    page = (Path(__file__).parents[2] / "docs/positions.md").read_text(encoding="utf-8")
+    root = Path(__file__).parents[2]
+    tests = "".join(path.read_text(encoding="utf-8") for path in root.glob("tests/**/test_*.py"))
+    argument, page = ((root / "docs" / name).read_text(encoding="utf-8") for name in ("integrity.md", "positions.md"))
+    named = {rule.test for rule in RULES} | set(re.findall(r"`(test_\w+)`", argument))
+    assert {name for name in named if f"def {name}(" not in tests} == set()
     assert as_table() in page, "write it anew: python -m tests.docs.refusals_table"
 
 
