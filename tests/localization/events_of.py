@@ -51,11 +51,13 @@ class Road:
     """A straight road to the north, and the map of some stretches of it."""
 
     def __init__(self, folder: Path, *stretches: Stretch) -> None:
-        line = np.column_stack([np.zeros(round(stretches[-1].ends_m) + 1), np.arange(round(stretches[-1].ends_m) + 1)])
-        self.stretches = stretches
+        line = np.zeros((round(stretches[-1].ends_m) + 1, 2))
+        line[:, 1] = np.arange(len(line))
         self.maps, self._segments = build_maps(folder / "map", line, np.zeros(len(line)), stretches)
 
-    def match(self, at_m: float, direction: Direction = "forward", part: int | None = None, **changes: Any) -> Any:
+    def match(
+        self, at_m: float, direction: Direction = "forward", part: int | None = None, **changes: Any
+    ) -> PlaceMatch | None:
         """The place at so many meters, of one of the stretches; None where there is none."""
         for number, (first, begins_m, ends_m, _) in enumerate(self._segments):
             if part in (None, number) and begins_m <= at_m <= ends_m:
@@ -136,8 +138,7 @@ class Vehicle:
         return self.drive.known.gps
 
     def _sees(self, at_m: float) -> PlaceMatch | None:
-        found: PlaceMatch | None = self.road.match(at_m, self.direction)
-        return found
+        return self.road.match(at_m, self.direction)
 
     @property
     def position(self) -> VehiclePosition:

@@ -12,7 +12,8 @@ from edge.config import RigConfig
 from edge.localization import Break, GpsFix
 from edge.localization.gps_judge import FIRM, UNSEEN_M
 from edge.sequence import PlaceMatch
-from tests.localization.events_of import SPACING_M, Road, Vehicle, gps_at, match, settings
+from tests.localization.events_of import Road, Vehicle, gps_at, match, settings
+from tests.localization.route_course import SPACING_M
 
 FROM_M, FRAMES = 200.0, round(1.2 * UNSEEN_M / SPACING_M)
 """Where places are recognized up to, and how many frames follow that show none."""

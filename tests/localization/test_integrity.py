@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from edge.journal.records import PlaceFix
 from edge.localization import Break, Fix, Limits, Refusal
 from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
 from edge.localization.refusals import RULES, as_table
+from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
 from tests.localization.route_course import Stretch
 
@@ -76,6 +78,10 @@ def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | Re
         return one.ask(again=changed)
 
     return ask
+
+
+def further(road: Road, off_m: float, at_m: float) -> PlaceMatch | None:
+    return road.match(at_m + off_m, sharpness=0.06)
 
 
 def elsewhere(one: Vehicle) -> Fix | Refusal:
@@ -241,7 +247,7 @@ def test_two_recordings_of_one_road_share_what_it_looks_like(mapped: MakeRoad) -
     """Another road resembles it for 128 m (measured), and both recordings know it."""
     one = Vehicle(mapped(part(0, 170), part(0, 170)), exact())
     for number in range(16):
-        assert None not in one.go(10, lambda at_m, part=number % 2: one.road.match(at_m, part=part))
+        assert None not in one.go(10, partial(one.road.match, part=number % 2))
 
 
 def test_matches_count_as_evidence_while_gps_is_healthy(long_road: Road) -> None:
@@ -291,7 +297,7 @@ def test_evidence_outlives_first_matches_after_a_silence_that_are_far_off(long_r
     one.drive.update(one.t_ns, Break("reboot"))
     one.go(38)
     for off_m in (8.0, 6.0, 4.0, 2.0, 0.0):
-        why = one.go(4, lambda at_m, off_m=off_m: one.road.match(at_m + off_m, sharpness=0.06))[-1]
+        why = one.go(4, partial(further, one.road, off_m))[-1]
     assert one.go(20)[-1] is None, why
 
 

@@ -16,7 +16,6 @@ from edge.localization import Maps
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import (
     LENGTH,
-    SPACING_M,
     Direction,
     Road,
     S,
@@ -28,6 +27,7 @@ from tests.localization.events_of import (
     regions,
     settings,
 )
+from tests.localization.route_course import SPACING_M
 
 LINE_M = LENGTH * SPACING_M
 
