@@ -17,8 +17,8 @@ from edge.localization.events import BOUND_WRONG, Own
 PERIOD_NS = 1_000_000_000  # between two that are kept
 SETTLED_NS = 10_000_000_000
 """After GPS is used again, nothing is left of a position of ours."""
-LONGEST_NS = 600_000_000_000
-SAME_BOOT_NS = 2_000_000_000
+LONGEST_NS = 600_000_000_000  # without a word of the autopilot, after which it may be another one
+SAME_BOOT_NS = 2_000_000_000  # by which two times of one boot differ by delays of the link
 CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
 FASTER = 1.5  # than the speeds before and after: what may have been driven in between
 log = logging.getLogger(__name__)

@@ -31,8 +31,8 @@ from edge.localization.position_estimator import PositionEstimator
 from edge.localization.refusals import Refusal
 from edge.reference_map import MapHeader, Mapped, PlaceIndex
 
-FORMAT = 1
-FLUSH_NS = 1_000_000_000
+FORMAT = 1  # of the file
+FLUSH_NS = 1_000_000_000  # what a loss of power costs
 MOST_PENDING = 64_000_000
 """Bytes that wait for a disk at most."""
 log = logging.getLogger(__name__)

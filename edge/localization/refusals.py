@@ -146,6 +146,7 @@ RULES = (
         is_certain=True,
     ),
 )
+"""In the order in which they are checked."""
 
 
 class Refusal(Struct, frozen=True, tag=True):

@@ -159,7 +159,8 @@ def test_right_positions_go_on_soon_after_a_false_stretch(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("is_stream", [False, True], ids=["resets", "a stream"])
 def test_the_list_of_a_drive_gives_the_same_answers_again(is_stream: bool, tmp_path: Path) -> None:
-    one = Bench(Course(stretches=(Stretch(0.0, 500.0), Stretch(520.0, 1200.0))), 7, tmp_path, is_stream=is_stream)
+    course = RIGHT["false stretch of 260 m"](np.random.default_rng([0, 9]))
+    one = Bench(course, 0, tmp_path, is_stream=is_stream)
     one.run()
     answers = [entry.answer for _, entry in one.events if isinstance(entry, Asked)]
     assert sum(isinstance(answer, Fix) for answer in answers) > 50
