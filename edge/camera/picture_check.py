@@ -1,4 +1,4 @@
-"""Detects unusable images: blank (lens covered, no exposure), frozen (the same image again and again), and too old.
+"""Detects unusable images: blank (lens covered, no exposure), frozen (the same image again and again), of unknown age.
 
 Cameras fail this way silently: frames keep coming, with valid timestamps. One whose images are frozen is opened again.
 Images behind the buffer of a network stream are older than they say; `picture_age` shows by how much.
@@ -29,7 +29,6 @@ STEP_PX = 4
 BLANK = "the image is blank; is the lens covered, or the exposure wrong?"
 FROZEN = "the image is frozen"
 UNDATED = "how old its pictures are is not known; a start, stop or turn shows it"
-TOO_OLD = "its pictures seem {:.1f} s old; one more start, stop or turn shows it"
 log = logging.getLogger(__name__)
 
 
@@ -95,13 +94,13 @@ class PictureCheck:
     def __init__(self, device: NewestFrame | None, kind: str, min_speed_mps: float) -> None:
         """device: None for a camera that cannot be opened again. kind: of [camera]. min_speed_mps: a slower one stands.
 
-        Of a network stream nothing but the pictures themselves says how old they are.
+        Of a network stream nothing but the pictures themselves says how old they are; all other cameras are believed.
         """
-        self._device, self._may_be_old, self._min_speed_mps = device, kind == "stream", min_speed_mps
+        self._device, self._min_speed_mps = device, min_speed_mps
         self._detector = FrozenPictureDetector()
-        self._age, self._opened = PictureAge(may_be_old=self._may_be_old), 0
+        self._age, self._opened = PictureAge() if kind == "stream" else None, 0
         self.age_ns = 0
-        """By how much the pictures are older than they say, as it was certain last."""
+        """By how much the pictures are older than they say, as it was known last."""
         self.fault: PictureFault | None = None
         """Of the newest frame."""
 
@@ -113,25 +112,27 @@ class PictureCheck:
     @property
     def why_undated(self) -> str:
         """What is missing until the age of the pictures is known, "" where it is, or nobody doubts it."""
-        return "" if self._age.is_known else UNDATED
+        return UNDATED if self._age is not None and self._age.age is None else ""
 
     @property
     def stamp_sigma_s(self) -> float:
         """One standard deviation of a frame's stamp, once that is known."""
-        return self._age.age.sigma_ns / 1e9
+        return self._age.age.sigma_ns / 1e9 if self._age is not None and self._age.age is not None else 0.0
 
     def dated(self, frame: Frame, speed_mps: float | None, own: VehiclePosition | None = None) -> Frame:
         """A frame with the stamp of its exposure; a change of it is logged.
 
         speed_mps: of the vehicle at the stamp that the frame has. own: its newest position, whose heading shows turns.
         """
+        if self._age is None:
+            return frame
         opened = 0 if self._device is None else self._device.health.reopened
         if opened != self._opened:  # what lies between is another buffer
-            self._age, self._opened, self.age_ns = PictureAge(may_be_old=self._may_be_old), opened, 0
+            self._age, self._opened, self.age_ns = PictureAge(), opened, 0
         heading = None if own is None or own.heading_deg is None else (own.stamp_ns, own.heading_deg)
         self._age.add(frame.image, frame.stamp_ns, self._moves(speed_mps), heading)
         age = self._age.age
-        if age.is_certain and age.age_ns != self.age_ns:
+        if age is not None and age.age_ns != self.age_ns:
             self.age_ns = age.age_ns
             log.warning("pictures are %.1f s older than they say; their stamps are corrected", self.age_ns / 1e9)
         return replace(frame, stamp_ns=frame.stamp_ns - self.age_ns)
@@ -141,11 +142,7 @@ class PictureCheck:
 
     def is_usable(self, frame: Frame, speed_mps: float | None) -> bool:
         """Whether a frame may be used; speed_mps: of the vehicle, None if unknown."""
-        fault = self._detector.check(frame.image, frame.stamp_ns, self._moves(speed_mps))
+        fault = self.fault = self._detector.check(frame.image, frame.stamp_ns, self._moves(speed_mps))
         if fault and fault.reopen and self._device is not None:
             self._device.reopen(fault.what)
-        age = self._age.age
-        if fault is None and not age.is_certain:
-            fault = PictureFault(TOO_OLD.format(age.age_ns / 1e9), sure=True)
-        self.fault = fault
         return fault is None
