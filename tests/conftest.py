@@ -52,17 +52,17 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def read_tlog(shared: Path) -> Callable[[str], Iterator[tuple[int, bytes]]]:
     """Yields (arrival in ns, one MAVLink 2 frame) of a real autopilot's recording, named without its suffix."""
+    return lambda name: frames_of(shared / "autopilot" / f"{name}.tlog")
 
-    def read(name: str) -> Iterator[tuple[int, bytes]]:
-        data = (shared / "autopilot" / f"{name}.tlog").read_bytes()
-        at = 0
-        while at + 20 <= len(data):
-            (stamp_us,) = struct.unpack_from(">Q", data, at)
-            size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-            yield stamp_us * 1000, data[at + 8 : at + 8 + size]
-            at += 8 + size
 
-    return read
+def frames_of(tlog: Path) -> Iterator[tuple[int, bytes]]:
+    """The arrival in ns and the bytes of each MAVLink 2 frame in a recording."""
+    data, at = tlog.read_bytes(), 0
+    while at + 20 <= len(data):
+        (stamp_us,) = struct.unpack_from(">Q", data, at)
+        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
+        yield stamp_us * 1000, data[at + 8 : at + 8 + size]
+        at += 8 + size
 
 
 SMALL_COUNT = 12

@@ -63,8 +63,8 @@ class Own(Struct, frozen=True, tag=True):
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
     velocity at the position's moment; without_gps: see `Frame`. accuracy_m: of the position, by its own word. driven_m:
     in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is known that
-    nothing does. is_doubled: whether two autopilots have its ids. system_id, booted_ns: which autopilot it is, and when
-    that booted, on CLOCK_MONOTONIC.
+    nothing does. is_doubled: whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot
+    clock is that of before. system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
@@ -79,6 +79,7 @@ class Own(Struct, frozen=True, tag=True):
     is_aided: bool = True
     runs_away: bool = False
     is_doubled: bool = False
+    is_clock_known: bool = True
     system_id: int | None = None
     booted_ns: int | None = None
 

@@ -43,6 +43,13 @@ RULES = (
         lambda now: now.own.is_doubled,
     ),
     Rule(
+        "the autopilot's clock is not known",
+        "it sent nothing for 0.3 s, or its newest stamp is of another clock: it may have rebooted",
+        "after one position with the stamp of the old clock, the next hundred count as half a second old",
+        "test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known",
+        lambda now: not now.own.is_clock_known,
+    ),
+    Rule(
         "nothing is recognized now",
         "the pictures are dark, frozen or of an unknown time, or the vehicle is off the map",
         "the vehicle is moved to where it was recognized last",

@@ -60,7 +60,6 @@ class BootClock:
         None, and the message must not be used, where the stamp is of another clock (`has_ended`).
         """
         if self._is_of_another(boot_ms, now_ns):
-            self._another_ns = now_ns if self._another_ns is None else self._another_ns
             self._another_has_position |= has_position
             return None
         self.took_turns, self._another_ns, self._another_has_position = self._another_has_position, None, False
@@ -72,6 +71,11 @@ class BootClock:
         """Whether there was no stamp of it between those of another one for long enough: the autopilot has rebooted."""
         return self._another_ns is not None and now_ns - self._another_ns >= UNDISPUTED_NS
 
+    @property
+    def is_known(self) -> bool:
+        """Whether a stamp of it came, and none of another clock since."""
+        return self.offset_ns is not None and self._another_ns is None
+
     def has_ended_by(self, then_ns: int) -> bool:
         """Whether the first stamp of another clock, of those that nothing contradicted, had come by then."""
         return self._another_ns is not None and self._another_ns <= then_ns
@@ -80,7 +84,10 @@ class BootClock:
         """Whether it is before the newest stamp, or ahead of the clock, by more than messages overtake each other."""
         boot_ns = self.boot_ns(now_ns)
         is_ahead = boot_ns is not None and boot_ms > boot_ns / 1e6 + JUMP_MS
-        return is_ahead or boot_ms < self._newest_ms - JUMP_MS
+        is_another = is_ahead or boot_ms < self._newest_ms - JUMP_MS
+        if is_another and self._another_ns is None:
+            self._another_ns = now_ns
+        return is_another
 
     def requested(self, now_ns: int) -> None:
         """Our TIMESYNC request, stamped `now_ns`, was sent."""

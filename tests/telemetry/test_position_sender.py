@@ -122,6 +122,20 @@ def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig
     assert [record.reason for record in rig.journalled(FixWithheld)] == ["GPS is healthy"]
 
 
+def test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position")
+    rig.run(4.0)
+    assert rig.send_position(rig.fix())
+    rig.run(2.0)
+    rig.wire.loses = lambda message: True
+    rig.run(0.5)
+    assert not rig.send_position(rig.fix())
+    rig.wire.loses = None
+    rig.run(0.2)
+    assert rig.send_position(rig.fix())
+    assert [record.reason for record in rig.journalled(FixWithheld)] == ["the autopilot's clock is not known"]
+
+
 def protection_sent(rig: Rig) -> dict[str, float]:
     """The newest of each direction."""
     values = {message.name: message.value for message in rig.received("NAMED_VALUE_FLOAT")}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +16,8 @@ from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
 from edge.telemetry.vehicle import Session, Vehicle
+from tests.conftest import frames_of
+from tests.telemetry.rig import STEP_NS
 from tests.telemetry.speaker import S, Speaker, connect
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
@@ -163,6 +167,23 @@ def test_a_clock_that_goes_back_is_a_reboot_but_swapped_messages_are_not() -> No
     vehicle.handle(speaker.position(3_500), 4 * S + S // 2)
     assert vehicle.session.number == 2
     assert vehicle.boot_time_s(5 * S) == pytest.approx(4.0)
+
+
+def test_the_clock_of_a_recorded_autopilot_is_not_known_from_its_reboot_until_it_sends_the_new_one() -> None:
+    """A position was sent after its first answer to TIMESYNC, with the old clock: the next hundred came 0.5 s late."""
+    vehicle, known_s = Vehicle(), []
+    frames = list(frames_of(Path(__file__).with_name("reboot.tlog")))
+    began_ns, codec = frames[0][0], MavlinkCodec(1, 191)
+    for step_ns in range(0, 5_700_000_000, STEP_NS):
+        while frames and frames[0][0] - began_ns <= step_ns:
+            for message in codec.decode(frames.pop(0)[1]):
+                vehicle.handle(message, began_ns + step_ns)
+        vehicle.expire(began_ns + step_ns)
+        if vehicle.own(began_ns + step_ns).is_clock_known:
+            known_s.append(step_ns / 1e9)
+    gaps_s = [one for one in pairwise(known_s) if one[1] - one[0] > 1.5 * STEP_NS / 1e9]
+    assert known_s[0] == pytest.approx(1.12, abs=0.02)
+    assert gaps_s == [pytest.approx((1.52, 5.0), abs=0.05)]
 
 
 def test_a_clock_of_32_bits_that_begins_again_is_no_reboot() -> None:
