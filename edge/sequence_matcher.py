@@ -127,7 +127,7 @@ class SequenceMatcher:
     def push(self, raw: NDArray[np.float32], travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
         """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned."""
         odometer_m = travel.distance_m if self._drives.is_metric else None
-        if odometer_m is not None:
+        if travel.distance_m is not None:  # also of a map that knows no meters, as before its first place
             self._unmeasured = None
         elif self._unmeasured is not None:
             self._unmeasured += 1

@@ -106,6 +106,17 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
         assert not matcher.lacks_odometer
 
 
+def test_a_known_distance_is_not_missed_where_the_map_knows_no_meters(road: NDArray[np.float32]) -> None:
+    """As on a first drive, whose map has no places yet: the pilot was warned that the speed is unknown."""
+    model = ModelKey("made", "0" * 64, "fc6", DIMENSIONS)
+    config, places = Config(), [Place(row) for row in range(len(road))]
+    with temporary_map([MappedDrive(road, places, "front")], model, DescriptorConfig()) as maps:
+        matcher = SequenceMatcher(maps, config)
+        for row in range(config.sequence_frames):
+            matcher.push(road[row], Travel(float(row)))
+            assert not matcher.lacks_odometer
+
+
 @pytest.mark.parametrize(("map_m", "frame_m"), [(2, 1), (4, 1), (4, 2), (2, 4), (1, 4)])
 def test_without_the_odometer_nothing_wrong_is_believed_at_another_spacing(
     road: NDArray[np.float32], map_m: int, frame_m: int
