@@ -19,7 +19,8 @@ SAME_PASS_M, SIGMAS = 5.0, 3.0
 """The vehicle may be on any pass that is no further away than the nearest by the greater of both: a lane, and so many
 standard deviations of its position, by which that is rarely wrong."""
 ROAD_M = 8.0
-"""Between two passes of one road: two lanes and what GPS is wrong by. Two streets are rarely nearer than 12 m."""
+"""Between two passes of one road: two lanes and what GPS is wrong by. Two streets are rarely nearer than 12 m. After a
+turn, the other lane is a pass although the vehicle cannot be on it."""
 BACK_M = 100.0
 """For so long two passes have to lie side by side, unless the drive turned round before."""
 TURN_M = 40.0
@@ -42,12 +43,16 @@ class Pass:
 
 
 def passes_by(line: DriveLine, here_m: NDArray[np.float64], sigma_m: float) -> list[Pass]:
-    """All passes that the vehicle may be on, in the order of the drive. sigma_m: of its position."""
+    """All passes on the vehicle's road, or that it may be on, in the order of the drive. sigma_m: of its position."""
     nearest_m = nearest_on(here_m, line.points_m[:-1], line.points_m[1:])
-    away_m = np.hypot(*(nearest_m - here_m).T)
-    rows = np.flatnonzero(away_m <= away_m.min() + max(SAME_PASS_M, SIGMAS * sigma_m))
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-    best = [int(run[away_m[run].argmin()]) for run in runs]
+    away_m, legs_m = np.hypot(*(nearest_m - here_m).T), np.diff(line.points_m, axis=0)
+    runs: list[list[int]] = []
+    for row in np.flatnonzero(away_m <= away_m.min() + max(ROAD_M, SIGMAS * sigma_m)).tolist():
+        if runs and row == runs[-1][-1] + 1 and legs_m[row] @ legs_m[runs[-1][0]] > 0:
+            runs[-1].append(row)
+        else:  # where the drive comes near, or turns back
+            runs.append([row])
+    best = [run[int(away_m[run].argmin())] for run in runs]
     return [Pass(row, nearest_m[row], float(away_m[row])) for row in best]
 
 
@@ -57,9 +62,11 @@ def chosen(
     """The pass to begin with, and all between which nothing decides: none, or more than one.
 
     route_m: how far the vehicle has driven by the odometer of the drive; None where not known. reach_m: by how much its
-    position along the drive may be wrong.
+    position may be wrong.
     """
-    own = [one for one in passes if _can_be_at(line, one, route_m, reach_m)] or list(passes)
+    nearest_m = min(one.away_m for one in passes)
+    near = [one for one in passes if one.away_m <= nearest_m + reach_m]
+    own = [one for one in near if _can_be_at(line, one, route_m, reach_m)] or near
     first = own[-1]
     unsure = []
     for one in reversed(passes[: passes.index(first)]):

@@ -103,6 +103,19 @@ def test_the_other_lane_is_the_same_road(map_along: MapAlong, route_known: bool)
     assert not undecided(way)
 
 
+@pytest.mark.parametrize(("driven_m", "longer_m"), [(0.5, 6.5), (3.0, 0.0), (12.0, 0.0)])
+def test_right_after_a_turn_it_goes_home_in_the_lane_that_it_came_on(
+    map_along: MapAlong, driven_m: float, longer_m: float
+) -> None:
+    """The lane is 6.5 m away: the way led around the turn again, and was refused for turning on the spot."""
+    drive = joined(straight(200.0), arc(3.25, 180) * [-1, 1], straight(driven_m, 180.0))
+    at_m = (6.5, 200.0 - driven_m)
+    start = Start(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
+    way = plan_way_home(open_map_set(map_along(drive)), start, HomeConfig(turning_radius_m=2.0))
+    assert not way.refusals
+    assert way.length_m == pytest.approx(at_m[1] + longer_m, abs=1.0)
+
+
 @pytest.mark.parametrize("slope", [0.06, 0.1, 0.15])
 def test_a_ramp_back_over_the_level_below_is_not_left_sideways(map_along: MapAlong, slope: float) -> None:
     drive = joined(straight(60.0), arc(2.0, 180) * [-1, 1], straight(40.0, 180.0))
