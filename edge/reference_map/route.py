@@ -232,6 +232,11 @@ class Drives:
         start, end = self._index.segment(drive)
         return self.along_m(start), self.along_m(end - 1)
 
+    def spacing_of(self, drive: int) -> float:
+        """Mean distance between places of a drive that follow each other."""
+        (start, end), (first_m, last_m) = self._index.segment(drive), self.extent_m(drive)
+        return abs(last_m - first_m) / (end - 1 - start) if end - 1 > start else self.spacing_m
+
     def lap_m(self, drive: int) -> float:
         """After how much of a drive it goes on at its beginning, NO_LAP_M where it does not."""
         lap = self._laps[drive]

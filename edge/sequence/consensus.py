@@ -126,7 +126,8 @@ class PlaceVote:
     much of the drive it goes on at its start, NO_LAP_M where it does not. uniqueness: cost of the best line elsewhere
     over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
-    newest frame than the best within an eighth of a window of the place.
+    newest frame than the best within an eighth of a window of the place. spacing_m: from one place of the drive to the
+    next, None for that of all drives.
     """
 
     drive: int
@@ -138,13 +139,16 @@ class PlaceVote:
     sharpness: float
     row_share: float
     lap_m: float = NO_LAP_M
+    spacing_m: float | None = None
 
     @classmethod
     def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
         """The vote of a match on those drives."""
         drive, along_m = drives.drive_of(match.place_index), drives.along_m(match.place_index)
         evidence = match.uniqueness, match.sharpness, match.row_share
-        return cls(drive, along_m, *drives.extent_m(drive), match.direction, *evidence, drives.lap_m(drive))
+        start_m, end_m = drives.extent_m(drive)
+        lap_m, spacing_m = drives.lap_m(drive), drives.spacing_of(drive)
+        return cls(drive, along_m, start_m, end_m, match.direction, *evidence, lap_m, spacing_m)
 
 
 @dataclass(frozen=True)
@@ -168,6 +172,7 @@ class PlaceConsensus:
         """positions_of: where the drives lie, without which votes in two drives never agree."""
         self.settings = settings
         self._positions_of = positions_of
+        self._was_measured = False
         self.reset()
 
     def reset(self) -> None:
@@ -188,18 +193,22 @@ class PlaceConsensus:
         vote: None if the frame has no match. odometer_m: meters driven at the frame, None where not known. places: that
         were passed since the last frame, as far as it is known without the odometer.
         """
-        self._move(odometer_m, places)
+        self._was_measured |= odometer_m is not None
+        self._move(odometer_m, places, None if vote is None or self._was_measured else vote.spacing_m)
         if vote is not None:
             self._add(vote)
         return self._believe()
 
-    def _move(self, odometer_m: float | None, places: float) -> None:
-        """Distance since the last frame; by places where the odometer is not known, or was counted anew."""
+    def _move(self, odometer_m: float | None, places: float, spacing_m: float | None) -> None:
+        """Distance since the last frame; by places where the odometer is not known, or was counted anew.
+
+        spacing_m: of these, None for the mean of all drives: a vehicle that was never measured drives as one of them.
+        """
         last_m, self._odometer_m = self._odometer_m, odometer_m
         if odometer_m is not None and last_m is not None and odometer_m >= last_m:
             step_m, drift = odometer_m - last_m, self.settings.drift
         else:
-            step_m, drift = places * self.settings.spacing_m, self.settings.blind_drift
+            step_m, drift = places * (spacing_m or self.settings.spacing_m), self.settings.blind_drift
         self._driven_m += step_m
         self._uncertain_m += drift * step_m
 

@@ -117,6 +117,29 @@ def test_a_known_distance_is_not_missed_where_the_map_knows_no_meters(road: NDAr
             assert not matcher.lacks_odometer
 
 
+def test_without_the_odometer_places_are_believed_on_each_of_two_drives_of_unequal_spacing(
+    road: NDArray[np.float32],
+) -> None:
+    """A step counted in the mean of 1.5 m, where 4 m were driven: no place was believed though every line was right."""
+    ways_m = [range(0, LENGTH_M // 2), range(LENGTH_M // 2, LENGTH_M, 4)]
+    drives = [
+        MappedDrive(road[way_m], [Place(row, route_m=float(at_m)) for row, at_m in enumerate(way_m)], "front")
+        for way_m in ways_m
+    ]
+    rng, model = np.random.default_rng(1), ModelKey("m", "0" * 64, "fc6", DIMENSIONS)
+    with temporary_map(drives, model, DescriptorConfig()) as maps:
+        places_m = maps.places["route_m"]
+        for way_m in ways_m:
+            matcher, off_m = SequenceMatcher(maps, Config(sampling=SamplingConfig(by="time"))), []
+            for here_m in way_m:
+                raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
+                match = matcher.push(raw.astype(np.float32))
+                if match is not None and match.accepted:
+                    off_m.append(abs(places_m[match.place_index] - here_m))
+            assert len(off_m) > len(way_m) / 4
+            assert max(off_m) <= NEAR_M
+
+
 @pytest.mark.parametrize(("map_m", "frame_m"), [(2, 1), (4, 1), (4, 2), (2, 4), (1, 4)])
 def test_without_the_odometer_nothing_wrong_is_believed_at_another_spacing(
     road: NDArray[np.float32], map_m: int, frame_m: int

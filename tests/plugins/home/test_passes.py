@@ -107,7 +107,7 @@ def test_the_other_lane_is_the_same_road(map_along: MapAlong, route_known: bool)
 def test_right_after_a_turn_it_goes_home_in_the_lane_that_it_came_on(
     map_along: MapAlong, driven_m: float, longer_m: float
 ) -> None:
-    """The lane is 6.5 m away: the way led around the turn again, and was refused for turning on the spot."""
+    """The lane is 6.5 m away: the way led around the turn again, which is refused where that was on the spot."""
     drive = joined(straight(200.0), arc(3.25, 180) * [-1, 1], straight(driven_m, 180.0))
     at_m = (6.5, 200.0 - driven_m)
     start = Start(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
