@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import logging
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -94,10 +93,10 @@ def replay_all(folders: Sequence[Path], output: Path, views: Path, jobs: int) ->
     for folder in folders:
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        found = dict(
-            one for group in pool.map(partial(replay_group, output=output, views=views), groups) for one in group
-        )
+    # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
+    with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
+        done = pool.map(partial(replay_group, output=output, views=views), groups, chunksize=1)
+    found = {folder: one for group in done for folder, one in group}
     return [found[folder] for folder in folders]
 
 
