@@ -114,6 +114,7 @@ def since_boot(road: Road, config: Config | None = None) -> Vehicle:
 
 SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | Refusal], ...]] = {
     "two autopilots have the same ids": (reported(is_doubled=True),),
+    "the autopilot's clock is not known": (reported(is_clock_known=False),),
     "nothing is recognized now": (asked(unable="the picture is dark"),),
     "the places do not agree yet": (
         lambda one: Vehicle(one.road).ask(),
