@@ -49,6 +49,10 @@ ALIKE, MORE_ALIKE = 0.6, 0.15
 """Correlation of the pictures, moved as was found, from which the motion counts; or by how much it must be more than if
 nothing had moved. Lines along the road and reflections do not seem to move: on real streets, in pictures half a second
 apart, cars that drove 3 to 5 m were found to stand; all of those are rejected by it."""
+STRIPS = 8
+"""Beside each other, in each of which the same must hold, where most of the picture may have moved otherwise: as water
+does, or a truck ahead. Of 398 pictures of two simulated roads, 8 m behind a car, 7 were silent for it, and none of two
+roads without one; with two rows of three parts, 186 were."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,10 @@ class GroundView:
         self._camera[1, 2] -= self._top
         self._inverse = np.linalg.inv(self._camera)
         self.mask = np.ascontiguousarray(mask[self._top :])
+        strips = np.repeat(np.eye(STRIPS, dtype=bool), WIDTH_PX // STRIPS, axis=1)
+        parts = (self.mask > 0) & np.vstack([np.ones(WIDTH_PX, bool), strips])[:, None]
+        self.parts = [one for one in parts if one.any()]
+        """Which pixels (H, W) must look as if they had moved: all that are used, and those of each strip."""
 
     def _ground(self, pitch_rad: float, rows: int) -> tuple[NDArray[np.uint8], float]:
         """Its mask, and how far ahead it begins, in heights."""
@@ -176,10 +184,11 @@ def measure(
     if isinstance(solved, str):
         return solved
     motion, covariance = solved
-    moved, used = view.in_pixels(ground_motion(motion)), view.mask > 0
-    alike = _likeness(cv2.warpPerspective(before, moved, now.shape[::-1], borderValue=128), now, used)
-    if alike < ALIKE and alike - _likeness(before, now, used) < MORE_ALIKE:
-        return "the ground does not look as if it had moved"
+    moved = cv2.warpPerspective(before, view.in_pixels(ground_motion(motion)), now.shape[::-1], borderValue=128)
+    for part in view.parts:
+        alike = _likeness(moved, now, part)
+        if alike < ALIKE and alike - _likeness(before, now, part) < MORE_ALIKE:
+            return "the ground does not look as if it had moved"
     ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
     pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
     values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
