@@ -67,7 +67,11 @@ class VelocitySender:
             return "too old"
         if speed.sigma_mps > max(MOST_SHARE * abs(speed.speed_mps), LEAST_MPS):
             return "too uncertain"
-        return "the camera's height is not known well enough" if speed.scale_share > MOST_SCALE else ""
+        if speed.scale_share > MOST_SCALE:
+            return "the camera's height is not known well enough"
+        # A filter that nothing has aided since is off by more than it allows a velocity to be.
+        is_aided = self._link.velocity_aid.sent_ns is not None or vehicle.session.gps.state(now_ns) == "healthy"
+        return "" if is_aided else "GPS was lost before the camera's height was known"
 
 
 def body_odometry(speed: CameraSpeed) -> Message:

@@ -135,6 +135,17 @@ def test_what_speaks_against_sending(up: Rig, late_s: int, changes: Any, aid: st
     assert aided.is_known(up.now_ns) == (not why)
 
 
+def test_where_gps_was_lost_before_the_height_was_known_no_velocity_is_sent(tmp_path: Path) -> None:
+    """ArduPilot's failsafe came 8 s after the first."""
+    rig = flying(tmp_path, "ardupilot")
+    rig.run(10.0)
+    see(rig, 5.0)
+    assert [one.why for one in records_of(tmp_path / "events.jsonl", VelocityChanged)] == [
+        "GPS was lost before the camera's height was known"
+    ]
+    assert not rig.autopilot.inputs.velocities_fused
+
+
 def test_the_messages_as_others_read_them() -> None:
     ours, theirs = MavlinkCodec(5, 191), mavlink.MAVLink(None)
     (delta,) = theirs.parse_buffer(ours.encode(position_delta(speed(10 * S, sigma_mps=0.5))))
