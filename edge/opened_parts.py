@@ -9,8 +9,8 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from edge.camera import Frames
+from edge.camera.checks import open_picture_check
 from edge.camera.newest import NewestFrame
-from edge.camera.picture_check import PictureCheck
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
@@ -96,7 +96,7 @@ class OpenedParts:
             if config.camera.kind == "feed" and config.sampling.by == "distance":
                 self._await_speed()
             frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
-        self.pictures = PictureCheck(self.device, config.camera.kind, config.gates.min_speed_mps)
+        self.pictures = open_picture_check(self.device, config.camera.kind, config.gates.min_speed_mps)
         self.camera: Frames = parts.enter_context(closing(frames))
 
     def _await_speed(self) -> None:

@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from edge.errors import FeedError
 from edge.localization import Fix, Refusal
-from edge.localization.drive import Asked
 from edge.localization.drive_file import read_drive, replay
 from edge.localization.events import Frame, Maps, Own, Used
+from edge.localization.position_estimator import Asked
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import cases, run_case
 

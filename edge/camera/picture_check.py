@@ -6,16 +6,14 @@ Images behind the buffer of a network stream are older than they say; `picture_a
 
 from __future__ import annotations
 
-import logging
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.backoff import BackOff
 from edge.camera.newest import NewestFrame
-from edge.camera.picture_age import PictureAge
 from edge.feed import Frame
 from edge.geodesy import VehiclePosition
 
@@ -28,8 +26,6 @@ REOPEN_LAST_NS = 60_000_000_000
 STEP_PX = 4
 BLANK = "the image is blank; is the lens covered, or the exposure wrong?"
 FROZEN = "the image is frozen"
-UNDATED = "how old its pictures are is not known; a start, stop or turn shows it"
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -89,16 +85,17 @@ class FrozenPictureDetector:
 
 
 class PictureCheck:
-    """Checks the frames of a camera, and opens it again where that may help."""
+    """Checks the frames of a camera whose driver stamps them, and opens it again where that may help."""
 
-    def __init__(self, device: NewestFrame | None, kind: str, min_speed_mps: float) -> None:
-        """device: None for a camera that cannot be opened again. kind: of [camera]. min_speed_mps: a slower one stands.
+    why_undated = ""
+    """What is missing until the age of the pictures is known, "" where it is, or nobody doubts it."""
+    stamp_sigma_s = 0.0
+    """One standard deviation of a frame's stamp, once that is known."""
 
-        Of a network stream nothing but the pictures themselves says how old they are; all other cameras are believed.
-        """
+    def __init__(self, device: NewestFrame | None, min_speed_mps: float) -> None:
+        """device: None for a camera that cannot be opened again. min_speed_mps: a slower vehicle stands."""
         self._device, self._min_speed_mps = device, min_speed_mps
         self._detector = FrozenPictureDetector()
-        self._age, self._opened = PictureAge() if kind == "stream" else None, 0
         self.age_ns = 0
         """By how much the pictures are older than they say, as it was known last."""
         self.fault: PictureFault | None = None
@@ -109,36 +106,12 @@ class PictureCheck:
         """Why no position may rest on the pictures, "" if it may."""
         return self.why_undated if self.fault is None else self.fault.what
 
-    @property
-    def why_undated(self) -> str:
-        """What is missing until the age of the pictures is known, "" where it is, or nobody doubts it."""
-        return UNDATED if self._age is not None and self._age.age is None else ""
-
-    @property
-    def stamp_sigma_s(self) -> float:
-        """One standard deviation of a frame's stamp, once that is known."""
-        return self._age.age.sigma_ns / 1e9 if self._age is not None and self._age.age is not None else 0.0
-
     def dated(self, frame: Frame, speed_mps: float | None, own: VehiclePosition | None = None) -> Frame:
-        """A frame with the stamp of its exposure; a change of it is logged.
+        """A frame with the stamp of its exposure.
 
         speed_mps: of the vehicle at the stamp that the frame has. own: its newest position, whose heading shows turns.
         """
-        if self._age is None:
-            return frame
-        opened = 0 if self._device is None else self._device.health.reopened
-        if opened != self._opened:  # what lies between is another buffer
-            self._age, self._opened, self.age_ns = PictureAge(), opened, 0
-        heading = None if own is None or own.heading_deg is None else (own.stamp_ns, own.heading_deg)
-        self._age.add(frame.image, frame.stamp_ns, self._moves(speed_mps), heading)
-        age = self._age.age
-        if age is not None and age.age_ns != self.age_ns:
-            self.age_ns = age.age_ns
-            log.warning("pictures are %.1f s older than they say; their stamps are corrected", self.age_ns / 1e9)
-        return replace(frame, stamp_ns=frame.stamp_ns - self.age_ns)
-
-    def _moves(self, speed_mps: float | None) -> bool | None:
-        return None if speed_mps is None else speed_mps >= self._min_speed_mps
+        return frame
 
     def is_usable(self, frame: Frame, speed_mps: float | None) -> bool:
         """Whether a frame may be used; speed_mps: of the vehicle, None if unknown."""
@@ -146,3 +119,6 @@ class PictureCheck:
         if fault and fault.reopen and self._device is not None:
             self._device.reopen(fault.what)
         return fault is None
+
+    def _moves(self, speed_mps: float | None) -> bool | None:
+        return None if speed_mps is None else speed_mps >= self._min_speed_mps

@@ -1,6 +1,6 @@
 """From what happens on a drive to a position of the vehicle, and whether it may be published.
 
-`events` is what can happen, and `position_estimator` the one door to what follows; a `drive` carries the events there.
+`events` is what can happen, and `position_estimator` the one door to what follows; a `drive_file` keeps them.
 `place_fix` makes positions of matches; `sighting` puts a match on the ground, and `region_lines` what its two regions
 say by themselves; `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman
 filter of each; `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning`
@@ -14,7 +14,6 @@ from __future__ import annotations
 from edge.journal.records import PlaceFix
 from edge.localization.bound import PERIOD_NS
 from edge.localization.dead_reckoning import DeadReckoning, Displacement, Integral
-from edge.localization.drive import Drive
 from edge.localization.events import (
     BOUND_WRONG,
     GPS_SIGMA_M,
@@ -31,7 +30,7 @@ from edge.localization.events import (
 )
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
-from edge.localization.position_estimator import Known, PositionEstimator
+from edge.localization.position_estimator import Drive, Known, PositionEstimator
 from edge.localization.refusals import NO_PLACES, TOO_FAR, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 

@@ -25,9 +25,8 @@ from edge import __version__
 from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.errors import ConfigError, FeedError
 from edge.files import Behind
-from edge.localization.drive import Asked, Drive, Entry, Restored
 from edge.localization.events import Break, Fix, Frame, Maps, Moved, Own, Used
-from edge.localization.position_estimator import PositionEstimator
+from edge.localization.position_estimator import Asked, Drive, Entry, PositionEstimator, Restored
 from edge.localization.refusals import Refusal
 from edge.reference_map import MapHeader, Mapped, PlaceIndex
 

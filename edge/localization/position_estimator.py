@@ -4,6 +4,9 @@
     fix(t_ns, limits)     a position, or why there is none; asking changes nothing
     snapshot, restore     what is known of the autopilot's position, over a restart of this program
 
+Whoever follows a drive (daemon, telemetry, plug-ins, a trial, a replay) holds a `Drive`, which alone changes the
+estimator, and also writes the list of the drive where one is asked for.
+
     Frame -> route filter -> GPS by the places -> observed evidence
     Own   -> what bounds the autopilot's own position
     fix   -> `refusals.RULES` -> Fix | Refusal
@@ -13,7 +16,11 @@ Pure: no link, no clock, no file. Daemon, trial and the replays of recorded driv
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
+
+from msgspec import Struct
 
 from edge.config import Config
 from edge.geodesy import VehiclePosition
@@ -222,3 +229,62 @@ class PositionEstimator:
             reckoned=reckoned,
             claims=self._claims,
         )
+
+
+class Asked(Struct, frozen=True, tag=True):
+    """A position was asked for, and this was the answer: changes nothing, and can be compared."""
+
+    limits: Limits
+    answer: Fix | Refusal
+
+
+class Restored(Struct, frozen=True, tag=True):
+    """A snapshot of an earlier run."""
+
+    kept: bytes
+
+
+Entry: TypeAlias = Event | Asked | Restored
+"""Of the list of a drive."""
+
+
+class Drive:
+    """The events of one vehicle, in the order in which they came: to the estimator, and to a list."""
+
+    def __init__(self, estimator: PositionEstimator, write: Callable[[int, Entry], object] | None = None) -> None:
+        """write: gets each entry of the list, with its time in ns of CLOCK_MONOTONIC."""
+        self._estimator, self._write = estimator, write
+
+    def update(self, t_ns: int, event: Event) -> None:
+        """See `PositionEstimator.update`."""
+        if self._write is not None:
+            self._write(t_ns, event)
+        self._estimator.update(t_ns, event)
+
+    def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
+        """See `PositionEstimator.fix`."""
+        answer = self._estimator.fix(t_ns, limits)
+        if self._write is not None:
+            self._write(t_ns, Asked(limits, answer))
+        return answer
+
+    def snapshot(self) -> bytes:
+        """See `PositionEstimator.snapshot`."""
+        return self._estimator.snapshot()
+
+    def restore(self, t_ns: int, kept: bytes) -> None:
+        """See `PositionEstimator.restore`."""
+        if self._write is not None:
+            self._write(t_ns, Restored(kept))
+        self._estimator.restore(kept)
+
+    @property
+    def known(self) -> Known:
+        """See `PositionEstimator.known`."""
+        return self._estimator.known
+
+    @property
+    def route(self) -> Route:
+        """The drives of the maps that are searched."""
+        assert self._estimator.route is not None
+        return self._estimator.route

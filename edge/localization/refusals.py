@@ -65,13 +65,6 @@ RULES = (
         lambda now: now.fix is None,
     ),
     Rule(
-        "no position in the map",
-        "the map has no position at this place, or one that is not finite",
-        "the vehicle is sent anywhere",
-        "test_situations_in_which_nothing_is_published",
-        lambda now: not now.place.is_position,
-    ),
-    Rule(
         "too old",
         "its exposure is older than the message allows, or lies ahead",
         "the vehicle is moved to where it was",
@@ -113,13 +106,6 @@ RULES = (
         "the vehicle follows one of two places",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place.disputed,
-    ),
-    Rule(
-        "the displacement is not known",
-        "the autopilot reports no velocity",
-        "nothing says whether places move as the vehicle does",
-        "test_situations_in_which_nothing_is_published",
-        lambda now: now.motion is None,
     ),
     Rule(
         TOO_FAR,

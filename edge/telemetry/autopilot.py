@@ -36,7 +36,6 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
-from edge.telemetry.signing import Signer, load_key
 from edge.telemetry.source_selection import GPS_SET
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
@@ -364,6 +363,8 @@ def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: 
     signer = None
     where = "[[telemetry.links]] connection" if number else "[telemetry] connection"
     if link.signing_key:
+        from edge.telemetry.signing import Signer, load_key  # which few links need
+
         signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number, clock_ns=clock_ns)
     codec = MavlinkCodec(config.system_id or FIRST_SYSTEM_ID, config.component_id, signer)
     return Port(parse_connection(link.connection, where), codec, clock_ns)

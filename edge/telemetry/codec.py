@@ -7,12 +7,10 @@ Not `mavutil`: it imports GPL modules, swallows write errors and opens ports tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
-from edge.telemetry.signing import SignatureCheck, Signer
 
 # pymavlink's messages have no static types; `Message` says where one is meant.
 Message: TypeAlias = Any
@@ -22,6 +20,49 @@ USELESS_FRAMES = 10
 """In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
 MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
 """The first byte of a frame."""
+
+
+Stream: TypeAlias = tuple[int, int, int]
+"""Link, system, component: all three are covered by a signature."""
+
+
+class SignatureCheck(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
+    """pymavlink's codec, which checks signatures; whether a frame is new is left to `accepts`.
+
+    pymavlink stores a frame's timestamp before it checks the signature, and accepts any timestamp with a valid one, so
+    that one frame dated far ahead would lock the real sender out for good.
+    """
+
+    accepts: Callable[[Stream, int], bool]
+
+    def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
+        """Whether the frame is signed with our key, and new."""
+        signing = self.signing
+        ours, signing.timestamp = signing.timestamp, 0  # so that nothing is too old for pymavlink
+        signing.stream_timestamps.clear()
+        is_signed = super().check_signature(msgbuf, srcSystem, srcComponent)
+        signing.timestamp = ours
+        # 1 byte of link id and 6 of timestamp, before the 6 of the signature.
+        timestamp = int.from_bytes(msgbuf[-12:-6], "little")
+        if not is_signed or not self.accepts((msgbuf[-13], srcSystem, srcComponent), timestamp):
+            return False
+        signing.timestamp = max(ours, timestamp)
+        return True
+
+
+class Unsigned:
+    """Signs nothing, and accepts what is not signed; `signing.Signer` does otherwise."""
+
+    is_signing = False
+
+    def attach(self, codec: mavlink.MAVLink) -> None:
+        """Of a codec that begins."""
+
+    def advance(self) -> None:
+        """Before each frame."""
+
+    def store(self) -> None:
+        """Nothing will be sent or decoded for a while."""
 
 
 class _Parser(SignatureCheck):
@@ -55,14 +96,13 @@ class _Parser(SignatureCheck):
 class MavlinkCodec:
     """One end of one link: its identity, its sequence counter and its partly received frame."""
 
-    def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
-        """With a `signer` all that goes out is signed, and nothing unsigned is decoded."""
+    def __init__(self, system_id: int, component_id: int, signer: Unsigned | None = None) -> None:
+        """With a `Signer` all that goes out is signed, and nothing unsigned is decoded."""
         self.component_id = component_id
         self._mavlink = _Parser(None, srcSystem=system_id, srcComponent=component_id)
         self._mavlink.robust_parsing = True  # noise becomes BAD_DATA instead of an exception
-        self._signer = signer
-        if signer is not None:
-            signer.attach(self._mavlink)
+        self._signer = signer or Unsigned()
+        self._signer.attach(self._mavlink)
 
     @property
     def system_id(self) -> int:
@@ -76,20 +116,18 @@ class MavlinkCodec:
     @property
     def awaits_signed(self) -> bool:
         """Whether frames are signed, and none with a valid signature has arrived yet."""
-        return self._signer is not None and not self._mavlink.signing.goodsig_count
+        return self._signer.is_signing and not self._mavlink.signing.goodsig_count
 
     def encode(self, message: Message) -> bytes:
         """One MAVLink 2 frame with the next sequence number."""
-        if self._signer is not None:
-            self._signer.advance()
+        self._signer.advance()
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
 
     def store_timestamps(self) -> None:
         """To be called when nothing will be sent or decoded for a while."""
-        if self._signer is not None:
-            self._signer.store()
+        self._signer.store()
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages completed by `data`, without noise and without messages that the dialect does not know.

@@ -14,22 +14,19 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeAlias
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError
 from edge.files import read_kept, read_key, replacing
+from edge.telemetry.codec import Stream, Unsigned
 
 TICKS_PER_S = 100_000
 """Timestamps are in units of 10 us since the beginning of 2015."""
 MINUTE_TICKS = 60 * TICKS_PER_S
 MINUTE_NS = 60_000_000_000
 AHEAD_FOR_TICKS = 3 * TICKS_PER_S
-
-Stream: TypeAlias = tuple[int, int, int]
-"""Link, system, component: all three are covered by the signature."""
 
 
 class ReplayGuard:
@@ -91,30 +88,6 @@ CREDENTIAL = "credential:"
 log = logging.getLogger(__name__)
 
 
-class SignatureCheck(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's codec, which checks signatures; whether a frame is new is left to `accepts`.
-
-    pymavlink stores a frame's timestamp before it checks the signature, and accepts any timestamp with a valid one, so
-    that one frame dated far ahead would lock the real sender out for good.
-    """
-
-    accepts: Callable[[Stream, int], bool]
-
-    def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
-        """Whether the frame is signed with our key, and new."""
-        signing = self.signing
-        ours, signing.timestamp = signing.timestamp, 0  # so that nothing is too old for pymavlink
-        signing.stream_timestamps.clear()
-        is_signed = super().check_signature(msgbuf, srcSystem, srcComponent)
-        signing.timestamp = ours
-        # 1 byte of link id and 6 of timestamp, before the 6 of the signature.
-        timestamp = int.from_bytes(msgbuf[-12:-6], "little")
-        if not is_signed or not self.accepts((msgbuf[-13], srcSystem, srcComponent), timestamp):
-            return False
-        signing.timestamp = max(ours, timestamp)
-        return True
-
-
 class SigningClock(msgspec.Struct, frozen=True):
     """The file: the lowest timestamps that may be used from now on, for our frames and in each stream of others."""
 
@@ -122,7 +95,7 @@ class SigningClock(msgspec.Struct, frozen=True):
     heard: tuple[tuple[Stream, int], ...] = ()
 
 
-class Signer:
+class Signer(Unsigned):
     """Signs what one codec sends, and has it drop what arrives unsigned, altered or replayed."""
 
     def __init__(
@@ -143,6 +116,8 @@ class Signer:
         self._heard_stored = dict(self._stored.heard)
         self._guard = ReplayGuard(self._heard_stored, clock_ns)
         self._logged: set[object] = set()
+
+    is_signing = True
 
     def attach(self, codec: mavlink.MAVLink) -> None:
         """Have the codec sign, and drop what is not signed."""

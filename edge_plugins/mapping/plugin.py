@@ -17,6 +17,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from edge.camera import Frame, Frames
+from edge.camera.checks import open_picture_check
 from edge.camera.newest import NewestFrame
 from edge.camera.picture_check import PictureCheck
 from edge.feed.sampling import Sampler
@@ -102,7 +103,8 @@ class Mapping(Plugin):
         self._own: OwnCamera | None = None
         if frames is not None:
             opened.enter_context(closing(frames))
-            pictures = PictureCheck(device, "" if camera is UNSET else camera.kind, config.gates.min_speed_mps)
+            kind = "" if camera is UNSET else camera.kind
+            pictures = open_picture_check(device, kind, config.gates.min_speed_mps)
             self._own = OwnCamera(self._parts, frames, pictures)
         self._learner: Learner | None = None
         if mapping.layers:

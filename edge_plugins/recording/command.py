@@ -15,6 +15,7 @@ from typing import Literal, TypeAlias
 
 from tqdm import tqdm
 
+from edge.camera.checks import open_picture_check
 from edge.camera.newest import NewestFrame
 from edge.camera.picture_check import PictureCheck
 from edge.commands.stop_signal import on_stop_signal
@@ -88,7 +89,7 @@ def record(
 
         recorder = Recorder(begin, min_free_bytes, free_bytes=free_bytes)
         sampler, deadline_s = Sampler(config.sampling), time.monotonic() + duration_s
-        pictures = PictureCheck(camera, config.camera.kind, config.gates.min_speed_mps)
+        pictures = open_picture_check(camera, config.camera.kind, config.gates.min_speed_mps)
 
         def ended() -> Why | None:
             if stop.is_set():

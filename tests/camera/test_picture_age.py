@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.camera.checks import open_picture_check
 from edge.camera.newest import NewestFrame
-from edge.camera.picture_age import MOVES_SIGMA_NS, Age, PictureAge, Starts
-from edge.camera.picture_check import FROZEN, UNDATED, PictureCheck
+from edge.camera.picture_age import MOVES_SIGMA_NS, UNDATED, Age, PictureAge, Starts
+from edge.camera.picture_check import FROZEN
 from edge.feed import Frame
 from edge.geodesy import VehiclePosition
 
@@ -98,7 +99,7 @@ def test_a_vehicle_that_never_stops_and_one_whose_speed_is_unknown_show_nothing(
 @pytest.mark.parametrize("kind", ["v4l2", "oak", "sim", "feed"])
 def test_a_camera_whose_driver_stamps_its_pictures_is_believed(kind: str) -> None:
     """Pictures that were in time seemed 2.3 and 5.4 s old on recorded drives, and no position was sent."""
-    check = PictureCheck(None, kind, 0.3)
+    check = open_picture_check(None, kind, 0.3)
     for number, at_s in enumerate(np.arange(0.0, 45.0, FRAME_S)):
         frame = Frame(picture(float(at_s) - 3.0, number), round(at_s * SECOND), number)
         assert check.dated(frame, speed_mps(float(at_s))) is frame
@@ -173,7 +174,7 @@ def test_an_age_that_contradicts_the_known_one_must_be_seen_twice() -> None:
 
 
 def test_stamps_stay_corrected_while_an_age_that_was_seen_once_contradicts_them() -> None:
-    check, corrected = PictureCheck(None, "stream", 0.3), []
+    check, corrected = open_picture_check(None, "stream", 0.3), []
     for number, at_s in enumerate(np.arange(0.0, 72.0, FRAME_S).tolist()):
         frame = Frame(ahead(at_s - (0.7 if at_s < 30.0 else 3.0), number), round(at_s * SECOND), number)
         own = VehiclePosition(frame.stamp_ns, 0.0, 0.0, 0.0, heading_deg(at_s) % 360, 0.0, 0.0, 8.0)
@@ -192,7 +193,7 @@ def test_where_the_road_is_straight_or_the_camera_turns_otherwise_nothing_is_kno
 
 
 def test_no_position_rests_on_a_stream_before_its_age_is_known() -> None:
-    stream, camera = (PictureCheck(None, kind, 0.3) for kind in ("stream", "v4l2"))
+    stream, camera = (open_picture_check(None, kind, 0.3) for kind in ("stream", "v4l2"))
     assert (stream.why_no_position, camera.why_no_position) == (UNDATED, "")
     for number, at_s in enumerate(np.arange(0.0, 16.0, FRAME_S)):
         frame = Frame(picture(float(at_s), number), round(at_s * SECOND), number)
@@ -219,7 +220,7 @@ class Endless:
 
 def test_of_a_stream_that_was_opened_again_the_age_is_not_known() -> None:
     device = NewestFrame(Endless, first_back_off_s=0.0)
-    check = PictureCheck(device, "stream", 0.3)
+    check = open_picture_check(device, "stream", 0.3)
     for number, at_s in enumerate(np.arange(0.0, 16.0, FRAME_S)):
         check.dated(Frame(picture(float(at_s), number), round(at_s * SECOND), number), speed_mps(float(at_s)))
     assert check.why_no_position == ""

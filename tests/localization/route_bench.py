@@ -36,8 +36,8 @@ from edge.localization import (
     ProtectionLevel,
     Used,
 )
-from edge.localization.drive import Entry
 from edge.localization.events import Frame
+from edge.localization.position_estimator import Entry
 from edge.sequence import PlaceMatch
 from edge.sequence.consensus import probability
 from edge.telemetry.acknowledgements import Sent

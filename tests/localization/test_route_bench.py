@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from edge.localization import Fix, Refusal
-from edge.localization.drive import Asked
 from edge.localization.drive_file import replay
+from edge.localization.position_estimator import Asked
 from tests.localization.route_bench import Bench, Result
 from tests.localization.route_course import Course, Stretch
 

@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from edge.telemetry.signing import MINUTE_TICKS, TICKS_PER_S, ReplayGuard, Stream
+from edge.telemetry.codec import Stream
+from edge.telemetry.signing import MINUTE_TICKS, TICKS_PER_S, ReplayGuard
 
 NOW = 10**13
 AUTOPILOT: Stream = (0, 1, 1)

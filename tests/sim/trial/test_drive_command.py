@@ -10,8 +10,8 @@ from msgspec.structs import replace
 from edge.commands.parser import build_parser
 from edge.config import Config
 from edge.localization import Drive, Limits, Own, PositionEstimator, Refusal
-from edge.localization.drive import Asked
 from edge.localization.drive_file import DriveFile
+from edge.localization.position_estimator import Asked
 
 
 def test_it_names_each_answer_that_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
