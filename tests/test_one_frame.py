@@ -44,9 +44,9 @@ FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
 autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
 """
-USED_FRAME_FILES_MOST = 38
-"""A file counts once, if any function of it is called. Five keep the evidence, which telemetry hid before;
-one compares the turns of the pictures with the vehicle's."""
+USED_FRAME_FILES_MOST = 41
+"""A file counts once, if any function of it is called. Eight keep the evidence and decide by it: telemetry, which asked
+for a decision itself, hid those before."""
 TURN_FILES_MOST = 56
 """Of a turn that reads a local position as well."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 11
