@@ -34,11 +34,15 @@ The files beside them:
 The public interface is below: `from edge import load_config, open_recognizer, open_map, PlaceMatch, ReferenceMap`.
 """
 
+import os
 from importlib import import_module
 from typing import Any
 
 __version__ = "0.2.0"
 __all__ = ["PlaceMatch", "ReferenceMap", "load_config", "open_map", "open_recognizer"]
+
+# OpenCV reads it when it is first imported, and the size of a picture before its pixels: 30,000 x 30,000 took 8 GB.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
 
 _HOMES = {
     "PlaceMatch": "edge.sequence",

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
 from edge.commands.parser import build_parser, moved
-from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError, reason
+from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError, one_line, reason
 
 LEVELS = ("debug", "info", "warning", "error")
 
@@ -47,6 +47,14 @@ class AboveBars(logging.StreamHandler):  # type: ignore[type-arg]  # generic fro
             tqdm.write(self.format(record), file=self.stream)
 
 
+class OneLine(logging.Formatter):
+    """A message is one line, whatever names are in it; the lines of a traceback stay."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name that logging calls
+        """As Formatter has it."""
+        return one_line(super().formatMessage(record))
+
+
 def _spelled(character: str) -> str:
     return f"\\u{ord(character):04x}" if ord(character) <= 0xFFFF else "?"
 
@@ -56,7 +64,9 @@ def _open_log() -> None:
     level = os.environ.get("LOOKBACK_LOG", "info")
     if level not in LEVELS:
         raise ConfigError(f"LOOKBACK_LOG={level}: expected {', '.join(LEVELS)}")
-    logging.basicConfig(level=level.upper(), format="lookback: %(message)s", handlers=[AboveBars(sys.stderr)])
+    handler = AboveBars(sys.stderr)
+    handler.setFormatter(OneLine("lookback: %(message)s"))
+    logging.basicConfig(level=level.upper(), handlers=[handler])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -14,6 +14,8 @@
 Every message is one line that names the file, key or field and says what to do.
 """
 
+import re
+
 EXIT_SETUP = 78  # EX_CONFIG of sysexits.h; systemd's RestartPreventExitStatus names it
 
 
@@ -22,8 +24,16 @@ def reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
 
 
+def one_line(text: str) -> str:
+    """A text in which control characters are spelled out: the name of a file must not forge a line of output."""
+    return re.sub("[\x00-\x1f\x7f-\x9f\u2028\u2029]", lambda one: f"\\u{ord(one[0]):04x}", text)
+
+
 class LookbackError(Exception):
-    """Any error that Lookback raises on purpose; `str()` is one line for the user."""
+    """Any error that Lookback raises on purpose; `str()` is one line for the user, or one for each argument."""
+
+    def __str__(self) -> str:
+        return "\n".join(one_line(str(line)) for line in self.args)
 
 
 class SetupError(LookbackError):

@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec.inspect import LiteralType, Metadata, StructType, UnionType, type_info
@@ -20,6 +20,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+Line = Annotated[str, msgspec.Meta(pattern=r"^[^\n\r\x0b\x0c\x85\u2028\u2029]*\Z")]
+"""A text without line breaks, which would forge lines of output."""
 Record = TypeVar("Record", bound=msgspec.Struct)
 WORDS = {
     "array": "a list",
@@ -66,7 +68,7 @@ def convert_toml(
     """Nested tables as a record of that kind."""
     mistakes = list(mistakes_in(values, kind))
     if mistakes:
-        raise error("\n".join(f"{path}: {mistake}" for mistake in mistakes))
+        raise error(*(f"{path}: {mistake}" for mistake in mistakes))
     return msgspec.convert(values, kind)
 
 

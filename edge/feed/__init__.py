@@ -5,7 +5,7 @@ are places. `Frame` is the record that feeds and live cameras hand on. The write
 """
 
 from edge.feed.format import FeedHeader, FeedRow, View
-from edge.feed.reader import Feed, FeedImages, FeedOptions, Frame, Pictures, read_feed, read_picture
+from edge.feed.reader import Feed, FeedImages, FeedOptions, Frame, Pictures, decode_picture, read_feed, read_picture
 
 __all__ = [
     "Feed",
@@ -16,6 +16,7 @@ __all__ = [
     "Frame",
     "Pictures",
     "View",
+    "decode_picture",
     "read_feed",
     "read_picture",
 ]

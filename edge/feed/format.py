@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -12,9 +13,9 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from edge.errors import FeedError
+from edge.errors import FeedError, LookbackError
 from edge.geodesy import POSITION_SOURCES, PositionSource
-from edge.toml_file import read_text, read_toml
+from edge.toml_file import Line, read_text, read_toml
 
 View = Literal["front", "rear"]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
@@ -27,14 +28,14 @@ class FeedHeader(msgspec.Struct, frozen=True):
     odometer: whether distance_m and heading_deg were measured, and not computed from the positions.
     """
 
-    name: str
+    name: Line
     view: View
     width: Pixels
     height: Pixels
-    source: str = ""
+    source: Line = ""
     notes: str = ""
-    video: str = ""
-    preprocessing: str = ""
+    video: Line = ""
+    preprocessing: Line = ""
     odometer: bool = False
 
 
@@ -179,4 +180,12 @@ def check_degrees(where: str, column: str, value: float | None) -> None:
 def stays_inside(name: str) -> bool:
     """Whether a path that a feed gives is relative and does not climb; feeds are handed around between people."""
     parts = PurePosixPath(name)
-    return not parts.is_absolute() and ".." not in parts.parts and "\0" not in name
+    return not parts.is_absolute() and ".." not in parts.parts and name.isprintable()
+
+
+def file_inside(folder: Path, name: str, error_class: type[LookbackError] = FeedError) -> Path:
+    """A file of a feed; an error for a link that leads out of it, or a pipe, which would be waited for without end."""
+    file = folder / name
+    if file.exists() and not (file.is_file() and Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder))):
+        raise error_class(f"{file}: not a regular file of this feed; replace a link by what it leads to")
+    return file

@@ -13,6 +13,7 @@ function of the path and a `FeedOptions` that returns a `Feed` with a `pictures`
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import FeedError, FrameError
-from edge.feed.format import FeedHeader, FeedRow, View, read_header, read_rows
+from edge.feed.format import FeedHeader, FeedRow, View, file_inside, read_header, read_rows
 
 
 @dataclass(frozen=True)
@@ -99,9 +100,9 @@ def read_feed(path: Path, options: FeedOptions | None = None) -> Feed:
         raise FeedError(
             f"{path}: --view and --video are for recordings; this is a feed folder; edit its feed.toml instead"
         )
-    header = read_header(path / "feed.toml")
-    rows = read_rows(path / "frames.csv")
-    if header.video and not (path / header.video).is_file():
+    header = read_header(file_inside(path, "feed.toml"))
+    rows = read_rows(file_inside(path, "frames.csv"))
+    if header.video and not file_inside(path, header.video).is_file():
         raise FeedError(f"{path / header.video}: the video that feed.toml names is missing")
     return Feed(path, header, rows)
 
@@ -142,12 +143,26 @@ def read_picture(file: Path, flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]
     """A picture file as OpenCV reads it, (H, W, 3) uint8 BGR unless the flags say otherwise. FrameError names it."""
     # imdecode of bytes, since imread prints its own warnings to stderr for a missing file.
     try:
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise FrameError(f"{file}: not a regular file")
         data = np.fromfile(file, dtype=np.uint8)
     except OSError as error:
         raise FrameError(f"{file}: cannot read it: {error.strerror}") from None
-    image = cv2.imdecode(data, flags) if data.size else None
+    return decode_picture(str(file), data, flags)
+
+
+def decode_picture(where: str, data: bytes | NDArray[np.uint8], flags: int = cv2.IMREAD_COLOR) -> NDArray[np.uint8]:
+    """The bytes of a picture file, see `read_picture`. FrameError, which begins with `where`."""
+    encoded = np.frombuffer(data, np.uint8)
+    try:
+        image = cv2.imdecode(encoded, flags) if encoded.size else None
+    except cv2.error as error:
+        image = None
+        if "CV_IO_MAX" in str(error):
+            most = os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"]
+            raise FrameError(f"{where}: more than {most} pixels, which OPENCV_IO_MAX_IMAGE_PIXELS allows") from None
     if image is None:
-        raise FrameError(f"{file}: not a complete JPEG or PNG image")
+        raise FrameError(f"{where}: not a complete JPEG or PNG image")
     return np.asarray(image, dtype=np.uint8)
 
 
@@ -173,7 +188,7 @@ class FeedImages:
         elif self._video is not None:
             name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
         else:
-            file = self._feed.path / self._feed.rows[index].file
+            file = file_inside(self._feed.path, self._feed.rows[index].file, FrameError)
             name, image = str(file), read_picture(file)
         height, width = image.shape[:2]
         if (width, height) != (header.width, header.height):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
-from edge.errors import MapError
+from edge.errors import MapError, one_line
 from edge.geodesy import east_north, first_known
 from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
@@ -302,5 +302,5 @@ def name_of(folder: Path) -> str:
 
 
 def printable(text: str) -> str:
-    """A text with names of files that are not UTF-8, as journal and page can have it."""
-    return text.encode("utf-8", "replace").decode()
+    """A text with any names of files, as journal and page can have it: one line of UTF-8."""
+    return one_line(text.encode("utf-8", "replace").decode())

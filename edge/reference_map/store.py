@@ -36,6 +36,7 @@ from edge.reference_map.checksums import FileKey, check_files
 from edge.reference_map.gps_motion import moved_as_driven
 from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
+from edge.toml_file import Line
 
 FORMAT = "lookback-map"
 VERSION = 4
@@ -60,11 +61,11 @@ class ModelKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_def
     provider: what ran the network. A query may come from another, since each is compared with the CPU at the start.
     """
 
-    name: str
-    sha256: str
-    tap: str
+    name: Line
+    sha256: Line
+    tap: Line
     dimensions: int
-    provider: str = "cpu"
+    provider: Line = "cpu"
 
     def __str__(self) -> str:
         return f"{self.name} ({self.sha256[:12]}, {self.tap})"
@@ -101,7 +102,7 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     start: int
     end: int
     view: Literal["front", "rear"]
-    source: str
+    source: Line
     moved_as_driven: bool = False
 
 
@@ -126,7 +127,7 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     format: str
     version: int
-    lookback: str
+    lookback: Line
     model: ModelKey
     regions: RegionsKey
     dimensions: int

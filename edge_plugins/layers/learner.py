@@ -20,7 +20,9 @@ log = logging.getLogger(__name__)
 
 def learn_command(folder: Path, layers: int) -> list[str]:
     """The command for a folder of maps; layers: drives of one road that stay searched."""
-    return ["nice", "-n", "19", sys.executable, "-m", "edge", "map", "learn", str(folder), "--layers", str(layers)]
+    # -I: no module of the working folder, nor of the environment, is run.
+    lookback = [sys.executable, "-I", "-m", "edge"]
+    return ["nice", "-n", "19", *lookback, "map", "learn", str(folder), "--layers", str(layers)]
 
 
 class Learner:

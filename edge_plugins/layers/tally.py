@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 from edge.errors import MapError, reason
 from edge.files import Behind, replacing
 from edge.reference_map import MapHeader, MapSet
+from edge.reference_map.store import plain_size
 
 TALLIES, SUFFIX = ".drives", ".json"
 STRETCH_PLACES = 50
 """Places that are counted together: 100 m of a map with a place each 2 m."""
 KEPT_FILES = 1000
 """A vehicle's folder has at most so many, each of about 4 kB for 5 km; the oldest are deleted at a start."""
+MOST_BYTES = 4 << 20
+"""Of a file that is read: 5,000 km, and at most 60 MB of memory."""
 WRITTEN_EACH_NS = 60_000_000_000
 APART_SHARE, APART_M = 0.1, 20.0
 """By how much odometer and map may differ between two places for all in between to have been passed."""
@@ -140,6 +143,8 @@ def read_tallies(folder: Path) -> list[Tally]:
 def read_tally(file: Path) -> Tally:
     """Of one drive; MapError."""
     try:
+        if plain_size(file) > MOST_BYTES:
+            raise MapError(f"{file}: too large for counts of a drive; delete it")
         return msgspec.json.decode(file.read_bytes(), type=Tally)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise MapError(f"{file}: cannot read these counts: {reason(error)}") from None

@@ -57,7 +57,7 @@ class CoverageJob:
 
     async def _compute(self, key: tuple[Path, str, str, str]) -> None:
         path, way, light, view = key
-        command = [sys.executable, "-m", "edge", "map", "coverage", str(path), "--json"]
+        command = [sys.executable, "-I", "-m", "edge", "map", "coverage", str(path), "--json"]
         options = ["--for", way, "--light", light, "--view", view]
         try:
             process = await asyncio.create_subprocess_exec(

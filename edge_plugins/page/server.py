@@ -7,7 +7,8 @@ takes a quarter of what a used frame takes, and it looks at most once in five of
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
 so that no foreign web site can read the page by a name that it points here; nor may one have a job begun. What changes
 something is POST with [page] token in a header of its own, which a browser sends to the page's own site only.
-Who has not sent a request after HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most.
+Who has not sent a request after HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most, of
+one address CONNECTIONS_OF_ONE, so that no address locks out another.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import signal
 import socket
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
@@ -51,7 +52,7 @@ HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
 ANSWER_S = 2.0  # how long the daemon's loop may take to hand over a snapshot
 PATIENCE_S, HEAD_S = 10.0, 1.0
-CONNECTIONS = 24
+CONNECTIONS, CONNECTIONS_OF_ONE = 24, 12  # a browser opens 6
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
 SERVICE = {
@@ -70,7 +71,8 @@ WAYS, LIGHTS, VIEWS = ("home", "again"), ("day", "dusk", "night", "rain", "snow"
 PageRequest: TypeAlias = Literal["home", "restore", "pause", "map"]
 """The way home, the mission before it, and live mapping that pauses or goes on."""
 TOKEN_HEADER, WRONG_TOKEN_S = "X-Lookback-Token", 0.5
-"""Guesses are answered one after another, each after so long: at 12 letters nobody guesses right."""
+"""One guess at a time of an address, answered after so long: at 12 letters nobody guesses right, and another address,
+the owner's, does not wait."""
 log = logging.getLogger(__name__)
 
 
@@ -85,7 +87,8 @@ class StatusPage:
         """Whether somebody waits for a snapshot."""
         self._map = map_view
         self._coverage = CoverageJob()
-        self._token, self._guess = config.token, asyncio.Lock()
+        self._token = config.token
+        self._guessing: set[str] = set()  # addresses that are being kept waiting
         self._requests: deque[PageRequest] = deque(maxlen=1)
         self._said = ""  # the newest answer to a request
         self._answer_s = answer_s
@@ -181,7 +184,9 @@ class StatusPage:
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no frame yet\n", 404)
 
         async def thumbnail(request: Request) -> Response:
-            index = request.path_params["place_index"]
+            name = request.path_params["place_index"]
+            # Not Starlette's int, which Python refuses to make of 4,301 digits.
+            index = int(name) if re.fullmatch("[0-9]{1,9}", name) else self._map.places
             data = self._map.thumbnail(index) if index < self._map.places else b""
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no such place\n", 404)
 
@@ -201,11 +206,15 @@ class StatusPage:
         async def write(what: PageRequest, request: Request) -> Response:
             if _is_foreign(request) or not self._token:
                 return PlainTextResponse("only for this page itself, with [page] token\n", 403)
-            async with self._guess:
-                given = request.headers.get(TOKEN_HEADER, "")
-                if not hmac.compare_digest(given.encode(), self._token.encode()):
-                    await asyncio.sleep(WRONG_TOKEN_S)
-                    return PlainTextResponse("this is not [page] token\n", 401)
+            address = request.client.host if request.client else ""
+            if address in self._guessing:
+                return PlainTextResponse("a wrong token was sent from this address; wait a second\n", 429)
+            given = request.headers.get(TOKEN_HEADER, "")
+            if not hmac.compare_digest(given.encode(), self._token.encode()):
+                self._guessing.add(address)
+                await asyncio.sleep(WRONG_TOKEN_S)
+                self._guessing.discard(address)
+                return PlainTextResponse("this is not [page] token\n", 401)
             self._said = "requested"
             self._requests.append(what)
             return PlainTextResponse("requested\n", 202)
@@ -219,7 +228,7 @@ class StatusPage:
                 Route("/status.json", self._with_snapshot(status)),
                 Route("/metrics", self._with_snapshot(metrics)),
                 Route("/frame.jpg", self._with_snapshot(frame)),
-                Route("/thumbnail/{place_index:int}.jpg", thumbnail),
+                Route("/thumbnail/{place_index}.jpg", thumbnail),
                 Route("/route.json", route),
                 Route("/coverage.json", coverage),
                 *(Route(f"/{what}", partial(write, what), methods=["POST"]) for what in get_args(PageRequest)),
@@ -318,14 +327,19 @@ class _ImpatientProtocol(H11Protocol):
     `patience_s`; uvicorn waits for ever.
     """
 
-    def __init__(self, patience_s: float, config: uvicorn.Config, **others: Any) -> None:
+    def __init__(self, patience_s: float, by_address: Counter[str], config: uvicorn.Config, **others: Any) -> None:
         super().__init__(config, **others)
-        self._patience_s = patience_s
+        self._patience_s, self._by_address = patience_s, by_address
         self._deadline: asyncio.TimerHandle | None = None
+        self._address = ""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         self._deadline = self.loop.call_later(min(HEAD_S, self._patience_s), transport.abort)
+        self._address = self.client[0] if self.client else ""
+        self._by_address[self._address] += 1
+        if self._by_address[self._address] > CONNECTIONS_OF_ONE:
+            transport.abort()
 
     def data_received(self, data: bytes) -> None:
         is_first = self.cycle is None
@@ -346,6 +360,7 @@ class _ImpatientProtocol(H11Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
+        self._by_address -= Counter([self._address])  # and forget addresses that have none
         super().connection_lost(exc)
 
 
@@ -353,7 +368,7 @@ def _server_config(app: ASGIApp, patience_s: float) -> uvicorn.Config:
     logging.getLogger("uvicorn").setLevel(logging.ERROR)  # a bad request is no news for the vehicle's log
     return uvicorn.Config(
         app,
-        http=partial(_ImpatientProtocol, patience_s),  # type: ignore[arg-type]  # it calls it, as it would a class
+        http=partial(_ImpatientProtocol, patience_s, Counter()),  # type: ignore[arg-type]  # it calls it, as it would a class
         ws="none",
         loop="asyncio",
         lifespan="off",

@@ -23,8 +23,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import FeedError, FrameError
-from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, read_feed
+from edge.errors import FeedError
+from edge.feed import Feed, FeedHeader, FeedImages, FeedOptions, FeedRow, decode_picture, read_feed
 from edge.feed.format import MEASURES, SOURCE
 from edge.feed.writer import FeedWriter
 from edge.geodesy import PositionSource
@@ -154,11 +154,7 @@ def _pictures(path: Path) -> PicturesInOrder:
 
 def _decoded(where: str, message: tuple[int, Message]) -> NDArray[np.uint8]:
     """A picture, (H, W, 3) uint8 BGR. FrameError, which begins with `where`."""
-    data = np.frombuffer(_data_of(message), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    if image is None:
-        raise FrameError(f"{where}: not a complete JPEG or PNG image")
-    return np.asarray(image, dtype=np.uint8)
+    return decode_picture(where, _data_of(message))
 
 
 def _data_of(message: tuple[int, Message]) -> bytes:

@@ -22,6 +22,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from edge.errors import FeedError, FrameError
+from edge.feed import decode_picture
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PicturesInOrder
 from sim.datasets.track import Fix, Track
@@ -64,10 +65,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
 def to_bgr(where: str, message: Any) -> NDArray[np.uint8]:
     """An Image or CompressedImage as (H, W, 3) uint8 BGR; FrameError, which begins with `where`."""
     if not hasattr(message, "encoding"):
-        image = cv2.imdecode(np.asarray(message.data, dtype=np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise FrameError(f"{where}: not a whole picture ({message.format})")
-        return np.asarray(image, dtype=np.uint8)
+        return decode_picture(where, np.asarray(message.data, dtype=np.uint8))
     if message.encoding not in ENCODINGS:
         raise FrameError(f"{where}: encoding {message.encoding!r} is not one of {', '.join(ENCODINGS)}")
     channels, conversion = ENCODINGS[message.encoding]

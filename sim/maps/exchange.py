@@ -8,34 +8,29 @@ what an earlier one, or a folder, lacks; the same folder gives the same bytes, s
 from __future__ import annotations
 
 import contextlib
-import gzip
 import hashlib
-import io
 import os
-import re
 import shutil
-import tarfile
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from edge.errors import MapError
 from edge.files import AtomicFolder, flush_to_disk, replacing
-from edge.reference_map import maps_in, open_map, read_header
+from edge.reference_map import MapHeader, maps_in, open_map, read_header
 from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_folder import SIGNATURE, check_signature
 from edge.reference_map.store import HEADER
 from edge_plugins.layers.stored import KEEP_FILE
 from edge_plugins.layers.tally import TALLIES, Tally, read_tally
-from sim.output import refusing
+from sim.maps.delta_file import INVENTORY, add, reading, unpack, writing
 
-INVENTORY = "inventory.json"
-NAME = re.compile(r"[^./][^/]*")
-"""Of a map or a tally: no folder, and not hidden."""
+UNPACKED_FIRST = (HEADER, SIGNATURE, KEEP_FILE)
+"""Of a map in a delta; all other files are those that its header lists."""
 
 
 class Inventory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -79,45 +74,62 @@ def write_delta(folder: Path, since: Path | None, output: Path) -> Delta:
     has = _inventory_of(since) if since is not None else Inventory([], {})
     missing = [path for sha256, path in sorted(drives.items()) if sha256 not in has.drives]
     length_m = 0.0
-    with _writing(output) as tar:
+    with writing(output) as tar:
         inventory = msgspec.json.encode(Inventory(sorted(drives), dict(sorted(tallies.items()))))
-        _add(tar, INVENTORY, inventory)
+        add(tar, INVENTORY, inventory)
         for path in missing:
             one = open_map(path, every_file=True)
             length_m += sum(float(np.ptp(one.places["route_m"][s.start : s.end])) for s in one.header.segments)
             for name in sorted([HEADER, *one.header.files, *_marks(path)]):
-                _add(tar, f"{path.name}/{name}", path / name)
+                add(tar, f"{path.name}/{name}", path / name)
         changed = [name for name, sha256 in sorted(tallies.items()) if has.tallies.get(name) != sha256]
         for name in changed:
-            _add(tar, f"{TALLIES}/{name}", folder / TALLIES / name)
+            add(tar, f"{TALLIES}/{name}", folder / TALLIES / name)
     return Delta(len(missing), len(changed), length_m / 1000, output.stat().st_size)
 
 
 def apply(folder: Path, delta: Path, require_signature_by: Path | None = None) -> int:
     """Add the drives and tallies of a delta to a folder; how many drives are new. MapError, before anything is added.
 
-    Each drive comes whole, by one rename; after a crash the same command adds the others.
+    Headers, their signatures and the sizes that they state are checked before the files that they describe are
+    unpacked; those of drives that are there already never are. Each drive comes whole, by one rename; after a crash the
+    same command adds the others.
     """
-    _maps(folder)
+    there = {read_header(path).header_sha256 for path in _maps(folder)}
     with AtomicFolder(folder / "delta") as building:
-        _unpack(delta, building.path)
-        new, tallies = maps_in(building.path), _tallies(building.path)
+        sizes = unpack(delta, building.path, lambda place, name: place == TALLIES or name in UNPACKED_FIRST)
         with _named_by(delta, building.path):
+            tallies = _tallies(building.path)
             _best(tallies)
-            headers = {path: open_map(path, every_file=True).header for path in new}
-            for path, header in headers.items():
-                if require_signature_by is not None:
-                    check_signature(path, header, require_signature_by)
-        there = {read_header(path).header_sha256: path.name for path in _maps(folder)}
-        added = {path: header.header_sha256 for path, header in headers.items() if header.header_sha256 not in there}
-        for path, sha256 in added.items():
-            name = path.name if not (folder / path.name).exists() else f"{path.name}-{sha256[:8]}"
+            added = {}
+            for name in sorted(set(sizes) - {TALLIES}):
+                header = _checked_header(building.path / name, sizes[name], require_signature_by)
+                if header.header_sha256 not in there:
+                    added[name] = header.header_sha256
+            unpack(delta, building.path, lambda place, name: place in added and name not in UNPACKED_FIRST)
+            for name in added:
+                open_map(building.path / name, every_file=True)
+        for name, sha256 in added.items():
+            path = building.path / name
             for file in (*path.iterdir(), path):
                 flush_to_disk(file)
-            path.rename(folder / name)
+            path.rename(folder / (name if not (folder / name).exists() else f"{name}-{sha256[:8]}"))
         _copy_tallies(tallies, folder / TALLIES)
         flush_to_disk(folder)
     return len(added)
+
+
+def _checked_header(path: Path, sizes: Mapping[str, int], require_signature_by: Path | None) -> MapHeader:
+    """Of a map of which no other file is unpacked; sizes: the bytes of all its files. MapError."""
+    if HEADER not in sizes:
+        raise MapError(f"{path / HEADER}: missing; this is not a delta")
+    header = read_header(path)
+    if require_signature_by is not None:
+        check_signature(path, header, require_signature_by)
+    stated = {name: key.bytes for name, key in header.files.items()}
+    if {name: size for name, size in sizes.items() if name not in UNPACKED_FIRST} != stated:
+        raise MapError(f"{path / HEADER}: the files with it are not those, of those sizes, that it lists")
+    return header
 
 
 def _maps(folder: Path) -> list[Path]:
@@ -188,47 +200,11 @@ def _inventory_of(since: Path) -> Inventory:
     if since.is_dir():
         tallies = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in _tallies(since)}
         return Inventory([read_header(path).header_sha256 for path in _maps(since)], tallies)
-    with _reading(since) as tar:
-        member = tar.next()
-        stream = tar.extractfile(member) if member is not None and member.name == INVENTORY else None
-        if stream is None:
+    with reading(since) as members:
+        member, stream = next(iter(members), (None, None))
+        if member is None or stream is None or member.name != INVENTORY:
             raise MapError(f"{since}: not a delta that `map delta` wrote")
         return msgspec.json.decode(stream.read(), type=Inventory)
-
-
-@contextlib.contextmanager
-def _writing(output: Path) -> Iterator[tarfile.TarFile]:
-    """A compressed tar file whose bytes depend on nothing but its members."""
-    with (
-        refusing(MapError, f"{output}: cannot write it"),
-        replacing(output) as stream,
-        gzip.GzipFile("", "wb", fileobj=stream, mtime=0) as packed,
-        tarfile.open(fileobj=packed, mode="w") as tar,
-    ):
-        yield tar
-
-
-def _add(tar: tarfile.TarFile, name: str, content: Path | bytes) -> None:
-    member = tarfile.TarInfo(name)
-    if isinstance(content, bytes):
-        member.size = len(content)
-        tar.addfile(member, io.BytesIO(content))
-        return
-    with content.open("rb") as stream:
-        status = os.fstat(stream.fileno())
-        member.size, member.mtime = status.st_size, int(status.st_mtime)
-        tar.addfile(member, stream)
-
-
-@contextlib.contextmanager
-def _reading(delta: Path) -> Iterator[tarfile.TarFile]:
-    try:
-        with tarfile.open(delta, "r:gz") as tar:
-            yield tar
-    except (tarfile.TarError, EOFError, gzip.BadGzipFile, msgspec.DecodeError) as error:
-        raise MapError(f"{delta}: cut off, or not a delta ({error}); copy it again") from None
-    except OSError as error:
-        raise MapError(f"{delta}: cannot read it: {error.strerror or error}") from None
 
 
 @contextlib.contextmanager
@@ -238,25 +214,3 @@ def _named_by(delta: Path, place: Path) -> Iterator[None]:
         yield
     except MapError as error:
         raise MapError(str(error).replace(f"{place}{os.sep}", f"{delta}: ")) from None
-
-
-def _unpack(delta: Path, place: Path) -> None:
-    """Plain files only, each in the folder of a map or of the tallies."""
-    with _reading(delta) as tar:
-        for member in tar:
-            parts = PurePosixPath(member.name).parts
-            if member.name == INVENTORY:
-                continue
-            is_named = (
-                len(parts) == 2 and (NAME.fullmatch(parts[0]) or parts[0] == TALLIES) and NAME.fullmatch(parts[1])
-            )
-            stream = tar.extractfile(member) if member.isreg() and is_named else None
-            if stream is None:
-                raise MapError(f"{delta}: {member.name!r} is no file of a map; this is not a delta")
-            file = place / parts[0] / parts[1]
-            file.parent.mkdir(exist_ok=True)
-            with file.open("wb") as out:
-                shutil.copyfileobj(stream, out)
-            os.utime(file, (member.mtime % 2**32,) * 2)  # when the drive was made
-        while tar.fileobj is not None and tar.fileobj.read(1 << 20):
-            pass  # to the checksum at the end of the file, or EOFError

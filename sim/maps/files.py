@@ -6,6 +6,7 @@ Signing is so that a vehicle takes only the maps that its owner has made.
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
@@ -13,10 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edge.errors import MapError
+from edge.errors import FrameError, MapError
+from edge.feed import decode_picture
 from edge.map_agreement import disagreements
 from edge.reference_map import ReferenceMap, maps_in, open_map, open_map_set
 from edge.reference_map.learned import LearnedFolder
+from edge.reference_map.map_set import name_of
 from edge.reference_map.store import HEADER, MapHeader
 from edge_plugins.layers.stored import KEEP_FILE, StoredMap, stored_maps
 from edge_plugins.layers.tally import light_of, read_tallies
@@ -70,7 +73,7 @@ def _info(args: argparse.Namespace) -> int:
     learned = LearnedFolder(args.map)
     for path in maps_in(args.map):
         if learned.retires(path):
-            print(f"retired   {path.name}: not searched; see `map learn`")
+            print(f"retired   {name_of(path)}: not searched; see `map learn`")
     for name, one in zip(maps.names, maps.maps, strict=True):
         for start, end in one.stale:
             print(f"stale     {name}: places {start} to {end - 1} are passed, and recognized no more; not searched")
@@ -160,9 +163,9 @@ def _list(args: argparse.Namespace) -> int:
     maps = stored_maps(args.map, read_tallies(args.map))
     width = max((len(one.path.name) for one in maps), default=0)
     for one in maps:
-        print(f"{one.path.name:{width}}  {_spell(one)}")
+        print(f"{name_of(one.path):{width}}  {_spell(one)}")
     for file in logs_in(args.map):
-        print(f"{map_of(file).name}: being mapped, or to be completed at the next start of `lookback run`")
+        print(f"{name_of(map_of(file))}: being mapped, or to be completed at the next start of `lookback run`")
     total_mb = sum(one.size_bytes for one in maps) / 1e6
     print(f"{args.map}: {len(maps)} map{'s' * (len(maps) != 1)}, {total_mb:.1f} MB")
     return 0
@@ -183,9 +186,9 @@ def light(path: Path) -> str:
     try:
         reference_map = open_map(path)
         for place in np.linspace(0, len(reference_map.places) - 1, SAMPLED_PICTURES).astype(int):
-            data = np.frombuffer(reference_map.thumbnail(int(place)), np.uint8)
-            picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-            levels += [] if picture is None else [float(picture.mean())]
+            thumbnail = reference_map.thumbnail(int(place))
+            with contextlib.suppress(FrameError):
+                levels.append(float(decode_picture("", thumbnail, cv2.IMREAD_GRAYSCALE).mean()))
     except (MapError, OSError):
         return "damaged"
     return light_of(float(np.median(levels)) if levels else float("nan"))

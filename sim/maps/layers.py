@@ -7,6 +7,7 @@ from pathlib import Path
 
 from edge.errors import ConfigError, MapError
 from edge.reference_map.learned import LearnedFolder
+from edge.reference_map.map_set import name_of
 from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.files import light
 from sim.maps.keys import is_signed_with
@@ -97,7 +98,7 @@ def _table(lesson: Lesson) -> list[str]:
         views = "/".join(sorted({segment.view for segment in drive.header.segments}))
         stale = sum(end - start for start, end in lesson.learned.stale.get(drive.header.header_sha256, ()))
         lines.append(
-            f"{drive.path.name:{width}}  {views:5}  {drive.header.places:6}  {light(drive.path):13}"
+            f"{name_of(drive.path):{width}}  {views:5}  {drive.header.places:6}  {light(drive.path):13}"
             f"  {drive.recognized:6}  {stale:5}  {state:8}  {why}"
         )
     return lines

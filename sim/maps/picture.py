@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import ConfigError, MapError, SetupError
+from edge.errors import ConfigError, FrameError, MapError, SetupError
 from edge.extras import install_command
+from edge.feed import decode_picture
 from edge.geodesy import east_north, first_known
 from edge.reference_map import ReferenceMap, open_map_set
 from edge_plugins.layers.road import REACH_M
@@ -134,7 +135,9 @@ def _draw_strips(
 
 def _light(one: ReferenceMap, rows: NDArray[np.intp]) -> str | tuple[float, float, float]:
     """The mean gray of a picture of some places; white with no picture."""
-    data = np.frombuffer(one.thumbnail(int(rows[len(rows) // 2])), np.uint8)
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    level = 1.0 if picture is None else min(1.0, float(picture.mean()) / 160.0)  # 160: a picture of snow by day
+    try:
+        picture = decode_picture("", one.thumbnail(int(rows[len(rows) // 2])), cv2.IMREAD_GRAYSCALE)
+    except FrameError:
+        return 1.0, 1.0, 1.0
+    level = min(1.0, float(picture.mean()) / 160.0)  # 160: a picture of snow by day
     return level, level, level

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import pickle
-from collections import OrderedDict
+import itertools
+import pickletools
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
 INPUT_SIZE, CLASSES = 224, 1000
 MEAN_RGB, STD_RGB = (127 / 255,) * 3, (128 / 255,) * 3  # as the authors trained it
 TAP, POOL = "block14", "2x2"
+Operation = tuple[str, Any]
+"""Of a pickle: its name, and what stands with it."""
 _EPSILON = 1e-3  # of batch norm
 STAGES = ((1, 3, 1, 1), (2, 3, 2, 6), (2, 5, 2, 6), (3, 3, 2, 6), (3, 5, 1, 6), (4, 5, 2, 6), (1, 3, 1, 6))
 """Of each stage: blocks, size of the kernel, stride of its first block, and by how much a block widens."""
@@ -55,34 +58,35 @@ def read_packaged_weights() -> tuple[Weights, str]:
 def _read_tensors(data: bytes) -> Weights:
     """The arrays in that one file, as PyTorch wrote them until 2020: five pickles, then the numbers of each storage.
 
-    A pickle can run programs, and these are read as they are: the checksum above says that they hold tensors alone.
+    A pickle is a program. These are listed, and never run: where the fourth names a storage (BINPERSID), the array's
+    name, the storage's key and the number of its values stand so many operations before, and the array's shape and the
+    steps along it after. The fifth has the keys in the order of the storages, each of which is one array.
     """
-    stream, storages = io.BytesIO(data), dict[str, NDArray[Any]]()
-
-    class Tensors(pickle.Unpickler):
-        """Names of PyTorch's classes stand for types of numbers; the numbers of a storage come after all pickles."""
-
-        def find_class(self, module: str, name: str) -> Any:
-            if module == "torch._utils":
-                return _tensor
-            return {"FloatStorage": np.float32, "LongStorage": np.int64}.get(name, OrderedDict)
-
-        def persistent_load(self, pid: Any) -> NDArray[Any]:
-            _, kind, key, _, count, *_ = pid
-            return storages.setdefault(key, np.zeros(count, kind))
-
-    *_, state, keys = (Tensors(stream).load() for _ in range(5))
-    for key in keys:
-        stream.seek(8, io.SEEK_CUR)  # how many there are, which is known
-        storages[key][:] = np.frombuffer(stream.read(storages[key].nbytes), storages[key].dtype)
-    return dict(state)
+    stream = io.BytesIO(data)
+    *_, state, keys = (_operations(stream) for _ in range(5))
+    arrays: dict[str, tuple[str, int, list[int], list[int]]] = {}
+    for at in (index for index, (code, _) in enumerate(state) if code == "BINPERSID"):
+        key, count, name = (state[at - before][1] for before in (5, 3, 11))
+        after = iter(state[at + 2 :])  # past the offset, 0 of all
+        shape, steps = ([value for _, value in _until_tuple(after) if value is not None] for _ in range(2))
+        arrays[key] = name, count, shape, steps
+    found: dict[str, NDArray[Any]] = {}
+    for key in (value for code, value in keys if code == "BINUNICODE"):
+        name, count, shape, steps = arrays[key]
+        stream.seek(8, io.SEEK_CUR)  # the number of its values once more
+        kind = np.dtype(np.int64 if name.endswith("num_batches_tracked") else np.float32)
+        values = np.frombuffer(stream.read(count * kind.itemsize), kind)
+        found[name] = np.lib.stride_tricks.as_strided(values, shape, [step * kind.itemsize for step in steps])
+    return found
 
 
-def _tensor(
-    storage: NDArray[Any], offset: int, size: tuple[int, ...], stride: tuple[int, ...], *_: Any
-) -> NDArray[Any]:
-    strides = [step * storage.itemsize for step in stride]
-    return np.lib.stride_tricks.as_strided(storage[offset:], size, strides)
+def _operations(stream: IO[bytes]) -> list[Operation]:
+    """Of the next pickle, but for those that keep what may be used again."""
+    return [(code.name, value) for code, value, _ in pickletools.genops(stream) if not code.name.endswith("PUT")]
+
+
+def _until_tuple(operations: Iterator[Operation]) -> Iterator[Operation]:
+    return itertools.takewhile(lambda one: "TUPLE" not in one[0], operations)
 
 
 def build(weights: Weights) -> onnx.ModelProto:

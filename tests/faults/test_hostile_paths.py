@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
+import re
 import shutil
+import struct
+import subprocess
+import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,8 +20,8 @@ import pytest
 
 from edge.__main__ import main
 from edge.descriptor.network import Network
-from edge.errors import FeedError, MapError
-from edge.feed import read_feed
+from edge.errors import FeedError, FrameError, MapError
+from edge.feed import FeedImages, read_feed, read_picture
 from edge.reference_map.store import HEADER, encode_header, open_map, read_header
 from sim.maps.keys import make_key, sign_map
 
@@ -51,6 +57,101 @@ def test_a_feed_names_nothing_outside_its_folder(
     assert "\n" not in str(refusal.value)
     assert str(feed) in str(refusal.value)
     assert "not for you" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["feed.toml", "frames.csv", "frames/000003.jpg"])
+@pytest.mark.parametrize("how", ["link", "pipe"])
+def test_a_feeds_files_lie_in_its_folder(how: str, name: str, street: Path, tmp_path: Path) -> None:
+    """A pipe held up `map build` without end."""
+    feed = tmp_path / "feed"
+    shutil.copytree(street / "feed", feed)
+    shutil.move(feed / name, tmp_path / "elsewhere")
+    if how == "link":
+        (feed / name).symlink_to(tmp_path / "elsewhere")
+    else:
+        os.mkfifo(feed / name)
+    with pytest.raises((FeedError, FrameError), match=f"{feed / name}: not a regular file of this feed"):
+        FeedImages(read_feed(feed)).read(3)
+
+
+def test_a_picture_of_another_program_is_no_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.jpg")
+    with pytest.raises(FrameError, match="not a regular file"):
+        read_picture(tmp_path / "a.jpg")
+
+
+def png(width: int, height: int) -> bytes:
+    """One that is all black, of few bytes however large."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(1 + (width + 7) // 8)) for _ in range(height)) + packer.flush()
+    head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+READ = """
+import resource, sys
+from pathlib import Path
+import edge.camera.v4l2  # which loads OpenCV before anything of the feed
+from edge.errors import FrameError
+from edge.feed import read_picture
+try:
+    read_picture(Path(sys.argv[1]))
+except FrameError as error:
+    print(error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_the_size_of_a_picture_is_read_before_its_pixels(tmp_path: Path) -> None:
+    """30,000 x 30,000 took 7.8 GB before it was refused."""
+    (tmp_path / "large.png").write_bytes(png(20_000, 20_000))
+    (tmp_path / "small.png").write_bytes(png(20, 20))
+    said = {}
+    for name in ("large", "small"):
+        command = [sys.executable, "-c", READ, str(tmp_path / f"{name}.png")]
+        *error, peak_kb = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+        said[name] = error, int(peak_kb)
+    assert said["small"][0] == []
+    assert said["large"][0] == [
+        f"{tmp_path / 'large.png'}: more than 67108864 pixels, which OPENCV_IO_MAX_IMAGE_PIXELS allows"
+    ]
+    assert said["large"][1] - said["small"][1] < 50_000, "kB"
+
+
+@pytest.mark.parametrize("where", ["feed.toml", "frames.csv", "map header", "map folder"])
+def test_a_name_forges_no_line_of_output(
+    where: str, street: Path, make_map: Callable[..., Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    name = "x\nlookback: all is well"
+    feed = tmp_path / "feed"
+    shutil.copytree(street / "feed", feed)
+    command = ["map", "build", str(feed), "-o", str(tmp_path / "out")]
+    if where == "feed.toml":
+        text = (feed / "feed.toml").read_text()
+        (feed / "feed.toml").write_text(re.sub("(?m)^name = .*", f"name = {json.dumps(name)}", text))
+    elif where == "frames.csv":
+        rows = (feed / "frames.csv").read_text().replace("frames/000003.jpg", f'"{name}"')
+        (feed / "frames.csv").write_text(rows)
+    else:
+        folder = tmp_path / "maps" / (name if where == "map folder" else "one")
+        folder.parent.mkdir()
+        shutil.copytree(make_map(tmp_path / "made"), folder)
+        make_map(tmp_path / "maps" / "another")
+        command = ["map", "info", str(folder.parent)]
+        if where == "map header":
+            header = read_header(folder)
+            segments = tuple(msgspec.structs.replace(one, source=name) for one in header.segments)
+            changed = msgspec.structs.replace(header, segments=segments, header_sha256="")
+            (folder / HEADER).write_bytes(encode_header(changed))
+            command = ["map", "info", str(folder)]
+    main(command)
+    said = capfd.readouterr()
+    assert "all is well" in said.out + said.err or where in ("feed.toml", "map header"), "it is shown, spelled out"
+    assert "\nlookback: all is well" not in said.out + said.err
 
 
 @pytest.mark.parametrize("name", ["descriptors.i8", "thumbnails.jpgs", "map.json"])

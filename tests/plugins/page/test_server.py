@@ -27,7 +27,7 @@ from edge.journal.records import FrameUsed
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
 from edge_plugins.page import PageConfig
-from edge_plugins.page.server import CONNECTIONS, TOKEN_HEADER, StatusPage
+from edge_plugins.page.server import CONNECTIONS, CONNECTIONS_OF_ONE, TOKEN_HEADER, StatusPage
 from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 
 PATIENCE_S = 0.5
@@ -108,8 +108,10 @@ def loop(page: StatusPage) -> Iterator[Loop]:
         yield loop
 
 
-def get(page: StatusPage, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, http.client.HTTPMessage]:
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=CUT_OFF_S)
+def get(
+    page: StatusPage, path: str, method: str = "GET", address: str = "127.0.0.1", **headers: str
+) -> tuple[int, bytes, http.client.HTTPMessage]:
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, CUT_OFF_S, source_address=(address, 0))
     with closing(connection):
         connection.request(method, path, headers=headers)
         answer = connection.getresponse()
@@ -236,6 +238,7 @@ def test_a_name_in_the_config_is_served() -> None:
         "/thumbnail/../page.py",
         "/thumbnail/-1.jpg",
         "/thumbnail/1e3.jpg",
+        f"/thumbnail/{'4' * 4500}.jpg",
         "//",
         "/page.py",
     ],
@@ -249,8 +252,8 @@ def test_it_is_read_only(page: StatusPage, method: str) -> None:
     assert get(page, "/status.json", method)[0] == 405
 
 
-def raw(page: StatusPage, data: bytes) -> socket.socket:
-    connection = socket.create_connection(("127.0.0.1", page.port), timeout=CUT_OFF_S)
+def raw(page: StatusPage, data: bytes, address: str = "127.0.0.1") -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", page.port), CUT_OFF_S, source_address=(address, 0))
     connection.sendall(data)
     return connection
 
@@ -299,13 +302,23 @@ def test_many_idle_connections_keep_nobody_out_for_long(page: StatusPage, loop: 
     idle: list[socket.socket] = []
     answers: list[int] = []
     while 503 not in answers and len(answers) < 10:  # a busy machine may cut the first off before it accepts the last
-        idle += [raw(page, b"GET /") for _ in range(CONNECTIONS + 8)]
+        idle += [raw(page, b"GET /", f"127.0.0.{2 + number % 4}") for number in range(CONNECTIONS + 8)]
         answers.append(get(page, "/")[0])
     assert answers[-1] == 503
     for connection in idle:
         wait_for_end(connection)
         connection.close()
     assert get(page, "/status.json")[0] == 200
+
+
+def test_the_connections_of_one_address_lock_nobody_else_out() -> None:
+    with closing(StatusPage(PageConfig(port=0), MAP, patience_s=100 * CUT_OFF_S)) as page:
+        others = [raw(page, b"", "127.0.0.2") for _ in range(2 * CONNECTIONS)]
+        assert get(page, "/")[0] == 200
+        for connection in others:
+            wait_for_end(connection)
+            connection.close()
+        assert get(page, "/", address="127.0.0.2")[0] == 200
 
 
 def test_half_sent_requests_keep_nobody_out_for_long() -> None:
@@ -361,6 +374,19 @@ def test_no_other_request_is_handed_over(writable: StatusPage, method: str, head
     assert found == code
     assert writable.requested() is None
     assert not [name for name in answered if name.lower().startswith("access-control")]
+
+
+def test_guessers_keep_the_owner_waiting_nowhere_but_at_their_address(writable: StatusPage) -> None:
+    """24 of them locked him out."""
+    request = f"POST /home HTTP/1.1\r\nHost: localhost\r\n{TOKEN_HEADER}: a-guess\r\nContent-Length: 0\r\n\r\n"
+    guesses = [raw(writable, request.encode(), "127.0.0.2") for _ in range(CONNECTIONS_OF_ONE)]
+    owner = get(writable, "/home", "POST", **{TOKEN_HEADER: TOKEN})[0]
+    codes = [connection.recv(64).split()[1] for connection in guesses]
+    for connection in guesses:
+        connection.close()
+    assert sorted(codes) == [b"401"] + [b"429"] * (CONNECTIONS_OF_ONE - 1)
+    assert owner == 202
+    assert get(writable, "/home", "POST", address="127.0.0.2", **{TOKEN_HEADER: TOKEN})[0] == 202, "after the wait"
 
 
 def test_without_a_token_nothing_can_be_requested(page: StatusPage, loop: Loop) -> None:

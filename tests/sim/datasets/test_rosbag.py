@@ -183,5 +183,5 @@ def test_pictures_that_cannot_be_are_frame_errors() -> None:
         to_bgr("here", short)
     torn = messages.compressed(0, np.zeros((4, 6, 3), np.uint8))
     torn.data = torn.data[:100]
-    with pytest.raises(FrameError, match=r"^here: not a whole picture \(jpeg\)"):
+    with pytest.raises(FrameError, match=r"^here: not a complete JPEG or PNG image"):
         to_bgr("here", torn)

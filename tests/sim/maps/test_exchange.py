@@ -6,6 +6,7 @@ import hashlib
 import io
 import shutil
 import tarfile
+import tracemalloc
 from itertools import permutations
 from pathlib import Path
 
@@ -145,6 +146,64 @@ def test_a_file_that_belongs_to_no_map_is_refused(
     assert Path(name).name in (err := capsys.readouterr().err)
     assert len(err.strip().splitlines()) == 1
     assert content(vehicle) == content(fleet[0])
+
+
+def altered(delta: Path, members: dict[str, bytes]) -> None:
+    """Replace or add files of a delta."""
+    with tarfile.open(delta, "r:gz") as tar:
+        found = {one.name: stream.read() for one in tar if (stream := tar.extractfile(one)) is not None}
+    with tarfile.open(delta, "w:gz") as tar:
+        for name, data in {**found, **members}.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            tar.addfile(member, io.BytesIO(data))
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ({"monday/descriptors.i8": bytes(1000)}, "monday: not signed"),
+        ({"shared/descriptors.i8": bytes(1000)}, "shared/map.json: the files with it are not those"),
+        ({"shared/more": b"x"}, "shared/map.json: the files with it are not those"),
+        ({f"{TALLIES}/{MADE_S:.0f}.json": b" " * (5 << 20)}, "too large for counts"),
+        ({"shared/descriptors.i8": bytes(64 << 20)}, "unpacks to over 10 times its size"),
+        ({"y\nforged/map.json": b"x"}, "'y\\nforged/map.json' is no file"),
+        ({"only/raw.f16": b"x"}, "only/map.json: missing"),
+    ],
+)
+def test_what_is_wrong_is_found_before_a_delta_is_unpacked(
+    members: dict[str, bytes], message: str, fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of 13.7 MB unpacked to 3 GB before its signature was read."""
+    public = make_key(tmp_path / "key")
+    office = Path(shutil.copytree(fleet[1], tmp_path / "office"))
+    sign_map(office / "shared", tmp_path / "key")
+    write_delta(office, None, tmp_path / "delta")
+    altered(tmp_path / "delta", members)
+    (tmp_path / "vehicle").mkdir()
+    asked = ["--require-signature-by", str(public)] if "signed" in message else []
+    tracemalloc.start()
+    assert main(["map", "apply", str(tmp_path / "vehicle"), str(tmp_path / "delta"), *asked]) == 78
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert message in (err := capsys.readouterr().err)
+    assert len(err.splitlines()) == 1
+    assert content(tmp_path / "vehicle") == {}
+    assert peak_bytes < 32 << 20
+
+
+def test_a_header_of_a_member_that_unpacks_to_much_does_not_take_the_memory(
+    fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with tarfile.open(tmp_path / "delta", "w:gz", format=tarfile.PAX_FORMAT) as tar:
+        tar.addfile(tarfile.TarInfo("x" * (64 << 20)))
+    vehicle = Path(shutil.copytree(fleet[0], tmp_path / "vehicle"))
+    tracemalloc.start()
+    assert main(["map", "apply", str(vehicle), str(tmp_path / "delta")]) == 78
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "unpacks to over 10 times its size" in capsys.readouterr().err
+    assert peak_bytes < 48 << 20
 
 
 def test_bad_folders_are_named(fleet: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
