@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import Frame
 from edge.config import Config
-from edge.errors import SetupError
+from edge.errors import MapError, SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
@@ -30,6 +30,7 @@ from edge.localization.place_fix import frame_used, untracked_fix
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.plugin import UsedFrame
+from edge.reference_map import MapSet
 from edge.sequence import Near, PlaceMatch, Travel
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
@@ -139,7 +140,14 @@ class Daemon:
         if self._distance_gaps != self._autopilot.vehicle.motion.gaps:
             self._distance_gaps = self._autopilot.vehicle.motion.gaps
             self._recognizer.restart_odometer()
-        match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
+        try:
+            match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
+        except MapError:
+            left = self.parts.verification.without_cut(self._recognizer.map_set)
+            if left is self._recognizer.map_set:
+                raise
+            self._exclude(left)
+            return None
         if self._recognizer.was_carried:
             self._drive.update(self._clock_ns(), Break("carried"))
         return None if match is not None and match.accepted and not self._is_verified(match) else match
@@ -155,22 +163,27 @@ class Daemon:
         return Near(own.lat_deg, own.lon_deg, max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m))
 
     def _is_verified(self, match: PlaceMatch) -> bool:
-        """Check the maps behind a match before anything is published of it; False if one had to be excluded."""
+        """Check the maps behind a match before anything is published of it; False if one had to be excluded, or if the
+        disk is too slow to say so now.
+        """
         behind = self._recognizer.map_set.folders_behind(match.place_index, self.parts.config.sequence_frames)
-        while not self.parts.verification.checksums.is_verified(behind):
-            if not self._check_maps(behind):
+        verification = self.parts.verification
+        while not verification.checksums.is_verified(behind):
+            if not (self._check_maps(behind, waits=True) and verification.may_wait):
                 return False
             self.parts.monitor.feed_watchdog()
         return True
 
-    def _check_maps(self, first: Sequence[Path]) -> bool:
+    def _check_maps(self, first: Sequence[Path], *, waits: bool = False) -> bool:
         """Check a further piece of the maps, some of them first; False if one is damaged, and excluded from now on."""
-        maps = self.parts.verification.check_next(self._recognizer.map_set, first)
-        if maps is None:
-            return True
-        self._recognizer.use_maps(maps)
+        maps = self.parts.verification.check_next(self._recognizer.map_set, first, waits=waits)
+        if maps is not None:
+            self._exclude(maps)
+        return maps is None
+
+    def _exclude(self, left: MapSet) -> None:
+        self._recognizer.use_maps(left)
         self._use_maps()
-        return False
 
     def reopen_maps(self) -> None:
         """Use the maps as they are on the disk now, from the next frame on; those so far where they cannot be used."""

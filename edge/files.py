@@ -15,6 +15,7 @@ import os
 import shutil
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
 from itertools import count
@@ -25,6 +26,8 @@ import msgspec
 
 from edge.errors import ConfigError, MapError, reason
 
+BEHIND = "files"
+"""The name of threads that write."""
 KEY_BYTES = 32
 """Of MAVLink's signing, and of Ed25519."""
 T = TypeVar("T")
@@ -85,8 +88,13 @@ class Behind:
         with self._lock:
             self._next = task
             if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="files", daemon=True)
+                self._thread = threading.Thread(target=self._run, name=BEHIND, daemon=True)
                 self._thread.start()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a task runs, or waits."""
+        return self._thread is not None
 
     def _run(self) -> None:
         while True:
@@ -105,6 +113,14 @@ class Behind:
         return thread is None or not thread.is_alive()
 
 
+def wait_for_writes(seconds: float = 2.0) -> None:
+    """Wait for the tasks of every `Behind`, side by side, so long at most."""
+    end_s = time.monotonic() + seconds
+    for thread in threading.enumerate():
+        if thread.name == BEHIND:
+            thread.join(max(0.0, end_s - time.monotonic()))
+
+
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
@@ -120,7 +136,7 @@ class AtomicFolder:
             # Beside its place, since a rename cannot cross file systems.
             self.path = Path(tempfile.mkdtemp(prefix=f".{place.name}.", suffix=".building", dir=place.parent))
             self.path.chmod(0o755)
-            self._lock = _locked(self.path)
+            self._lock = locked(self.path)
         except OSError as error:
             raise MapError(f"{place}: cannot write a map here: {error.strerror}") from None
 
@@ -145,10 +161,14 @@ class AtomicFolder:
             raise MapError(f"{self._place}: cannot write the map: {error.strerror}") from None
 
 
-def _locked(folder: Path) -> int:
-    """A descriptor of a folder that is being built; the lock goes with it, or with the process."""
+def locked(folder: Path) -> int:
+    """A descriptor of a folder that is this process's alone; the lock goes with it, or with the process. OSError."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
     return descriptor
 
 
@@ -156,7 +176,7 @@ def _clear_leftovers(place: Path) -> None:
     """Remove what builders of this map have left that were killed, and nothing that is being built."""
     for folder in place.parent.glob(f".{glob.escape(place.name)}.*.building"):
         with contextlib.suppress(OSError):
-            lock = _locked(folder)
+            lock = locked(folder)
             shutil.rmtree(folder, ignore_errors=True)
             os.close(lock)
 

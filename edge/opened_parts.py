@@ -14,6 +14,7 @@ from edge.camera.newest import NewestFrame
 from edge.config import Config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
+from edge.files import wait_for_writes
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
@@ -55,6 +56,7 @@ class OpenedParts:
             journal = Journal(Path(config.telemetry.journal), max_bytes=config.telemetry.journal_max_mb * 1e6)
             self.journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self.journal.write
+        parts.callback(wait_for_writes)  # which begin while the others close
         self.drive = Drive(PositionEstimator(config))
         if config.telemetry.drive:
             from edge.localization.drive_file import DriveFile  # which few vehicles need

@@ -105,6 +105,9 @@ class Plugin:
         spare_s: waited for a frame, where no place was recognized in this turn; else None.
         """
 
+    def end(self) -> None:
+        """No further turn comes: begin to write what is left, side by side with the others. `close` follows."""
+
     def close(self) -> None:
         """The end, also where `start` was never called, and before the autopilot and the journal are closed."""
 
@@ -170,6 +173,7 @@ class Plugins:
 
     def close(self) -> None:
         """Close all, the last first; more than once is harmless."""
+        self.each(lambda plugin: plugin.end())
         said = [self._end(name) for name in reversed(list(self._open))]
         if any(said):
             time.sleep(DRAIN_S)

@@ -161,10 +161,10 @@ class WarmStart:
             self._written_ns = now_ns
 
     def keep(self) -> None:
-        """Write the file before the program ends, unless there are too few frames to be worth it."""
+        """Begin to write the file before the program ends, unless there are too few frames; see `wait_for_writes`."""
         kept = self._kept()
-        if self._file is not None and kept is not None and self._behind.wait():
-            self._file.put(self._file.encoded(kept, Moment.now()))
+        if self._file is not None and kept is not None:
+            self._behind.start(partial(self._file.put, self._file.encoded(kept, Moment.now())))
 
     def _kept(self) -> RunningStatistics | None:
         statistics = self._recognizer.matcher.statistics

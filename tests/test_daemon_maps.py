@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,12 @@ from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, Seq
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.records import DrivesDisagree, PlaceFix, StateChanged
+from edge.journal.records import DrivesDisagree, MapExcluded, PlaceFix, StateChanged
+from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
+from edge.reference_map import open_map_set
+from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.page import PageConfig
@@ -80,6 +84,64 @@ def test_damage_that_is_found_later_ends_the_program_before_anything_is_publishe
     assert f"{DESCRIPTORS}: damaged" in said.splitlines()[-1]
     assert "Traceback" not in said
     assert not list(records_of(tmp_path / "events.jsonl", PlaceFix))
+
+
+class HeldUp(ChecksumSchedule):
+    """Checksums on a disk that does not answer until it may."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__({path: ({}, ())})
+        self.answers = threading.Event()
+
+    def step(self, max_bytes: int, first: Sequence[Path] = ()) -> dict[Path, str]:
+        self.answers.wait()
+        return super().step(max_bytes, first)
+
+
+def test_a_slow_disk_holds_up_checksums_and_not_the_loop(street: Path) -> None:
+    """At 2 MB a second they held it up for 3.8 s. A match on a map that is not checked does not count yet."""
+    maps = open_map_set(street / "map")
+    verification = MapVerification(maps, lambda record: None, lambda text, severity: None)
+    held_up = verification.checksums = HeldUp(street / "map")
+    while verification.may_wait:
+        assert verification.check_next(maps, [], waits=True) is None
+    assert verification.check_next(maps, [], waits=True) is None, "without any waiting from now on"
+    assert not held_up.is_verified([street / "map"])
+    held_up.answers.set()
+    while not held_up.is_done:
+        assert verification.check_next(maps, []) is None
+    assert held_up.is_verified([street / "map"])
+
+
+def test_a_map_that_is_cut_off_while_in_use_is_excluded_and_the_daemon_goes_on(
+    street: Path, network: Network, tmp_path: Path
+) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(street / "map", tmp_path / "maps" / name)
+    now_ns, images = 10**12, FeedImages(read_feed(street / "feed"))
+    frames = ScriptedFrames(lambda: now_ns)
+    config = Config(
+        sampling=SamplingConfig(by="frames"),
+        map=MapConfig(path=str(tmp_path / "maps")),
+        sequence=SequenceConfig(length=10),
+        telemetry=TelemetryConfig(connection=f"udpin:127.0.0.1:{free_port()}", journal=str(tmp_path / "events.jsonl")),
+        plugins={"page": PageConfig(port=0)},
+    )
+    with ExitStack() as opened:
+        parts = OpenedParts(config, opened, lambda: now_ns, frames=frames, network=network)
+        daemon = Daemon(parts)
+        for index in range(FRAMES):
+            if index == FRAMES // 2:
+                os.truncate(tmp_path / "maps" / "b" / DESCRIPTORS, 0)
+            now_ns += PERIOD_MS * 1_000_000
+            frames.next = Frame(images.read(index), now_ns, index)
+            daemon.turn()
+        assert parts.frames_used == FRAMES
+        assert parts.recognizer.map_set.names == ("a",)
+        assert parts.recognizer.state == "on the map"
+    excluded = [(one.map, one.why) for one in records_of(tmp_path / "events.jsonl", MapExcluded)]
+    why = f"{tmp_path / 'maps' / 'b' / DESCRIPTORS}: cut off while it is in use; copy the map again"
+    assert excluded == [("b", why)]
 
 
 @pytest.fixture(scope="module", params=["one map", "tiles"])

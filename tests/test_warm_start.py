@@ -11,6 +11,7 @@ import pytest
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig, TelemetryConfig
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
+from edge.files import wait_for_writes
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
@@ -50,6 +51,7 @@ def test_a_restart_goes_on_with_the_statistics_of_the_run_before(
     for row in range(40):
         first.observe(images.read(row), feed.rows[row].stamp_ns)
     memory.keep()
+    wait_for_writes()
     second, _ = start()
     assert first.matcher.statistics is not None
     assert second.matcher.statistics is not None
@@ -77,6 +79,7 @@ def test_nothing_is_kept_where_it_is_not_asked_for(
     for row in range(25):
         recognizer.observe(images.read(row), feed.rows[row].stamp_ns)
     memory.keep()
+    wait_for_writes()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,6 +13,8 @@ from edge.commands.stop_signal import on_stop_signal
 from edge.config import load_config, naming
 from edge.daemon import run
 
+END_S = 4.0
+"""From the signal to the end of the process; systemd kills it after 5 s (TimeoutStopSec=), which is no clean end."""
 log = logging.getLogger(__name__)
 
 
@@ -27,7 +29,18 @@ def _run(args: argparse.Namespace) -> int:
     stop, reload = threading.Event(), threading.Event()
     if not os.isatty(0):  # at a terminal it means that the terminal is closed
         signal.signal(signal.SIGHUP, lambda number, at: reload.set())  # systemctl reload lookback
+    ended = threading.Event()
+    threading.Thread(target=_end_in_time, args=(stop, ended), name="end", daemon=True).start()
     with on_stop_signal(stop.set), naming(args.config):
         stopped = run(config, stop, reload)
+    ended.set()
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0
+
+
+def _end_in_time(stop: threading.Event, ended: threading.Event) -> None:
+    """End the process for a disk, or a camera, that does not let it end; all files are whole at any moment."""
+    stop.wait()
+    if not ended.wait(END_S):
+        log.warning("stopped, without what the disk did not take within %g s", END_S)
+        os._exit(0)

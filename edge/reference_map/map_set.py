@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import mmap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,9 +29,10 @@ from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
-from edge.reference_map.store import PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
+from edge.reference_map.store import DESCRIPTORS, PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
 
 SAMPLED_MAPS = 16
+CUT = "cut off while it is in use; copy the map again"
 log = logging.getLogger(__name__)
 
 
@@ -189,11 +191,16 @@ class MapSet:
         return ChecksumSchedule({one.path: (one.header.files, matching_files(one.header)) for one in self.maps})
 
     def costs(self, query: NDArray[np.float32], ranges: Ranges) -> NDArray[np.int32]:
-        """Normalized rows (n, R, D) against some places: (n, orders, places), see `CostMatcher.costs`."""
+        """Normalized rows (n, R, D) against some places: (n, orders, places), see `CostMatcher.costs`.
+
+        MapError for a map of which that is no longer possible.
+        """
         encoded: dict[int, NDArray[np.int8]] = {}  # tiles of one map have one projection
         costs = []
         for index, pieces in groupby(self.index.by_map(ranges), key=lambda piece: piece[0]):
             matcher = self.matchers[index]
+            if _is_cut(self.maps[index]):
+                raise MapError(f"{self.maps[index].path / DESCRIPTORS}: {CUT}")
             alike = id(matcher.projection)
             if alike not in encoded:
                 encoded[alike] = matcher.encoded(query)
@@ -250,6 +257,11 @@ class MapSet:
         except OSError:
             return b""
 
+    @property
+    def cut(self) -> dict[Path, str]:
+        """The folders of maps that were cut off, and so cannot be searched any more."""
+        return {one.path: f"{one.path / DESCRIPTORS}: {CUT}" for one in self.maps if _is_cut(one)}
+
     def without(self, damaged: Mapping[Path, str]) -> MapSet:
         """A new set without the maps in some folders, each with the reason. MapError for the only one, or the last."""
         if not damaged:
@@ -276,6 +288,12 @@ class MapSet:
         one = self.maps[index]
         tile = one.header.tile
         return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
+
+
+def _is_cut(one: ReferenceMap) -> bool:
+    """Whether the descriptors' file has become shorter: to read beyond its end kills the process."""
+    pages: mmap.mmap | None = getattr(one.descriptors, "_mmap", None)
+    return pages is not None and pages.size() < one.descriptors.nbytes
 
 
 def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str:

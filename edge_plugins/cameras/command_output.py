@@ -10,7 +10,7 @@ import signal
 import subprocess
 import time
 
-from edge.errors import CameraLost, ConfigError
+from edge.errors import ConfigError
 
 TERMINATE_S = 0.7
 LAST_WORDS_S = 0.2
@@ -27,6 +27,8 @@ class CommandOutput:
         """CLOCK_MONOTONIC after which `read` gives up."""
         self.ended = False
         """Whether it has closed its standard output."""
+        self.expired = False
+        """Whether `read` has given up."""
         self._last_line = b""
         # The camera's thread blocks all signals. A command that inherited this could not be terminated.
         blocked = signal.pthread_sigmask(signal.SIG_SETMASK, ())
@@ -51,11 +53,15 @@ class CommandOutput:
         self._selector.register(self._errors, selectors.EVENT_READ)
 
     def read(self, size: int) -> bytes:
-        """At most `size` bytes as soon as there are some; b"" at the end. CameraLost when the time has expired."""
+        """At most `size` bytes as soon as there are some; b"" at the end, and when the time has expired.
+
+        An error here would be one of PyAV's, which prints all but the first with a traceback.
+        """
         while True:
             wait_s = (self.expires_ns - time.monotonic_ns()) / 1e9
             if wait_s <= 0:
-                raise CameraLost(f"{self.name}: gave no image in time{self._in_its_words()}")
+                self.expired = True
+                return b""
             ready = {key.fd for key, _ in self._selector.select(wait_s)}
             if self._errors in ready:
                 self._read_errors()
@@ -73,7 +79,9 @@ class CommandOutput:
         self._last_line = said[-1][-LONGEST_LINE:] if said else b""
 
     def why_ended(self) -> str:
-        """After the end of its output: the exit status, and the last line that it wrote to standard error."""
+        """After the end of `read`: the exit status, if any, and the last line that it wrote to standard error."""
+        if not self.ended:
+            return f"{self.name}: gave no image in time{self._in_its_words()}"
         self._selector.unregister(self._output)
         while self._selector.get_map() and self._selector.select(LAST_WORDS_S):
             self._read_errors()

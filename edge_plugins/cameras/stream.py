@@ -226,7 +226,7 @@ class StreamCamera:
 
     def _lost(self, error: av.error.FFmpegError | None, timed_out: bool) -> CameraLost:
         """What is wrong, in one line without the address's password."""
-        if isinstance(self._source, CommandOutput) and self._source.ended:
+        if isinstance(self._source, CommandOutput) and (self._source.ended or self._source.expired):
             return CameraLost(self._source.why_ended())
         if timed_out:
             why = REASONS[errno.ETIMEDOUT]

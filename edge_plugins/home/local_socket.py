@@ -7,6 +7,7 @@ the connection ends after the final one. The file's mode permits the daemon's us
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import socket
 import time
@@ -39,14 +40,15 @@ class LocalSocket:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.setblocking(False)
         try:
-            if path.is_socket():
+            if path.is_socket() and not _is_answered(path):
                 path.unlink()  # a daemon that was killed left it
             self._listener.bind(str(path))
             path.chmod(MODE)
             self._listener.listen()
         except OSError as error:
             self._listener.close()
-            raise ConfigError(f"[home] socket: {path}: cannot make it: {reason(error)}") from None
+            why = "another daemon listens there; stop it" if error.errno == errno.EADDRINUSE else reason(error)
+            raise ConfigError(f"[home] socket: {path}: cannot make it: {why}") from None
 
     def requested(self) -> Request | None:
         """What a client has just requested; its answers go to `reply`."""
@@ -92,3 +94,16 @@ class LocalSocket:
         if self._client is not None:
             self._client.close()
             self._client = None
+
+
+def _is_answered(path: Path) -> bool:
+    """Whether somebody listens on a socket; one whose queue is full does."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return False
+        except BlockingIOError:
+            return True
+    return True

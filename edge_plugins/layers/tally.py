@@ -110,9 +110,9 @@ class DriveTally:
             self._behind.start(partial(self._write, self._encoded()))
 
     def close(self) -> None:
-        """Write what is left."""
-        if self._behind.wait() and self._tally.recognized:
-            self._write(self._encoded())
+        """Begin to write what is left, see `wait_for_writes`."""
+        if self._tally.recognized:
+            self._behind.start(partial(self._write, self._encoded()))
 
     def _encoded(self) -> bytes:
         return msgspec.json.encode(self._tally)

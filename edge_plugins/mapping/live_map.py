@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import MapError
-from edge.files import named_by_time
+from edge.errors import ConfigError, MapError, reason
+from edge.files import DISK_ERRORS, locked, named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.reference_map import GpsMotion, MapSoFar
 from edge_plugins.layers.stored import delete_oldest
@@ -24,7 +25,7 @@ from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.growing_map import GrowingMap
 from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
-from edge_plugins.mapping.place_log import OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
+from edge_plugins.mapping.place_log import RETRY_S, OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace
 from edge_plugins.mapping.status import MappingStatus, MappingView, SelfComparison
 
@@ -54,15 +55,17 @@ class LiveMap:
         view: Literal["front", "rear"],
         unix_time_s: Callable[[], float] = time.time,
         before_long: Callable[[float], object] = lambda seconds: None,
+        retry_s: float = RETRY_S,
     ) -> None:
         """Make maps of earlier drives, and go on with the last one if it is of `resume_min` ago, after a restart.
 
         header: how places are made. view: of the camera that maps. before_long: is called with the seconds that
-        reading or finishing a drive may take here.
+        reading or finishing a drive may take here. retry_s: see `PlaceLog`.
         """
         self._config, self._header, self._view = config, header, view
-        self._unix_time_s, self._before_long = unix_time_s, before_long
+        self._unix_time_s, self._before_long, self._retry_s = unix_time_s, before_long, retry_s
         self._folder = Path(config.folder)
+        self._lock = -1
         self._why = "no place yet"
         self._stopped = ""
         self._log: PlaceLog | None = None
@@ -80,14 +83,15 @@ class LiveMap:
         try:
             self._open()
         except (MapError, OSError) as error:
-            self._stop(str(error))
+            if getattr(error, "errno", None) not in DISK_ERRORS:
+                self._stop(reason(error))
 
     @property
     def status(self) -> MappingStatus:
         """As of the last frame."""
         why = self._stopped or (self._log.stopped if self._log else "") or self._why
         state: Literal["mapping", "waiting", "stopped"] = "mapping" if not why else "waiting"
-        if self._stopped or (self._log and self._log.stopped):
+        if self._stopped:
             state = "stopped"
         return MappingStatus(state, why, self._path.name, self._growing.count, self.searchable, self._mapped_m)
 
@@ -117,7 +121,8 @@ class LiveMap:
         if not self._why and position is not None and self._is_elsewhere(position):
             self._why = GPS_MOVES
         may_wait = position is None or position.source != "place_fixes"
-        if fault or not may_wait or self._growing.is_full or self.status.state == "stopped":
+        is_held_up = self._stopped or (self._log and self._log.stopped)
+        if fault or not may_wait or self._growing.is_full or is_held_up:
             self._break_off()
         elif distance_m is None:
             self._outage.reset()
@@ -150,7 +155,10 @@ class LiveMap:
                 if before and not is_measured:
                     self._growing.check()
         except OSError as error:
-            self._stop(f"{self._path}: {error.strerror}")
+            if self._log is None and error.errno in DISK_ERRORS:  # the next place begins the file, if there is room
+                self._why = reason(error)
+            else:
+                self._stop(f"{self._path}: {reason(error)}")
 
     def _after_gap(self, now: MappedPlace) -> tuple[MappedPlace, int]:
         """A place after a way that nobody measured, and how many were missed; the drive goes on if it was straight."""
@@ -213,11 +221,19 @@ class LiveMap:
         route_m = None if distance_m is None else self._route_m(distance_m)
         return route_m if self._is_continuous else None
 
+    def end(self) -> None:
+        """Begin to write what is left."""
+        if self._log is not None:
+            self._log.end()
+
     def close(self) -> None:
         """Write what is left; more than once is harmless."""
         if self._log is not None:
             self._log.close()
         self._log = None
+        if self._lock >= 0:
+            os.close(self._lock)
+        self._lock = -1
 
     def _why_not(self, position: VehiclePosition | None, distance_m: float | None) -> str:
         """Why a place of this position may not be mapped, "" if it may."""
@@ -251,7 +267,7 @@ class LiveMap:
         """
         if self._log is None:
             file = create_log(log_of(self._path), self._header)
-            self._log = PlaceLog(file, self._config.min_free_mb * 1e6)
+            self._log = PlaceLog(file, self._config.min_free_mb * 1e6, self._retry_s)
         apart_m = MOST_APART * self._header.sampling.spacing_m
         since_m = route_m - self._last.place.route_m if self._last is not None else -1.0
         if 0 <= since_m <= apart_m:
@@ -302,6 +318,10 @@ class LiveMap:
     def _open(self) -> None:
         """Go on with the last drive, and make maps of the others. MapError, OSError."""
         self._folder.mkdir(parents=True, exist_ok=True)
+        try:
+            self._lock = locked(self._folder)
+        except BlockingIOError:
+            raise ConfigError(f"[mapping] folder: {self._folder}: another daemon maps there; stop it first") from None
         delete_oldest(self._folder, self._config.quota_mb * 1e6)
         for file in reversed(logs_in(self._folder)):
             try:
@@ -329,7 +349,7 @@ class LiveMap:
 
     def _resume(self, found: OpenLog) -> None:
         self._path = map_of(found.path)
-        self._log = PlaceLog(found, self._config.min_free_mb * 1e6)
+        self._log = PlaceLog(found, self._config.min_free_mb * 1e6, self._retry_s)
         self._growing = self._new_map()
         for first, end, drive in found.segments():
             self._growing.begin_segment(source_of(self._path), drive.view, has_odometer=True)

@@ -49,6 +49,7 @@ QUEUE_PLACES = 256
 RECENT = QUEUE_PLACES + 32
 """Raw descriptors that are kept in memory: more than can be waiting to be written."""
 FLUSHED_EACH_S = 1.0
+RETRY_S = 5.0  # as the journal
 FLOATS = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float32)
 """Every float16: looked up, a descriptor becomes float32 eight times faster than NumPy converts it."""
 DISK_FULL = "the disk is nearly full"
@@ -83,8 +84,9 @@ class OpenLog:
     def __init__(self, path: Path) -> None:
         """Open it, and cut off what is not whole. MapError if it is no such file, or another process has it."""
         self.path = path
+        self.is_read_only = not os.access(path, os.W_OK)  # as on a disk that became so
         try:
-            self.descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            self.descriptor = os.open(path, (os.O_RDONLY if self.is_read_only else os.O_RDWR) | os.O_CLOEXEC)
         except OSError as error:
             raise MapError(f"{path}: cannot open it: {error.strerror}") from None
         try:
@@ -128,6 +130,8 @@ class OpenLog:
         size = os.fstat(self.descriptor).st_size
         head = os.pread(self.descriptor, HEAD.size, self.end)
         is_cut_off = len(head) < HEAD.size or self.end + HEAD.size + HEAD.unpack(head)[1] > size
+        if self.is_read_only:
+            return
         if size > self.end and is_cut_off:
             os.ftruncate(self.descriptor, self.end)
             log.warning("%s: %d bytes of a place that was not written whole were removed", self.path, size - self.end)
@@ -172,18 +176,19 @@ def create_log(path: Path, header: LogHeader) -> OpenLog:
 
 
 class PlaceLog:
-    """Writes places to an open file by a thread; `stopped` says why none is written any more."""
+    """Writes places to an open file by a thread; `stopped` says why the disk takes none now."""
 
-    def __init__(self, file: OpenLog, min_free_bytes: float = 0.0) -> None:
-        """min_free_bytes: writing stops when the disk has less than this left."""
+    def __init__(self, file: OpenLog, min_free_bytes: float = 0.0, retry_s: float = RETRY_S) -> None:
+        """min_free_bytes: nothing is written while the disk has less than this left. retry_s: pause between tries."""
         self.file = file
-        self._min_free_bytes = min_free_bytes
+        self._min_free_bytes, self._retry_s = min_free_bytes, retry_s
         self._end = file.end
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=RECENT)
         self._queue: queue.Queue[LogRecord | None] = queue.Queue(QUEUE_PLACES)
         self.count = len(file.places_at)
         """Places that were handed over, or were there."""
-        self.stopped = ""
+        self.stopped = os.strerror(errno.EROFS) if file.is_read_only else ""
+        self._closing = threading.Event()
         self._view = file.drives[-1][1].view if file.drives else None
         self._thread = threading.Thread(target=self._run, name="mapping", daemon=True)
         self._thread.start()
@@ -219,10 +224,15 @@ class PlaceLog:
         """The small JPEG of a place, b"" if it is not on the disk yet. OSError."""
         return self.file.place(row).place.thumbnail if row < len(self.file.places_at) else b""
 
+    def end(self) -> None:
+        """Begin to write and flush the last of what was handed over."""
+        self._closing.set()
+        with contextlib.suppress(queue.Full):  # then the thread looks whether it is closing
+            self._queue.put_nowait(None)
+
     def close(self, timeout_s: float = 1.0) -> None:
-        """Write what has been handed over, for at most `timeout_s` twice, and flush it; once."""
-        with contextlib.suppress(queue.Full):
-            self._queue.put(None, timeout=timeout_s)
+        """Write what has been handed over, for at most `timeout_s`, and flush it; once."""
+        self.end()
         self._thread.join(timeout_s)
         if not self._thread.is_alive():  # else the disk hangs, and the file goes with the process
             self.file.close()
@@ -239,35 +249,41 @@ class PlaceLog:
     def _run(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         flushed_s, is_flushed = time.monotonic(), True
-        while True:
+        while not (self._closing.is_set() and self._queue.empty()):
             with contextlib.suppress(queue.Empty):
                 record = self._queue.get(timeout=FLUSHED_EACH_S)
-                if record is None:
-                    break
-                is_flushed = not self._write(record) and is_flushed
+                is_flushed = (record is None or not self._write(record)) and is_flushed
             if not is_flushed and time.monotonic() - flushed_s >= FLUSHED_EACH_S:
                 self._flush()
                 flushed_s, is_flushed = time.monotonic(), True
         self._flush()
 
     def _write(self, record: LogRecord) -> bool:
-        """Append a record whole, or not at all."""
+        """Append a record whole, as soon as the disk takes it; False at the end, where it does not."""
+        data = encoded(record)
+        while not self._append(data):
+            if self._closing.wait(self._retry_s):
+                return False
         if self.stopped:
-            return False
-        data, descriptor = encoded(record), self.file.descriptor
-        try:
-            if shutil.disk_usage(self.file.path.parent).free - len(data) < self._min_free_bytes:
-                raise OSError(errno.ENOSPC, DISK_FULL)
-            if os.pwrite(descriptor, data, self._end) != len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                os.ftruncate(descriptor, self._end)
-            self._stop(error)
-            return False
+            self.stopped = ""
+            log.warning("%s: mapping goes on, with a new drive", self.file.path)
         if isinstance(record, PlacePassed):
             self.file.places_at.append(self._end)
         self._end += len(data)
+        return True
+
+    def _append(self, data: bytes) -> bool:
+        """Whether the disk took all of it; a part is removed."""
+        try:
+            if shutil.disk_usage(self.file.path.parent).free - len(data) < self._min_free_bytes:
+                raise OSError(errno.ENOSPC, DISK_FULL)
+            if os.pwrite(self.file.descriptor, data, self._end) != len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self.file.descriptor, self._end)
+            self._stop(error)
+            return False
         return True
 
     def _flush(self) -> None:
@@ -279,7 +295,8 @@ class PlaceLog:
     def _stop(self, error: OSError) -> None:
         if not self.stopped:
             self.stopped = reason(error)
-            log.warning("%s: mapping stopped after %d places: %s", self.file.path, len(self.file.places_at), error)
+            count = len(self.file.places_at)
+            log.warning("%s: mapping waits after %d places: %s", self.file.path, count, self.stopped)
 
 
 def complete(file: OpenLog) -> Path | None:

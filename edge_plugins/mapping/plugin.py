@@ -161,6 +161,11 @@ class Mapping(Plugin):
             speed_mps = parts.autopilot.vehicle.motion.speed_mps(now_ns)
             self._learner.follow(now_ns, speed_mps, parts.config.gates.min_speed_mps)
 
+    def end(self) -> None:
+        """Map what waits for its position, and begin to write the last of it."""
+        self._add_placed(at_the_end=True)
+        self.live.end()
+
     def close(self) -> None:
         """Map what waits for its position, and close the camera and the file."""
         with self._opened:

@@ -36,6 +36,11 @@ class RecordingPlugin(Plugin):
         for used, position in self._awaiting.known(all_of_them=is_last):
             self._recorder.record(used.frame, used.distance_m, position)
 
+    def end(self) -> None:
+        """Begin to write what is left."""
+        self.turn(None, is_last=True)
+        self._recorder.end()
+
     def close(self) -> None:
         """Write what is left."""
         self.turn(None, is_last=True)

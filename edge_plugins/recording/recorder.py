@@ -7,11 +7,13 @@ further frames are skipped.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import shutil
 import signal
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from edge.feed.writer import FeedWriter
 from edge.geodesy import VehiclePosition
 
 QUEUE_FRAMES = 16
+RETRY_S = 5.0  # as the journal
 DISK_FULL = "the disk is nearly full"
 log = logging.getLogger(__name__)
 
@@ -42,10 +45,11 @@ class Recorder:
         min_free_bytes: float,
         *,
         free_bytes: Callable[[Path], int] = free_bytes_at,
+        retry_s: float = RETRY_S,
     ) -> None:
         """Start the thread. begin: makes the feed with its first frame, see `begun_feed`.
 
-        min_free_bytes: recording stops when the disk has less than this left.
+        min_free_bytes: nothing is recorded while the disk has less than this left. retry_s: pause between tries.
         """
         self._begin = begin
         self._min_free_bytes, self._free_bytes = min_free_bytes, free_bytes
@@ -56,43 +60,44 @@ class Recorder:
         self.skipped = 0
         """Frames that came while the disk was behind."""
         self.stopped = ""
-        """Why nothing is recorded any more, "" while recording."""
+        """Why nothing is recorded now, "" while recording."""
+        self._closing = threading.Event()
+        self._retry_s, self._tries_at_s = retry_s, 0.0
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
     def record(self, frame: Frame, distance_m: float | None, position: VehiclePosition | None) -> None:
         """Hand a frame over, with what the autopilot reports of its exposure; never waits and never raises."""
-        if self.stopped:
-            return
         try:
             self._queue.put_nowait((frame, distance_m, position))
         except queue.Full:
             self.skipped += 1
 
+    def end(self) -> None:
+        """Begin to write the last of what was handed over; more than once is harmless."""
+        self._closing.set()
+        with contextlib.suppress(queue.Full):  # then the thread looks whether it is closing
+            self._queue.put_nowait(None)
+
     def close(self, timeout_s: float = 1.0) -> None:
-        """Write what has been handed over, for at most `timeout_s` twice; more than once is harmless."""
-        try:
-            self._queue.put(None, timeout=timeout_s)
-        except queue.Full:
-            return  # the disk hangs; the thread ends with the process, and its feed is whole up to the last row
+        """Write what has been handed over, for at most `timeout_s`; more than once is harmless."""
+        self.end()
         self._thread.join(timeout_s)
 
     def _run(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
-        try:
-            while (queued := self._queue.get()) is not None:
+        while not (self._closing.is_set() and self._queue.empty()):
+            queued = self._queue.get()
+            if queued is None or time.monotonic() < self._tries_at_s:
+                continue
+            try:
                 self._write(*queued)
-        except (OSError, FeedError) as error:
-            self._stop(reason(error))
-            while self._queue.get() is not None:
-                pass  # so that close() never waits for room
-        finally:
-            if self._writer is not None:
-                self._writer.close()
+            except (OSError, FeedError) as error:
+                self._stop(reason(error))
+        if self._writer is not None:
+            self._writer.close()
 
     def _write(self, frame: Frame, distance_m: float | None, position: VehiclePosition | None) -> None:
-        if self.stopped:
-            return
         writer = self._writer = self._writer or self._begin(frame)
         if self._free_bytes(writer.path) < self._min_free_bytes:
             self._stop(DISK_FULL)
@@ -102,13 +107,18 @@ class Recorder:
             at = position.lat_deg, position.lon_deg, position.alt_m, position.heading_deg, position.speed_mps
             row = FeedRow("", frame.stamp_ns, *at, distance_m, position.sigma_m, position.source)
         writer.write(frame.image, row)
+        if self.stopped:
+            log.warning("recording: %s: goes on", writer.path)
+        self.stopped = ""
         self.written += 1
         self.with_position += position is not None
 
     def _stop(self, why: str) -> None:
-        self.stopped = why
         folder = f"{self._writer.path}: " if self._writer else ""
-        log.warning("recording: %sstopped after %d frames: %s", folder, self.written, why)
+        if not self.stopped:
+            log.warning("recording: %swaits after %d frames: %s", folder, self.written, why)
+        self.stopped = why
+        self._tries_at_s = time.monotonic() + self._retry_s
 
 
 def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") -> FeedWriter:

@@ -22,7 +22,7 @@ import msgspec
 
 from edge.errors import MapError
 from edge.files import replacing
-from edge_plugins.layers import TALLIES
+from edge_plugins.layers.tally import TALLIES
 from sim.output import refusing
 
 INVENTORY = "inventory.json"

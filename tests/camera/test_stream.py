@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gc
 import itertools
 import os
 import shlex
@@ -304,6 +305,19 @@ def test_what_is_wrong_with_a_command_is_said_in_its_own_words(command: str, why
     with pytest.raises(CameraLost) as raised:
         StreamCamera(CameraConfig(kind="stream", device=f"exec:{command}"), open_timeout_s=1.0)
     assert str(raised.value) == why
+
+
+@pytest.mark.parametrize("form", ["mpegts", "mjpeg"])
+def test_a_command_that_hangs_is_one_line(form: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """PyAV printed a traceback for each further read."""
+    codec = "mjpeg" if form == "mjpeg" else "mpeg4"
+    command = f"exec:sh -c '{sys.executable} {WRITER} {form} {codec} 20; exec sleep 60'"
+    config = CameraConfig(kind="stream", device=command, stall_timeout_s=0.5)
+    with pytest.raises(CameraLost, match=r"^sh: gave no image in time$"), closing(StreamCamera(config, 5.0)) as camera:
+        while True:
+            camera.read()
+    gc.collect()
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

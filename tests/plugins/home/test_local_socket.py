@@ -28,6 +28,13 @@ def listener(tmp_path: Path) -> Iterator[LocalSocket]:
         yield made
 
 
+def test_a_second_daemon_leaves_the_socket_of_the_first(tmp_path: Path, listener: LocalSocket) -> None:
+    path = tmp_path / "home.socket"
+    with pytest.raises(ConfigError, match=rf"^\[home\] socket: {path}: cannot make it: another daemon listens there"):
+        LocalSocket(path)
+    assert asked(path, listener, VERIFIED)[0]
+
+
 def asked(path: Path, listener: LocalSocket, *answers: Answer) -> tuple[bool, list[str]]:
     """What a client gets that asks, while the daemon's side is polled."""
     texts: list[str] = []

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
+from edge.files import wait_for_writes
 from edge.geodesy import moved
 from edge.reference_map import ModelKey, RegionsKey, open_map_set
 from edge_plugins.layers.tally import DriveTally
@@ -78,3 +79,4 @@ def count(folder: Path, name: str, rows: Iterable[int], began_s: float, gray: in
         driven_m = row * SPACING_M + detour_m * (row >= 100)
         tally.count(maps, first + row, "forward", picture(gray), driven_m, 0)
     tally.close()
+    wait_for_writes()

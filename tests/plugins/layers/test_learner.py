@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -72,6 +73,18 @@ def test_it_says_once_what_came_of_it(
         until(learner, STOOD_NS, lambda: said in caplog.messages)
         learner.follow(10 * STOOD_NS, 0.0, 0.3)
     assert (caplog.messages, begun(marks)) == ([said], 1)
+
+
+def test_no_module_of_the_working_folder_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor of the environment."""
+    for name in ("edge/__init__.py", "edge/__main__.py", "msgspec.py", "sitecustomize.py"):
+        (tmp_path / "here" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "here" / name).write_text(f"open({str(tmp_path / 'run')!r}, 'w')")
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "here"))
+    build(tmp_path / "maps" / "one", Driven(0, made_s=MADE_S))
+    done = subprocess.run(learn_command(tmp_path / "maps", 2), capture_output=True, text=True, check=False)
+    assert (done.returncode, (tmp_path / "run").exists()) == (0, False), done.stderr
 
 
 def test_its_command_learns(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from edge.files import wait_for_writes
 from edge.reference_map import open_map_set, read_header
 from edge_plugins.layers.tally import KEPT_FILES, TALLIES, DriveTally, read_tallies
 from sim.maps.learning import learn
@@ -35,6 +36,7 @@ def test_stretches_between_two_that_are_recognized_are_passed(
         tally.count(maps, row, "forward", picture(120), driven_m, 0)
     tally.count(maps, 20, "forward", picture(120), None, 0)
     tally.close()
+    wait_for_writes()
     (found,) = read_tallies(tmp_path)
     assert found.passed.get(read_header(path).header_sha256, {}).get("front forward bright", {}) == passed
 
@@ -54,9 +56,11 @@ def test_the_oldest_files_are_deleted_and_a_disk_that_refuses_stops_nothing(tmp_
     for number in range(KEPT_FILES + 5):
         (tmp_path / TALLIES / f"{number:012}-x.json").touch()
     DriveTally(tmp_path, "front", MADE_S, "run").close()
+    wait_for_writes()
     left = sorted(file.name for file in (tmp_path / TALLIES).iterdir())
     assert (len(left), left[0]) == (KEPT_FILES, "000000000005-x.json")
     (tmp_path / "a" / TALLIES).touch()
     tally = DriveTally(tmp_path / "a", "front", MADE_S, "run")
     tally.count(open_map_set(tmp_path), 0, "forward", picture(120), None, 10**12)
     tally.close()
+    wait_for_writes()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import resource
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -17,6 +19,8 @@ from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.config import SamplingConfig
+from edge.errors import ConfigError
+from edge.files import wait_for_writes
 from edge.geodesy import VehiclePosition
 from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
 from edge.reference_map.learned import Learned, LearnedFolder
@@ -288,7 +292,7 @@ def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path
     mapped.close()
 
 
-def test_a_full_disk_stops_mapping_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
+def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
     """The largest file allowed stands in for the disk: the same call fails."""
     mapped = live(tmp_path)
     drive(mapped, range(40))
@@ -298,11 +302,11 @@ def test_a_full_disk_stops_mapping_and_what_is_mapped_is_still_searched(tmp_path
     (file,) = logs_in(tmp_path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
     try:
-        while mapped.status.state != "stopped":
+        while not mapped.status.why:
             drive(mapped, range(40, 41))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert mapped.status.why == "File too large"
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
     drive(mapped, range(41, 50))
     newest = mapped.newly_searchable(1000.0)
     assert newest is not None
@@ -311,6 +315,77 @@ def test_a_full_disk_stops_mapping_and_what_is_mapped_is_still_searched(tmp_path
     again = live(tmp_path)
     assert again.status.places == 40, "what was written before is whole"
     again.close()
+
+
+def test_mapping_goes_on_when_there_is_room_again(tmp_path: Path) -> None:
+    header = LogHeader(MODEL, REGIONS, SamplingConfig())
+    mapped = LiveMap(MappingConfig(folder=str(tmp_path)), header, "rear", lambda: START_S, retry_s=0.01)
+    drive(mapped, range(40))
+    while mapped.waiting:
+        os.sched_yield()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    (file,) = logs_in(tmp_path)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
+    try:
+        while not mapped.status.why:
+            drive(mapped, range(40, 41))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    while mapped.status.why:
+        drive(mapped, range(45, 46))
+    drive(mapped, range(46, 70))
+    mapped.close()
+    again = live(tmp_path)
+    assert again.status.places == mapped.status.places > 60
+    starts = [one.start for one in again.whole().header.segments]
+    assert starts[0] == 0
+    assert len(starts) > 1, "no line runs over what was not mapped"
+    again.close()
+
+
+def test_a_full_disk_at_the_first_place_is_tried_again(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        drive(mapped, range(5))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
+    drive(mapped, range(5, 30))
+    assert (mapped.status.state, mapped.status.places) == ("mapping", 25)
+    mapped.close()
+
+
+READ_ONLY = """
+import subprocess, sys
+from pathlib import Path
+from tests.plugins.mapping.test_live_map import live
+subprocess.run(["mount", "--bind", "-o", "ro", sys.argv[1], sys.argv[1]], check=True)
+subprocess.run(["mount", "-o", "remount,bind,ro", sys.argv[1]], check=True)
+mapped = live(Path(sys.argv[1]))
+print(mapped.searchable, mapped.status.state, mapped.status.why)
+"""
+
+
+def test_a_drive_on_a_disk_that_became_read_only_is_searched(tmp_path: Path) -> None:
+    if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode:
+        pytest.skip("this user may not make a mount namespace")
+    first = live(tmp_path)
+    drive(first, range(30))
+    first.close()
+    command = ["unshare", "-rm", sys.executable, "-c", READ_ONLY, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
+    assert done.stdout == "30 waiting Read-only file system\n", done.stderr
+    assert "Errno" not in done.stderr
+
+
+def test_of_two_daemons_only_one_maps_in_a_folder(tmp_path: Path) -> None:
+    first = live(tmp_path)
+    with pytest.raises(ConfigError, match=r"^\[mapping\] folder: .*: another daemon maps there; stop it first$"):
+        live(tmp_path)
+    first.close()
+    live(tmp_path).close()
 
 
 def make_drive(folder: Path, unix_s: float) -> Path:
@@ -347,6 +422,7 @@ def test_what_is_recognized_on_the_map_of_this_drive_counts_when_it_is_finished(
     tally = DriveTally(tmp_path, "front", START_S, "run")
     tally.count(open_map_set(tmp_path, newest=mapped.whole()), 20, "reverse", IMAGE, 80.0, 0)
     tally.close()
+    wait_for_writes()
     mapped.close()
     live(tmp_path, START_S + 1000, resume_min=0.0).close()
     (made,) = stored_maps(tmp_path, read_tallies(tmp_path))

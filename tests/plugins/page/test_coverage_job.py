@@ -41,7 +41,10 @@ def wait(page: StatusPage, query: str) -> Any:
     return {**found, "done": done[-1]}
 
 
-def test_it_is_computed_once_and_kept(tmp_path: Path) -> None:
+def test_it_is_computed_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And by nothing that lies in the working folder."""
+    (tmp_path / "edge.py").write_text("raise SystemExit('not this one')")
+    monkeypatch.chdir(tmp_path)
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     with closing(StatusPage(PageConfig(port=0), map_view(maps))) as page:
         query = "for=again&light=day&view=front"

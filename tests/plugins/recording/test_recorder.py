@@ -80,7 +80,18 @@ def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCapt
     recording = record(tmp_path, free_bytes=lambda path: 10**9 - 2 * 10**8 * len(list(tmp_path.glob("*/frames/*"))))
     assert recording.written == 3  # 1000, 800, 600 and then 400 MB
     assert len(read_feed(tmp_path / NAME).rows) == 3
-    assert "stopped after 3 frames: the disk is nearly full" in caplog.text
+    assert "waits after 3 frames: the disk is nearly full" in caplog.text
+
+
+def test_it_goes_on_when_there_is_room_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    free = iter([1e9, 1e9, 0.0, 0.0, 1e9])
+    recording = record(tmp_path, free_bytes=lambda path: int(next(free)), retry_s=0.0)
+    assert (recording.written, recording.stopped) == (3, "")
+    assert [row.stamp_ns for row in read_feed(tmp_path / NAME).rows] == [0, 1000, 4000]
+    assert [line.partition(": ")[2] for line in caplog.messages] == [
+        f"{tmp_path / NAME}: waits after 2 frames: the disk is nearly full",
+        f"{tmp_path / NAME}: goes on",
+    ]
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
