@@ -18,7 +18,8 @@ SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
 WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
-.PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist clean
+.PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
+.PHONY: clean
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -46,6 +47,19 @@ test-lowest test-newest: test-%:
 	$(PYTHON) -m venv .venv-$*
 	.venv-$*/bin/python -m pip install --quiet --only-binary :all: $(DEPENDENCIES) --editable '.[test]'
 	$(MAKE) test-core PYTHON_OF_TESTS=.venv-$*/bin/python
+
+# The exact packages, with hashes, that install.sh, the Debian package, the container and CI install: for every Python and
+# platform at once, those of each extra in a file of its own. From one resolution, so that they fit each other.
+LOCKED := page oak stream signing desk test
+COMPILE := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --no-header --no-annotate
+lock: $(VENV)/.dev
+	mkdir -p systemd/lock
+	$(COMPILE) --upgrade pyproject.toml $(LOCKED:%=--extra %) -o $(VENV)/all.txt
+	$(COMPILE) --generate-hashes -c $(VENV)/all.txt pyproject.toml -o systemd/lock/core.txt
+	for extra in $(LOCKED); do $(COMPILE) --generate-hashes -c $(VENV)/all.txt pyproject.toml --extra $$extra \
+		-o $(VENV)/$$extra.txt || exit; awk 'NR == FNR { core[$$0]; next } /^[a-z]/ { there = $$0 in core } !there' \
+		systemd/lock/core.txt $(VENV)/$$extra.txt >systemd/lock/$$extra.txt; done
+	echo setuptools | $(COMPILE) --upgrade --generate-hashes - -o systemd/lock/build.txt
 
 # Boots a real Debian in a container and tries the service in it: needs root, mmdebstrap and systemd-container.
 test-boot: $(VENV)/.dev

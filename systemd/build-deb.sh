@@ -1,28 +1,57 @@
 #!/bin/sh
-# Build lookback_VERSION_ARCH.deb, which contains the virtual environment, so that it installs without a network.
-# Usage: build-deb.sh [-o DIR] [options of install.sh: --wheel, --pypi, --extras, --python]
-# MAINTAINER='Name <address>' sets who answers for the package.
-#
-# Build it on the release and architecture that it will run on, or in a container of it: a virtual environment
-# works with one minor version of Python, and the package depends on that version.
+# Build lookback_VERSION_ARCH.deb, which contains the virtual environment, so that it installs without a network; --help.
 set -eu
 umask 022
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 output=.
 python=/usr/bin/python3
+maintainer=${MAINTAINER:-}
 
-if [ "${1:-}" = -o ]; then
-    [ $# -ge 2 ] || { echo "build-deb.sh: -o needs a folder" >&2; exit 1; }
-    output=$2
-    shift 2
-fi
-previous=
-for argument in "$@"; do
-    [ "$previous" != --python ] || python=$argument
-    previous=$argument
+usage() {
+    cat <<TEXT
+Usage: build-deb.sh --maintainer 'NAME <ADDRESS>' [-o DIR] [options of install.sh]
+
+Builds lookback_VERSION_ARCH.deb from the packages of $here/lock. Build it on the release and the
+architecture that it will run on, or in a container of it: it depends on that minor version of Python.
+
+  --maintainer WHO  who answers for this package, as 'Name <address>'; or the environment variable MAINTAINER
+  -o DIR            write the package to this folder (default .)
+  --wheel FILE, --pypi VERSION, --extras NAMES, --newest, --python PYTHON: see install.sh --help
+TEXT
+}
+
+die() {
+    echo "build-deb.sh: $*" >&2
+    exit 1
+}
+
+given=$#
+while [ "$given" -gt 0 ]; do # what is not of this script goes to install.sh, in its order
+    argument=$1
+    shift
+    given=$((given - 1))
+    case $argument in
+        -h | --help) usage; exit 0 ;;
+        -o | --maintainer | --python)
+            [ "$given" -gt 0 ] || die "$argument needs a value; see --help"
+            value=$1
+            shift
+            given=$((given - 1))
+            case $argument in
+                -o) output=$value ;;
+                --maintainer) maintainer=$value ;;
+                --python) python=$value; set -- "$@" --python "$value" ;;
+            esac
+            ;;
+        *) set -- "$@" "$argument" ;;
+    esac
 done
-command -v dpkg-deb >/dev/null || { echo "build-deb.sh: needs dpkg-deb: apt install dpkg" >&2; exit 1; }
+case $maintainer in
+    *?' <'?*@?*'>') ;;
+    *) die "who answers for this package? --maintainer 'Name <address>'" ;;
+esac
+command -v dpkg-deb >/dev/null || die "needs dpkg-deb: apt install dpkg"
 
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -41,14 +70,18 @@ mkdir -p "$doc/examples" "$stage/usr/share/man/man1" "$stage/usr/share/lintian/o
 # Not a conffile: dpkg would ask about an edited one at an upgrade, and nobody is there to answer.
 install -m 0644 "$here/../edge/default.toml" "$doc/examples/lookback.toml"
 rm -r "${stage:?}/etc" "${stage:?}/usr/local"
-cp "$here/deb/copyright" "$doc/"
+
+site=$(echo "$stage"/opt/lookback/lib/python3*/site-packages)
+version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
+minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
+sh "$here/trim.sh" "$stage/opt/lookback"
+
+"$python" "$here/components.py" "$site" sbom >"$doc/sbom.cdx.json"
+{ cat "$here/deb/copyright"; "$python" "$here/components.py" "$site" copyright; } >"$doc/copyright"
 cp "$here/deb/lintian-overrides" "$stage/usr/share/lintian/overrides/lookback"
 gzip -9nc "$here/deb/lookback.1" >"$stage/usr/share/man/man1/lookback.1.gz"
 find "$stage/opt/lookback/lib" -type f -perm /111 -exec chmod a-x {} +
 
-version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
-minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
-maintainer=${MAINTAINER:-The Lookback authors <lookback@lists.invalid>}
 printf 'lookback (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' \
     "$version" "$maintainer" "$(date -R -d "@${SOURCE_DATE_EPOCH:-$(date +%s)}")" | gzip -9n >"$doc/changelog.gz"
 mkdir "$stage/DEBIAN"

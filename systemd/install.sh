@@ -13,11 +13,12 @@ pypi=
 extras=
 python=/usr/bin/python3
 action=install
+newest=no
 purge=no
 
 usage() {
     cat <<TEXT
-Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras NAMES] [--python PYTHON] [--root DIR]
+Usage: install.sh [--wheel FILE | --pypi VERSION] [--extras NAMES] [--newest] [--python PYTHON] [--root DIR]
        install.sh --uninstall [--purge] [--root DIR]
 
 Installs or updates Lookback in $prefix with its service, user, udev rules and directories, and $link.
@@ -29,6 +30,7 @@ a minute with it. A service that was disabled stays disabled.
   --pypi VERSION    install this version from PyPI
   --extras NAMES    install these extras of the package as well, for example oak,stream; the first installation
                     includes the extra page; "none" installs no extra, and no earlier one again
+  --newest          the newest version of each package, and not those of $here/lock, which this version was tested with
   --python PYTHON   the Python to use (default /usr/bin/python3)
   --root DIR        install below DIR and change nothing else: for packages and tests
   --uninstall       remove it; the config, maps and journal stay
@@ -52,6 +54,7 @@ while [ $# -gt 0 ]; do
         --extras) value_of $# "$1"; extras=$2; shift ;;
         --python) value_of $# "$1"; python=$2; shift ;;
         --root) value_of $# "$1"; root=${2%/}; shift ;;
+        --newest) newest=yes ;;
         --uninstall) action=uninstall ;;
         --purge) purge=yes ;;
         -h | --help) usage; exit 0 ;;
@@ -157,6 +160,22 @@ check_python() {
     "$python" -c 'import ensurepip, venv' 2>/dev/null || die "$python has no venv: apt install python$version-venv"
 }
 
+install_packages() {
+    "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location "$@"
+}
+
+install_locked() { # the same bytes on every vehicle: compiled packages of known hashes; Lookback itself comes after them
+    set -- -r "$here/lock/core.txt" -r "$here/lock/build.txt"
+    for extra in $(echo "$extras" | tr , ' '); do
+        if [ -e "$here/lock/$extra.txt" ]; then
+            set -- "$@" -r "$here/lock/$extra.txt"
+        else
+            echo "install.sh: the extra $extra has no file in $here/lock: its newest packages are installed" >&2
+        fi
+    done
+    install_packages --require-hashes --only-binary :all: "$@"
+}
+
 make_venv() { # at $stage, with every path in it as if it were at $prefix
     check_python
     home=$("$python" -c 'import sys; print(sys.base_prefix)')
@@ -165,8 +184,10 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
     esac
     "$python" -m venv "$stage"
     spec=$(what_to_install)
-    "$stage/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-warn-script-location \
-        "$spec"
+    [ "$newest" = yes ] || install_locked
+    install_packages "$spec"
+    [ "$newest" = yes ] || "$stage/bin/python" -m pip check >&2 \
+        || die "this version needs other packages than $here/lock has: take its own install.sh, or --newest"
     grep -rlIF -- "$stage" "$stage/bin" "$stage/pyvenv.cfg" | while IFS= read -r file; do
         sed -i "s|$stage|$prefix|g" "$file"
     done

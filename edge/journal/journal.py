@@ -32,7 +32,7 @@ FILES = 10
 QUEUE_RECORDS = 1000
 """Of the daemon's journal: about 20 s of a drive with [telemetry] journal_frames, minutes without."""
 FLUSH_S = 3.0
-"""How long the end waits for a disk that does not answer; systemd kills after 10 s (TimeoutStopSec=)."""
+"""How long the end waits for a disk that does not answer; see `END_S` of `edge.commands.run`."""
 
 
 class Journal:

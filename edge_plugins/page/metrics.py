@@ -55,9 +55,12 @@ def _metrics(status: Status) -> Iterator[Metric]:
     yield _counter("camera_reopened", "How often a lost camera came back", camera.reopened)
     yield _gauge("link_up", "Whether an autopilot is heard", float(link.state == "up"))
     yield _gauge("gps_healthy", "Whether the autopilot uses a good GPS fix", float(link.gps == "healthy"))
-    yield _gauge("gps_wrong", "Whether the places contradict GPS", float(link.gps_verdict == "wrong"))
+    is_wrong = link.gps_verdict == "wrong"
+    yield _gauge("gps_wrong", "Whether GPS is called wrong", float(is_wrong))
     if link.gps_doubt is not None:
-        yield _gauge("gps_doubt", "Evidence that GPS is wrong, from 0; called at 1", link.gps_doubt)
+        # Enough evidence in one place is not called yet: then it is rounded down, so that both metrics agree.
+        doubt = 1.0 if is_wrong else min(link.gps_doubt, 0.99)
+        yield _gauge("gps_doubt", "Evidence that GPS is wrong, from 0; 1 where that is said", doubt)
     if link.gps_off_m is not None:
         yield _gauge("gps_off_meters", "How far GPS is from the places", link.gps_off_m)
     if link.sent_ns is not None:

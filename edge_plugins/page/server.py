@@ -70,6 +70,8 @@ WAYS, LIGHTS, VIEWS = ("home", "again"), ("day", "dusk", "night", "rain", "snow"
 """Of `lookback map coverage`, whose modules a vehicle need not load."""
 PageRequest: TypeAlias = Literal["home", "restore", "pause", "map"]
 """The way home, the mission before it, and live mapping that pauses or goes on."""
+NOT_READY = ("starting", "degraded", "failed")
+"""States in which no place can be recognized. A daemon that does not answer is not even live."""
 TOKEN_HEADER, WRONG_TOKEN_S = "X-Lookback-Token", 0.5
 """One guess at a time of an address, answered after so long: at 12 letters nobody guesses right, and another address,
 the owner's, does not wait."""
@@ -179,6 +181,14 @@ class StatusPage:
         async def metrics(request: Request, snapshot: Snapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
 
+        async def health(request: Request, snapshot: Snapshot) -> Response:
+            state = snapshot.status.state
+            is_ready = state not in NOT_READY
+            asks_ready = request.url.path.endswith("/ready")
+            return JSONResponse(
+                {"live": True, "ready": is_ready, "state": state}, 503 if asks_ready > is_ready else 200
+            )
+
         async def frame(request: Request, snapshot: Snapshot) -> Response:
             data = self._picture(snapshot)
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no frame yet\n", 404)
@@ -227,6 +237,7 @@ class StatusPage:
                 Route("/", page),
                 Route("/status.json", self._with_snapshot(status)),
                 Route("/metrics", self._with_snapshot(metrics)),
+                *(Route(path, self._with_snapshot(health)) for path in ("/healthz", "/healthz/ready")),
                 Route("/frame.jpg", self._with_snapshot(frame)),
                 Route("/thumbnail/{place_index}.jpg", thumbnail),
                 Route("/route.json", route),

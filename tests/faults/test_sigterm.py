@@ -78,6 +78,28 @@ def test_a_signal_while_a_camera_that_says_nothing_is_opened(
     assert took_s < 5.0, "when systemd kills"
 
 
+@pytest.mark.parametrize("write_s", [0.5, 2.0])
+def test_a_disk_that_is_slow_at_the_end(
+    write_s: float,
+    calm_feed: Path,
+    write_config: Callable[..., Path],
+    start: Callable[..., Any],
+    compile_shim: Callable[[str], Path],
+    tmp_path: Path,
+    figures: Callable[[str], None],
+) -> None:
+    """It took 4.2 s where a write took 0.5 s, and 16 s where it took 2 s."""
+    environment = {"LD_PRELOAD": str(compile_shim("slow_writes_shim")), "SLOW_US": str(round(write_s * 1e6))}
+    config = write_config(camera={"device": str(calm_feed)}, telemetry={"journal_frames": True})
+    process = start(config, environment=environment)
+    process.wait_until_on_the_map("the disk hangs")
+    code, took_s = process.end()
+    assert (code, "Traceback" in process.told()) == (0, False), process.told()
+    figures(f"a write of {write_s:g} s: gone after {took_s:.1f} s")
+    assert took_s < 5.0, "when systemd kills"
+    assert list(read_journal(tmp_path / "events.jsonl"))
+
+
 def check_files(folder: Path) -> None:
     journal = folder / "events.jsonl"
     if journal.exists():

@@ -83,29 +83,7 @@ write_config() { # KEY=VALUE of one line that is changed
 }
 
 make_data() { # a feed that plays for four hours, longer than all of this on a slow machine, and a map of its beginning
-    [ -e "$work/data/map" ] || (cd "$here" && "$python" - "$work/data" <<'PYTHON'
-import sys
-from pathlib import Path
-
-import numpy as np
-
-from sim.maps.command import build_map
-from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import FeedHeader, FeedWriter, read_feed
-
-folder = Path(sys.argv[1])
-folder.mkdir(parents=True)
-pictures = np.random.default_rng(0).integers(0, 256, (8, 96, 128, 3), dtype=np.uint8)
-for name in ("feed", "beginning"):
-    with FeedWriter(folder / name, FeedHeader(name, "front", 128, 96)) as writer:
-        for index in range(8):
-            writer.write(pictures[index], 1_000_000_000 * (index + 1))
-files = [row.file for row in read_feed(folder / "feed").rows]
-rows = [f"{files[second % 8]},{1_000_000_000 * (second + 1)}" for second in range(4 * 3600)]
-(folder / "feed/frames.csv").write_text("\n".join(["file,stamp_ns", *rows, ""]))
-build_map([read_feed(folder / "beginning")], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
-PYTHON
-    )
+    [ -e "$work/data/map" ] || (cd "$here" && "$python" -m tests.systemd.boot_data "$work/data")
     mkdir -p "$root/var/lib/lookback" "$root/etc/lookback"
     cp -r "$work/data/feed" "$work/data/map" "$root/var/lib/lookback/"
     chmod -R a+rX "$root/var/lib/lookback"
@@ -220,11 +198,31 @@ what_is_left() { # of Lookback, but for what this script and systemd's journal h
     grep -s lookback "$root/etc/passwd" "$root/etc/group" || true
 }
 
+try_package_rollback() { # DEB: of a version that accepts the config, starts, and crashes after 15 s
+    local broken=$work/broken before
+    rm -rf "$broken"
+    dpkg-deb --raw-extract "$1" "$broken"
+    sed -i 's/^Version: .*/&+zbroken/' "$broken/DEBIAN/control"
+    sed -i '/^class Daemon/i import os, threading\nthreading.Timer(15, os._exit, [1]).start()\n' \
+        "$broken"/opt/lookback/lib/python3*/site-packages/edge/daemon.py
+    find "$broken/opt" -path '*edge/__pycache__/daemon.*' -delete
+    dpkg-deb --root-owner-group -Zgzip -z1 --build "$broken" "$root/srv/broken.deb" >/dev/null
+    rm -rf "$broken"
+    before=$(inside md5sum "$(find "$root/opt/lookback/lib" -path '*edge/daemon.py' | sed "s|^$root||")")
+    inside dpkg --install /srv/broken.deb >"$work/deb.txt" 2>&1 </dev/null && fail "a package that crashes was installed"
+    grep -q "so the old one is back" "$work/deb.txt" || fail "package's rollback: $(tail -n 5 "$work/deb.txt")"
+    [ "$before" = "$(inside md5sum "${before#*  }")" ] || fail "the package that crashes is still there"
+    wait_for 60 is_active || fail "the old version of the package does not run again"
+    inside dpkg --install "/srv/$(basename "$1")" >"$work/deb.txt" 2>&1 </dev/null || fail "$(tail -n 5 "$work/deb.txt")"
+    [ "$(ls "$root/opt")" = lookback ] || fail "left in /opt: $(ls "$root/opt")"
+    step "package: a version that crashes is taken back"
+}
+
 try_package() {
     local deb=$root/srv/lookback.deb next
     cp "${DEB:-}" "$deb" 2>/dev/null || {
         step "building the package"
-        inside /srv/lookback/systemd/build-deb.sh -o /srv/deb >/dev/null 2>&1 || fail "build-deb.sh"
+        inside /srv/lookback/systemd/build-deb.sh --maintainer 'Test <test@example.com>' -o /srv/deb >/dev/null 2>&1 || fail "build-deb.sh"
         mv "$root"/srv/deb/*.deb "$deb"
     }
     inside dpkg --install /srv/lookback.deb >"$work/beside.txt" 2>&1 && fail "the package installs beside install.sh"
@@ -255,6 +253,7 @@ try_package() {
     [ "$(property MainPID)" != "$before" ] && is_active || fail "the upgrade did not restart the service"
     [ "$(inside systemctl is-enabled lookback || true)" = disabled ] || fail "the upgrade enabled the service"
     step "package: upgraded without a question; config and disabled service as they were"
+    try_package_rollback "$deb"
     inside dpkg --remove lookback >"$work/deb.txt" 2>&1 || fail "remove: $(tail -n 5 "$work/deb.txt")"
     inside dpkg --install /srv/lookback.deb >"$work/deb.txt" 2>&1 </dev/null || fail "again: $(tail -n 5 "$work/deb.txt")"
     [ "$config" = "$(md5sum <"$root/etc/lookback/lookback.toml")" ] || fail "removed and installed: the config is changed"

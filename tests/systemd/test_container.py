@@ -31,7 +31,7 @@ def test_labels_are_json_and_name_this_version_and_port() -> None:
     assert label("version") == edge.__version__
     assert all(isinstance(json.loads(label(name)), list) for name in ("authors", "tags"))
     assert f"EXPOSE {port}\n" in DOCKERFILE
-    assert f"127.0.0.1:{PageConfig().port}/status.json" in DOCKERFILE
+    assert f"127.0.0.1:{PageConfig().port}/healthz" in DOCKERFILE
 
 
 def test_the_environment_is_that_of_the_service() -> None:

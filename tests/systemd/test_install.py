@@ -6,6 +6,7 @@ people's files say nothing about the scripts. Building the package still takes s
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -14,11 +15,19 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from importlib.metadata import distributions, version
 from pathlib import Path
 
+import msgspec
 import pytest
+from packaging.requirements import Requirement
 
 import edge
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 INSTALL = SYSTEMD / "install.sh"
@@ -50,7 +59,9 @@ def run(
         Path(programs, "sitecustomize.py").write_text(NOTES_COMPILERS)
         environment = {**os.environ, "PIP_NO_DEPS": "1", "PATH": f"{programs}:{os.environ['PATH']}"}
         environment |= {"PYTHONPATH": programs, "COMPILERS": str(compilers), "DPKG_DEB_COMPRESSOR_LEVEL": "0"}
-        command = [str(script), *map(str, arguments)]
+        installs = script in (INSTALL, BUILD_DEB) and not {"--uninstall", "--help"} & set(arguments)
+        # What is locked would be downloaded.
+        command = [str(script), *["--newest"] * installs, *map(str, arguments)]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
@@ -254,7 +265,8 @@ def test_bad_arguments(arguments: list[str], message: str, tmp_path: Path, monke
 def test_deb_carries_it_all(wheel: Path, checkout: Path, python: Path, tmp_path: Path) -> None:
     if shutil.which("dpkg-deb") is None:
         pytest.skip("needs dpkg-deb")
-    result = run(BUILD_DEB, "-o", tmp_path, "--wheel", wheel, "--python", python, systemd=255)
+    who = "Example <ops@example.com>"
+    result = run(BUILD_DEB, "-o", tmp_path, "--maintainer", who, "--wheel", wheel, "--python", python, systemd=255)
     assert result.returncode == 0, result.stderr
     (package,) = tmp_path.glob("*.deb")
     unpacked = tmp_path / "unpacked"
@@ -262,6 +274,14 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, python: Path, tmp_path:
     control = (unpacked / "DEBIAN/control").read_text()
     minor = sys.version_info.minor
     assert f"Version: {edge.__version__}\n" in control
+    assert f"Maintainer: {who}\n" in control
+    site = next(unpacked.glob("opt/lookback/lib/python3*/site-packages"))
+    assert not [name for name in ("pip", "setuptools") if (site / name).exists()]
+    assert {path.name for path in (unpacked / "opt/lookback/bin").iterdir()} >= {"lookback", "python"}
+    assert not list((unpacked / "opt/lookback/bin").glob("pip*"))
+    bill = json.loads((unpacked / "usr/share/doc/lookback/sbom.cdx.json").read_text())
+    assert bill["metadata"]["component"]["purl"] == f"pkg:pypi/lookback-nav@{edge.__version__}"
+    assert (unpacked / "usr/share/doc/lookback/copyright").read_text().startswith("Format: https://www.debian.org/")
     assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
     assert not (unpacked / "DEBIAN/conffiles").exists()  # or an upgrade would ask about an edited config
     assert not (unpacked / "etc").exists()
@@ -281,7 +301,58 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, python: Path, tmp_path:
     assert (unpacked / "opt/lookback/bin/lookback").read_text().startswith("#!/opt/lookback/bin/python\n")
 
 
-SCRIPTS = [INSTALL, BUILD_DEB, *(SYSTEMD / "deb" / name for name in ("preinst", "postinst", "prerm", "postrm"))]
+def test_a_package_names_who_answers_for_it(tmp_path: Path) -> None:
+    for who in ([], ["--maintainer", "nobody"]):
+        result = run(BUILD_DEB, *who)
+        assert (result.returncode, result.stderr) == (
+            1,
+            "build-deb.sh: who answers for this package? --maintainer 'Name <address>'\n",
+        )
+    assert run(BUILD_DEB, "--help").stdout.startswith("Usage: build-deb.sh --maintainer")
+
+
+def test_the_list_of_components_has_every_package_with_its_license() -> None:
+    site = str(Path(msgspec.__file__).parents[1])
+    packages = sorted({one.name for one in distributions(path=[site])}, key=str.lower)
+    command = [sys.executable, str(SYSTEMD / "components.py"), site]
+    bill = json.loads(subprocess.run([*command, "sbom"], capture_output=True, check=True).stdout)
+    found = {one["name"]: one for one in bill["components"]}
+    assert {re.sub(r"[-_.]+", "-", name).lower() for name in packages} - {"lookback-nav"} == set(found)
+    assert found["msgspec"]["licenses"] == [{"expression": "BSD-3-Clause"}]
+    assert found["numpy"]["purl"] == f"pkg:pypi/numpy@{version('numpy')}"
+    copyright_file = subprocess.run([*command, "copyright"], capture_output=True, text=True, check=True).stdout
+    assert "License: various" not in copyright_file
+    paragraphs = [part for part in copyright_file.split("\n\n") if part.strip()]
+    assert len(paragraphs) >= len(packages) - 1
+    for part in paragraphs:
+        assert re.fullmatch(r"Files: .+\nCopyright: .+\nLicense: .+\n .+", part.strip()), part
+
+
+def test_what_a_vehicle_installs_is_locked_with_hashes() -> None:
+    """And fits what pyproject.toml asks for."""
+    asked = tomllib.loads((SYSTEMD.parent / "pyproject.toml").read_text())["project"]
+    extras = asked["optional-dependencies"]
+    core = (SYSTEMD / "lock/core.txt").read_text()
+    for name, needs in {
+        "core": asked["dependencies"],
+        **{one: extras[one] for one in ("page", "oak", "stream")},
+    }.items():
+        text = core + (SYSTEMD / f"lock/{name}.txt").read_text()
+        for block in re.split(r"\n(?=[a-z])", text.strip()):
+            assert re.match(r"[a-z0-9-]+==\S+( ; .*)? \\\n    --hash=sha256:[0-9a-f]{64}", block), block
+        locked = [Requirement(line.removesuffix(" \\")) for line in re.findall(r"(?m)^[a-z].*", text)]
+        for need in map(Requirement, needs):
+            pins = [str(pin.specifier).removeprefix("==") for pin in locked if pin.name == need.name.lower()]
+            assert pins, need
+            assert all(need.specifier.contains(pin) for pin in pins) or need.marker, (need, pins)
+
+
+SCRIPTS = [
+    INSTALL,
+    BUILD_DEB,
+    SYSTEMD / "trim.sh",
+    *(SYSTEMD / "deb" / name for name in ("preinst", "postinst", "prerm", "postrm")),
+]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import dataclasses
 import http.client
 import json
+import re
 import socket
 import threading
 import time
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -27,6 +30,7 @@ from edge.journal.records import FrameUsed
 from edge.sequence import CostView
 from edge.telemetry import LinkStatus
 from edge_plugins.page import PageConfig
+from edge_plugins.page.metrics import STATES, as_metrics
 from edge_plugins.page.server import CONNECTIONS, CONNECTIONS_OF_ONE, TOKEN_HEADER, StatusPage
 from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 
@@ -196,6 +200,52 @@ def test_metrics_are_what_prometheus_reads(page: StatusPage, loop: Loop) -> None
     assert families["lookback_link_up"].samples[0].value == 0
 
 
+MONITORING = Path(__file__).parents[3] / "docs/monitoring"
+
+
+@pytest.mark.parametrize("file", ["alerts.yml", "dashboard.json"])
+def test_alerts_and_dashboard_name_metrics_labels_and_states_that_exist(file: str) -> None:
+    text = (MONITORING / file).read_text().replace('\\"', '"')
+    link = LinkStatus("up", "serial:/dev/none:57600", "report", gps_doubt=0.1, gps_off_m=2.0, sent_ns=0)
+    status = msgspec.structs.replace(snapshot(1).status, link=link)
+    labels: dict[str, set[str]] = {}
+    for family in text_string_to_metric_families(as_metrics(status).decode()):
+        for sample in family.samples:
+            labels.setdefault(sample.name, {"instance"}).update(sample.labels)
+    named = set(re.findall(r"lookback_[a-z_]+", text))
+    assert len(named) >= 8
+    assert named <= set(labels), named - set(labels)
+    for name, selector in re.findall(r"(lookback_[a-z_]+)\{([^}]*)\}", text):
+        assert set(re.findall(r"(\w+)=", selector)) <= labels[name], (name, selector)
+    for alternatives in re.findall(r'state=~?"([^"]+)"', text):
+        assert set(alternatives.split("|")) <= set(STATES), alternatives
+
+
+def test_doubt_and_verdict_of_gps_agree() -> None:
+    """Doubt was 1, at which it is said, while nothing was said."""
+    link = LinkStatus("up", "serial:/dev/none:57600", "report", gps_verdict="doubtful", gps_doubt=1.0)
+    said = {}
+    for verdict in ("doubtful", "wrong"):
+        status = msgspec.structs.replace(snapshot(1).status, link=dataclasses.replace(link, gps_verdict=verdict))
+        for family in text_string_to_metric_families(as_metrics(status).decode()):
+            for sample in family.samples:
+                said[verdict, sample.name] = sample.value
+    assert (said["doubtful", "lookback_gps_doubt"] < 1, said["doubtful", "lookback_gps_wrong"]) == (True, 0)
+    assert (said["wrong", "lookback_gps_doubt"], said["wrong", "lookback_gps_wrong"]) == (1, 1)
+
+
+@pytest.mark.parametrize(("state", "ready"), [("on the map", 200), ("off the map", 200), ("degraded", 503)])
+def test_a_probe_is_answered_live_and_ready(state: str, ready: int, page: StatusPage) -> None:
+    def shown(number: int) -> Snapshot:
+        one = snapshot(number)
+        return dataclasses.replace(one, status=msgspec.structs.replace(one.status, state=state))
+
+    with closing(Loop(page, shown)):
+        code, body, _ = get(page, "/healthz")
+        assert (code, json.loads(body)) == (200, {"live": True, "ready": ready == 200, "state": state})
+        assert get(page, "/healthz/ready")[0] == ready
+
+
 def test_nothing_is_made_until_somebody_looks_and_many_share_one(page: StatusPage, loop: Loop) -> None:
     get(page, "/")
     get(page, "/route.json")
@@ -207,7 +257,8 @@ def test_nothing_is_made_until_somebody_looks_and_many_share_one(page: StatusPag
 
 
 def test_a_loop_that_hangs_is_said(page: StatusPage) -> None:
-    assert get(page, "/status.json")[:2] == (503, b"the recognizer does not answer\n")
+    for path in ("/status.json", "/healthz", "/healthz/ready"):
+        assert get(page, path)[:2] == (503, b"the recognizer does not answer\n")
     assert get(page, "/")[0] == 200
 
 
