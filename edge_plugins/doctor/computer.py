@@ -155,6 +155,10 @@ def check_camera(examined: Examined) -> Iterator[Found]:
     """The configured camera, opened and read once."""
     config = examined.settings.camera
     where = f"[camera] {config.source}"
+    if os.geteuid() == 0 and config.kind == "stream" and config.device.startswith("exec:"):
+        as_whom = "run doctor for the service's own config, or as the user that Lookback runs as"
+        yield note(f"{where}: not tried, since root would run its command", as_whom)
+        return
     remedy = "name a device that is listed above, if there is one; stop any other program that uses it"
     if config.kind == "stream":
         remedy = "see docs/cameras.md for devices that are streams; a command must also work in a terminal"

@@ -90,9 +90,17 @@ def test_a_disk_that_is_slow_at_the_end(
 ) -> None:
     """It took 4.2 s where a write took 0.5 s, and 16 s where it took 2 s."""
     environment = {"LD_PRELOAD": str(compile_shim("slow_writes_shim")), "SLOW_US": str(round(write_s * 1e6))}
-    config = write_config(camera={"device": str(calm_feed)}, telemetry={"journal_frames": True})
+    key = tmp_path / "mavlink.key"
+    key.touch(0o600)
+    key.write_text("00" * 32)
+    telemetry = {"journal_frames": True, "signing_key": str(key), "connection": "udp:127.0.0.1:9"}
+    config = write_config(
+        camera={"device": str(calm_feed)}, telemetry=telemetry, recording={"folder": str(tmp_path / "recorded")}
+    )
     process = start(config, environment=environment)
-    process.wait_until_on_the_map("the disk hangs")
+    process.wait_for_word("STATUS=")
+    for _ in range(20):
+        process.wait_for_word("WATCHDOG=1")
     code, took_s = process.end()
     assert (code, "Traceback" in process.told()) == (0, False), process.told()
     figures(f"a write of {write_s:g} s: gone after {took_s:.1f} s")

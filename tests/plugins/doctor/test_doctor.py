@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -316,6 +317,25 @@ def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tm
     findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
     assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")
     assert told(findings, "autopilot", "bad") == ""
+
+
+@pytest.mark.parametrize(
+    ("connection", "warned"),
+    [("udpin:0.0.0.0:14550", True), ("udpin:0.0.0.0:14550@192.168.2.1", False), ("udpin:127.0.0.1:14550", False)],
+)
+def test_a_link_that_answers_the_first_sender_is_named(
+    connection: str, warned: bool, write_config: Callable[..., Path]
+) -> None:
+    findings = list(examine(write_config(telemetry={"connection": connection}), 0.1, offline=True))
+    assert ("the first sender is answered" in told(findings, "link", "note")) == warned
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root")
+def test_root_runs_no_command_of_a_config(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    config = write_config(camera={"kind": "stream", "device": f"exec:touch {tmp_path / 'run'}"})
+    findings = list(examine(config, 0.1, tmp_path / "dev"))
+    assert "not tried, since root would run its command" in told(findings, "camera", "note")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_words_of_the_last_run(write_config: Callable[..., Path], tmp_path: Path) -> None:
