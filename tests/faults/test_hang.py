@@ -7,7 +7,6 @@ import ctypes
 import os
 import random
 import re
-import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -61,39 +60,35 @@ TO_THE_END = pytest.mark.parametrize("waits_s", [0.5, pytest.param(WATCHDOG_S, m
 
 
 @pytest.fixture
-def blocked_picture(street: Path, tmp_path: Path) -> Path:
-    """A feed of whose 20th picture nothing ever comes: a pipe that nobody writes to."""
-    feed = tmp_path / "blocked"
-    shutil.copytree(street / "feed", feed)
-    (feed / "frames/000020.jpg").unlink()
-    os.mkfifo(feed / "frames/000020.jpg")
-    return feed
+def hanging(compile_shim: Callable[[str], Path]) -> dict[str, str]:
+    """The environment of a daemon to which nothing ever comes of the 20th picture of its feed."""
+    return {"LD_PRELOAD": str(compile_shim("hanging_picture_shim"))}
 
 
 @TO_THE_END
 def test_a_camera_that_hangs_in_its_driver(
     waits_s: float,
-    blocked_picture: Path,
+    street: Path,
+    hanging: dict[str, str],
     write_config: Callable[..., Path],
     start: Callable[..., Any],
     figures: Callable[[str], None],
 ) -> None:
-    config = write_config(camera={"device": str(blocked_picture)})
-    process = start(config)
+    process = start(write_config(), environment=hanging)
     process.wait_for_word("WATCHDOG=1")
     began_s = time.monotonic()
     process.wait_for_word("STATUS=degraded: not recognized: camera: it hangs (reading)")
     fed_s = time.monotonic()
-    allowed_s = RecordedCamera(read_feed(blocked_picture)).read_timeout_s + GRACE_S
+    allowed_s = RecordedCamera(read_feed(street / "feed")).read_timeout_s + GRACE_S
     assert "the camera hangs (reading)" in process.told()
     figures(f"fed for {fed_s - began_s:.1f} s, of which a read may take {allowed_s:.1f} s and 20 pictures 0.8 s")
     ended_by_the_watchdog(process, fed_s, waits_s)
 
 
 def test_a_camera_that_hangs_can_be_told_to_stop(
-    blocked_picture: Path, write_config: Callable[..., Path], start: Callable[..., Any]
+    hanging: dict[str, str], write_config: Callable[..., Path], start: Callable[..., Any]
 ) -> None:
-    process = start(write_config(camera={"device": str(blocked_picture)}))
+    process = start(write_config(), environment=hanging)
     process.wait_for_word("STATUS=degraded: not recognized: camera: it hangs (reading)")
     assert process.end()[0] == 0
 
