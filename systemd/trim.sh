@@ -1,10 +1,12 @@
 #!/bin/sh
 # Remove from an environment what Lookback does not need when it runs: trim.sh ENVIRONMENT. For the Debian package and
-# the container, where nothing is installed later: pip, setuptools, and of pymavlink all but one of its 88 dialects.
+# the container, where nothing is installed later: pip, setuptools, tests of numpy, and of pymavlink all but one of its 88
+# dialects, and lxml, by which it makes dialects.
 set -eu
 site=$(echo "$1"/lib/python3*/site-packages)
 rm -rf "$site"/pip "$site"/pip-*.dist-info "$site"/setuptools "$site"/setuptools-*.dist-info "$site"/pkg_resources \
     "$site"/_distutils_hack "$site"/distutils-precedence.pth
+rm -rf "$site"/lxml "$site"/lxml-*.dist-info "$site"/numpy/*/tests "$site"/numpy/tests
 find "$1/bin" -mindepth 1 ! -name 'python*' ! -name lookback -delete
 mavlink=$site/pymavlink
 [ -d "$mavlink" ] || exit 0
