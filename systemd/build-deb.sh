@@ -104,5 +104,5 @@ TEXT
 chmod 0644 "$stage/DEBIAN/md5sums" "$stage/DEBIAN/control"
 
 mkdir -p "$output"
-# gzip: weights and compiled libraries gain little from xz, which takes minutes on a small computer.
-dpkg-deb --root-owner-group -Zgzip --build "$stage" "$output"
+# xz: 129 MB where gzip needs 175 MB, for four minutes of one core more.
+dpkg-deb --root-owner-group -Zxz --build "$stage" "$output"
