@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.feed import FeedHeader, FeedRow, FeedWriter, read_feed
+from edge.feed import FeedHeader, FeedRow, read_feed
+from edge.feed.writer import FeedWriter
 from sim.maps.command import build_map
 
 
