@@ -46,6 +46,9 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
 Left = Annotated[float, Meta(ge=-50, le=50)]
 Share = Annotated[float, Meta(ge=0, le=0.9)]
+NETWORKS = ("grid", "fc6")
+"""Names of those that come with Lookback."""
+ModelPath = Annotated[str, Meta(description="of a network that comes with Lookback; or a path, as FilePath")]
 FilePath = Annotated[str, Meta(description="of a file or folder, relative to the folder of the config file")]
 
 
@@ -117,7 +120,7 @@ class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[descriptor]: how a frame becomes a descriptor, and how that is normalized (eq. 1, sections III-B and III-D)."""
 
-    model: FilePath = ""
+    model: ModelPath = ""
     provider: str = "cpu"
     regions: Literal["left-right", "whole"] = "left-right"
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
@@ -422,7 +425,9 @@ def change_paths(config: ConfigStruct, change: Callable[[str, str], str], sectio
     changes: dict[str, object] = {}
     for field in msgspec.structs.fields(config):
         value, below = getattr(config, field.name), f"{section}.{field.name}".lstrip(".")
-        is_path = field.type == FilePath or (field.name == "device" and getattr(config, "kind", "") in ("feed", "sim"))
+        is_path = field.type in (FilePath, ModelPath) or (
+            field.name == "device" and getattr(config, "kind", "") in ("feed", "sim")
+        )
         if isinstance(value, Struct):
             changes[field.name] = change_paths(value, change, below)
         elif isinstance(config, Config):
@@ -431,6 +436,8 @@ def change_paths(config: ConfigStruct, change: Callable[[str, str], str], sectio
             changes[field.name] = tuple(
                 change_paths(one, change, below) if isinstance(one, Struct) else one for one in value
             )
+        elif field.type == ModelPath and value in NETWORKS:
+            continue
         elif is_path and value and not value.startswith("credential:"):
             changes[field.name] = change(f"[{section}] {field.name}", value)
     return msgspec.structs.replace(config, **changes)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
-from edge.descriptor.network import Head, Network, cut_regions
+from edge.descriptor.network import Head, Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.reference_map import MapSet, MapSoFar, ModelKey, open_map_set
 from edge.sequence import NOTHING_KNOWN, CostView, PlaceMatch, Travel
@@ -149,9 +149,9 @@ class PlaceRecognizer:
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
         descriptor = self.config.descriptor
-        regions = cut_regions(image, descriptor.regions, descriptor.region_width, self._network.size)
+        pictures = pictures_for(self._network.info, image, descriptor.regions, descriptor.region_width)
         self._stopwatch("regions")
-        raw = self._network.describe(regions)
+        raw = self._network.describe(pictures)
         self._stopwatch("network")
         return raw
 

@@ -18,12 +18,15 @@ from typing import Literal
 
 import msgspec
 
+from edge.config import NETWORKS
 from edge.errors import ModelError
 
 FC6_FILE, NETWORK_FILE = "fc6_int8.onnx", "network_int8.onnx"
 """The network file of a model folder: of an AlexNet, and of any other network."""
 HEAD_FILE = "head_int8.onnx"
-SHIPPED_MODEL = Path(__file__).with_name("models") / "alexnet_places100"
+MODELS = Path(__file__).with_name("models")
+SHIPPED_MODEL = MODELS / "alexnet_places100"
+INSTALLED = dict(zip(NETWORKS, (MODELS / "grid" / "network_float32.onnx", SHIPPED_MODEL), strict=True))
 
 METADATA_KEY = "lookback"
 MAX_FILE_BYTES = 512 * 2**20  # the float graph of AlexNet to fc6 is 161 MB
@@ -45,6 +48,8 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     tap: the tensor that the descriptor is made of (fc6 and conv3 of an AlexNet, after ReLU); `categories` for a head.
     pool: the grid, such as 2x2, over whose cells a feature map is averaged; "" where the tap is used as it is.
+    columns: of that grid, those of each region, outer ones first, if the network takes the whole picture and returns
+    its regions; empty where it takes each region as a picture of its own.
     dimensions: values per region. input_size: of the square image, or its height and width, in pixels.
     channel_order: of the image that the file is given. weights_sha256: the weights file that it was made from.
     fc6_sha256: of a head, the network file whose descriptor it understands. sha256: the file itself, set on reading.
@@ -66,6 +71,7 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     fc6_sha256: str = ""
     sha256: str = ""
     pool: str = ""
+    columns: tuple[tuple[int, ...], ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -75,8 +81,18 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def output(self) -> str:
-        """What the network gives, as maps name it: the tap, and the grid if there is one."""
-        return f"{self.tap} {self.pool}".rstrip()
+        """What the network gives, as maps name it: the tap, and the grid and its columns if there are any."""
+        return output_name(self.tap, self.pool, self.columns)
+
+    @property
+    def shape(self) -> list[int]:
+        """Of what the network gives for one image: (D,), or (R, D) of its regions."""
+        return [*filter(None, [len(self.columns)]), self.dimensions]
+
+
+def output_name(tap: str, pool: str, columns: tuple[tuple[int, ...], ...]) -> str:
+    """Of a file's output, such as "fc6", or "block12 4x8 0,1,2 7,6,5"."""
+    return " ".join([tap, *filter(None, [pool]), *(",".join(map(str, one)) for one in columns)])
 
 
 @dataclass(frozen=True)
@@ -89,11 +105,11 @@ class ModelFile:
 
 
 def resolve_model(path: Path | None, name: str = FC6_FILE) -> Path:
-    """The file `name` of the shipped model (None) or of a model folder; any other path is the file itself.
+    """The file `name` of fc6 (None), of one of NETWORKS, or of a model folder; any other path is the file itself.
 
     In a folder without `name`, its NETWORK_FILE if it has one.
     """
-    path = SHIPPED_MODEL if path is None else path
+    path = SHIPPED_MODEL if path is None else INSTALLED.get(str(path), path)
     if not path.is_dir():
         return path
     other = path / NETWORK_FILE

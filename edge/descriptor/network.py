@@ -1,4 +1,4 @@
-"""Descriptors with ONNX Runtime: regions in, descriptors out; and the small head that gives the place category.
+"""Descriptors with ONNX Runtime: pictures in, descriptors out; and the small head that gives the place category.
 
 The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
 import; a test watches the calls of the system. 1.28 to 1.32 crash at import on a Cortex-A76 (emulated by qemu 7.2), so
@@ -48,6 +48,16 @@ def cut_regions(image: NDArray[np.uint8], regions: Regions, width: float, size: 
     for part, target in zip(parts, out, strict=True):
         _resize(_halved(part, size), size, target)
     return out
+
+
+def pictures_for(info: ModelInfo, image: NDArray[np.uint8], regions: Regions, width: float) -> NDArray[np.uint8]:
+    """What a network is given of an image (H, W, 3): `cut_regions`, or the whole where it finds the regions itself."""
+    return cut_regions(image, "whole" if info.columns else regions, width, info.size)
+
+
+def region_count(info: ModelInfo, regions: Regions) -> int:
+    """R of the descriptors (R, D) of one image."""
+    return len(info.columns) or REGION_COUNT[regions]
 
 
 def _halved(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -161,10 +171,11 @@ class Network:
     def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Raw descriptors (B, dimensions) float32 of images (B, height, width, 3) uint8 BGR, contiguous.
 
-        A batch reads the weights once: two regions take far less than twice the time of one. The descriptor of an
-        image does not depend on the others in its batch.
+        Of a network that returns R regions of a picture: (B * R, dimensions), those of each picture together. A batch
+        reads the weights once: two regions take far less than twice the time of one. The descriptor of an image does
+        not depend on the others in its batch.
         """
-        return _run(self._session, IMAGE, images)
+        return _run(self._session, IMAGE, images).reshape(-1, self.info.dimensions)
 
 
 class Head:
@@ -220,15 +231,15 @@ def _open_checked(
     except Exception as error:  # ONNX Runtime's own classes share only Exception
         raise _rejected(file, error) from None
     kind = "uint8" if dtype is np.uint8 else "float"
-    wanted = [(name, f"tensor({kind})", shape), (file.info.output, "tensor(float)", [file.info.dimensions])]
+    wanted = [(name, f"tensor({kind})", shape), (file.info.output, "tensor(float)", file.info.shape)]
     if found != wanted or (tensors[0].shape[0] != 1 and isinstance(tensors[0].shape[0], int)):
         raise ModelError(f"{file.path}: has inputs and outputs {found}, its metadata needs {wanted}")
     try:
         given = _run(session, name, np.zeros((2, *shape), dtype)).shape
     except Exception as error:
         raise _rejected(file, error) from None
-    if given != (2, file.info.dimensions):
-        raise ModelError(f"{file.path}: gives {given} for two images, its metadata needs (2, {file.info.dimensions})")
+    if given != (2, *file.info.shape):
+        raise ModelError(f"{file.path}: gives {given} for two images, its metadata needs {(2, *file.info.shape)}")
     return session
 
 

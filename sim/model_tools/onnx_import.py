@@ -1,6 +1,7 @@
 """Any ONNX image network to a float graph that Lookback can use: pixels in, one descriptor per image out.
 
     image (B, H, W, 3) uint8 BGR -> normalization, channel order, layout -> the network up to the tap -> grid -> (B, D)
+                                                                             or the grid's outer columns -> (B, 2, D)
 
 The network is first simplified for a batch of one, so that everything that does not depend on the image becomes a
 constant; then its batch is made free again. `onnx` and `onnxruntime` run the file, so it must be one that you trust.
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import OPERATORS
+from edge.descriptor.model_file import OPERATORS, output_name
 from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
@@ -34,6 +35,8 @@ OLDEST_OPSET = 13  # from which on a scale per channel can be written
 INPUT = "input"
 DEFAULT_SIZE = 224
 Layout = Literal["nchw", "nhwc"]
+Columns = tuple[tuple[int, ...], ...]
+"""Those of a grid in each region, in their order."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +66,20 @@ class Imported:
     size: tuple[int, int]
     dimensions: int
     tap: str
+    columns: Columns = ()
 
 
 def import_onnx(
-    path: Path, data: bytes, wanted: ImageInput, tap: str = "", pool: tuple[int, int] | None = None
+    path: Path,
+    data: bytes,
+    wanted: ImageInput,
+    tap: str = "",
+    pool: tuple[int, int] | None = None,
+    columns: int | None = None,
 ) -> Imported:
     """Cut the network at `tap` ("" is its output), average over a grid (rows, columns), and put pixels in front.
+
+    columns: so many of the grid's on each side become the left and the right region, each from the outside in.
 
     ModelError names the file, and the tensor with what is there instead.
     """
@@ -79,12 +90,13 @@ def import_onnx(
         _check_tap(model, tap)
         cut = _cut(_fold(model, image, size, layout, tap), image, tap)
         _check_operators(cut)
-        dimensions, one = _add_pool(cut, tap, pool, _run(cut, image, size, layout))
+        regions = _outer_columns(pool, columns)
+        shape, one = _add_pool(cut, tap, pool, regions, _run(cut, image, size, layout))
         _add_pixels(cut, image, size, layout, wanted)
-        _free_batch(cut, size, one, dimensions)
+        _free_batch(cut, size, one, shape)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
-    return Imported(cut, size, dimensions, tap)
+    return Imported(cut, size, shape[-1], tap, regions)
 
 
 def _load(data: bytes) -> onnx.ModelProto:
@@ -220,13 +232,30 @@ def _run(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layo
     return tuple(found.shape)
 
 
+def _outer_columns(pool: tuple[int, int] | None, count: int | None) -> Columns:
+    """The columns of the left and of the right region, so many of the grid's on each side, the outermost first.
+
+    From the outside in on both sides: what the left region of one camera sees outermost, the right one of a camera
+    that faces the other way sees outermost as well.
+    """
+    if count is None:
+        return ()
+    if pool is None or not 1 <= count <= pool[1] // 2:
+        most = f"1 to {pool[1] // 2} of --pool {spell(pool)}" if pool else "those of a --pool"
+        raise ModelError(f"--columns {count}: {most} can be a region")
+    return tuple(range(count)), tuple(range(pool[1] - 1, pool[1] - 1 - count, -1))
+
+
 def _add_pool(
-    model: onnx.ModelProto, tap: str, pool: tuple[int, int] | None, shape: tuple[int, ...]
-) -> tuple[int, str]:
-    """Average a feature map over a grid, or flatten what has more axes than two; dimensions, and the output's name."""
+    model: onnx.ModelProto, tap: str, pool: tuple[int, int] | None, columns: Columns, shape: tuple[int, ...]
+) -> tuple[list[int], str]:
+    """Average a feature map over a grid, or flatten what has more axes than two; shape of an image's, and its name.
+
+    columns: of the grid, those of each region that the network returns.
+    """
     import onnx
 
-    cells = pool[0] * pool[1] if pool else 1
+    cells = pool[0] * (len(columns[0]) if columns else pool[1]) if pool else 1
     if pool and len(shape) != 4:
         raise ModelError(f"tensor {tap!r} has the shape {_batched(shape)}; only a feature map (B, C, H, W) has a grid")
     if pool and (pool[0] > shape[2] or pool[1] > shape[3]):
@@ -238,26 +267,34 @@ def _add_pool(
             f" {DIMENSIONS[0]} to {DIMENSIONS[1]} can be used" + ("" if len(shape) < 4 else ": choose another --pool")
         )
     if len(shape) == 2:
-        return dimensions, tap
-    inner, name = f"{tap}.map", f"{tap} {spell(pool)}" if pool else tap
+        return [dimensions], tap
+    inner, name = f"{tap}.map", output_name(tap, spell(pool) if pool else "", columns)
     for node in model.graph.node:
         node.output[:] = [inner if one == tap else one for one in node.output]
         node.input[:] = [inner if one == tap else one for one in node.input]
     make = onnx.helper.make_node
     if pool:
-        grid, sizes = _grid(shape[2:], pool), np.array([-1, dimensions], np.int64)
-        constants = (grid, f"{NORMALIZE}.grid"), (sizes, f"{NORMALIZE}.sizes")
-        model.graph.initializer.extend(onnx.numpy_helper.from_array(*one) for one in constants)
-        model.graph.node.extend(
-            [
-                make("Flatten", [inner], [f"{inner}.flat"], f"{NORMALIZE}.flat", axis=2),
-                make("Gemm", [f"{inner}.flat", constants[0][1]], [f"{inner}.cells"], f"{NORMALIZE}.cells"),
-                make("Reshape", [f"{inner}.cells", constants[1][1]], [name], f"{NORMALIZE}.reshape"),
-            ]
+        grid, flat, chosen = _grid(shape[2:], pool), f"{inner}.flat", f"{inner}.cells"
+        constants: dict[str, NDArray[Any]] = {"sizes": np.array([-1, dimensions], np.int64)}
+        if columns:  # each region's cells side by side, then the regions apart
+            grid = grid[:, [row * pool[1] + column for one in columns for row in range(pool[0]) for column in one]]
+            constants["apart"] = np.array([-1, shape[1], len(columns), cells], np.int64)
+            constants["sizes"] = np.array([-1, len(columns), dimensions], np.int64)
+        constants["grid"] = grid
+        model.graph.initializer.extend(
+            onnx.numpy_helper.from_array(array, f"{NORMALIZE}.{key}") for key, array in constants.items()
         )
+        model.graph.node.append(make("Flatten", [inner], [flat], f"{NORMALIZE}.flat", axis=2))
+        model.graph.node.append(make("Gemm", [flat, f"{NORMALIZE}.grid"], [chosen], f"{NORMALIZE}.cells"))
+        if columns:
+            apart, regions = f"{inner}.apart", f"{inner}.regions"
+            model.graph.node.append(make("Reshape", [chosen, f"{NORMALIZE}.apart"], [apart], f"{NORMALIZE}.apart"))
+            model.graph.node.append(make("Transpose", [apart], [regions], f"{NORMALIZE}.regions", perm=[0, 2, 1, 3]))
+            chosen = regions
+        model.graph.node.append(make("Reshape", [chosen, f"{NORMALIZE}.sizes"], [name], f"{NORMALIZE}.reshape"))
     else:
         model.graph.node.append(make("Flatten", [inner], [name], f"{NORMALIZE}.flat", axis=1))
-    return dimensions, name
+    return [*filter(None, [len(columns)]), dimensions], name
 
 
 def _batched(shape: tuple[int, ...]) -> str:
@@ -331,7 +368,7 @@ def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: Im
     node.input[1:] = names
 
 
-def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, dimensions: int) -> None:
+def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, shape: list[int]) -> None:
     """Let the batch be of any size where that gives what single images give; otherwise it stays one."""
     import onnx
 
@@ -348,15 +385,15 @@ def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, dime
             name = f"{node.output[0]}.free_sizes"
             free.graph.initializer.append(onnx.numpy_helper.from_array(sizes, name))
             node.input[1] = name
-    _set_output(free, output, ["B", dimensions])
-    _set_output(model, output, [1, dimensions])
+    _set_output(free, output, ["B", *shape])
+    _set_output(model, output, [1, *shape])
     pixels = np.random.default_rng(0).integers(0, 256, (2, *size, 3), dtype=np.uint8)
     exact = np.concatenate([_describe(model, pixels[index : index + 1]) for index in range(2)])
     try:
         both = _describe(free, pixels)
     except Exception:  # ONNX Runtime's own classes share only Exception
         both = np.empty(0, np.float32)
-    if both.shape == (2, dimensions) and np.allclose(both, exact, rtol=1e-3, atol=1e-3 * float(np.abs(exact).max())):
+    if both.shape == (2, *shape) and np.allclose(both, exact, rtol=1e-3, atol=1e-3 * float(np.abs(exact).max())):
         model.CopyFrom(free)
     else:
         _set_shape(model.graph.input[0], [1, *size, 3])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
-from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.network import Network, pictures_for
 from edge.files import replacing
 from sim import Pose
 from sim.world.camera import open_renderer
@@ -59,8 +59,8 @@ class RoadViews:
         return self._known[cell].astype(np.float32)
 
     def _describe(self, route_m: int, left_m: int, turns: int) -> NDArray[np.float32]:
-        image, config, size = self.picture(route_m, left_m, turns * CELL_DEG), DescriptorConfig(), self._network.size
-        return Network.describe(self._network, cut_regions(image, config.regions, config.region_width, size))
+        image, config, info = self.picture(route_m, left_m, turns * CELL_DEG), DescriptorConfig(), self._network.info
+        return Network.describe(self._network, pictures_for(info, image, config.regions, config.region_width))
 
     def picture(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.uint8]:
         """The camera's picture there, (H, W, 3) uint8 BGR."""

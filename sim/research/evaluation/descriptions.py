@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from edge.descriptor.network import REGION_COUNT, Network, Regions, cut_regions
+from edge.descriptor.network import Network, Regions, pictures_for, region_count
 from edge.errors import ConfigError, FrameError
 from sim.research.evaluation.networks import Tap, open_network
 from sim.research.evaluation.plan import Plan
@@ -46,12 +46,14 @@ class Descriptions:
 
     def _described(self, traverse: Traverse, network: Network, regions: Regions) -> Raw:
         """ConfigError names a picture that cannot be read."""
-        out = np.empty((len(traverse.rows), REGION_COUNT[regions], network.info.dimensions), dtype=np.float32)
+        out = np.empty(
+            (len(traverse.rows), region_count(network.info, regions), network.info.dimensions), dtype=np.float32
+        )
         images, width = open_pictures(traverse.feed), self._plan.region_width
         title = f"{traverse.name}: {network.info.output} {network.info.precision}, {regions}"
         try:
             for target, row in zip(out, tqdm(traverse.rows, desc=title, unit="frame", leave=False), strict=True):
-                target[:] = network.describe(cut_regions(images.read(row), regions, width, network.size))
+                target[:] = network.describe(pictures_for(network.info, images.read(row), regions, width))
         except FrameError as error:
             raise ConfigError(f"traverses.{traverse.name}: {error}") from None
         finally:

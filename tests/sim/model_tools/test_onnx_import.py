@@ -132,6 +132,26 @@ def test_average_over_a_grid(pool: tuple[int, int], images: NDArray[np.uint8]) -
     close(described(found, images), wanted)
 
 
+def test_the_outer_columns_of_a_grid_are_regions_from_the_outside_in(images: NDArray[np.uint8], tmp_path: Path) -> None:
+    model, plain = network(), ImageInput(mean_rgb=NO_MEAN, std_rgb=ONE)
+    found = imported(model, plain, tap="map", pool=(2, 5), columns=2)
+    maps = exact(model, images, "map", NO_MEAN, ONE)
+    side, rows, of_grid = maps.shape[2], 2, 5
+    down = [(side * row // rows, -(-side * (row + 1) // rows)) for row in range(rows)]
+    across = [(side * col // of_grid, -(-side * (col + 1) // of_grid)) for col in range(of_grid)]
+    cells = {at: maps[:, :, slice(*down[at[0]]), slice(*across[at[1]])].mean(axis=(2, 3)) for at in np.ndindex(2, 5)}
+    regions = [[cells[row, col] for row in range(rows) for col in region] for region in ((0, 1), (4, 3))]
+    wanted = np.stack([np.stack(region, axis=2) for region in regions], axis=1).reshape(len(images), 2, -1)
+    assert (found.dimensions, found.columns) == (CHANNELS * 2 * 2, ((0, 1), (4, 3)))
+    close(described(found, images), wanted)
+
+
+@pytest.mark.parametrize(("pool", "columns"), [((2, 5), 3), ((2, 5), 0), (None, 1)])
+def test_columns_that_a_grid_does_not_have(pool: tuple[int, int] | None, columns: int) -> None:
+    with pytest.raises(ModelError, match=rf"--columns {columns}: .* can be a region"):
+        imported(network(), tap="map", pool=pool, columns=columns)
+
+
 def test_a_map_without_a_grid_is_flattened(images: NDArray[np.uint8]) -> None:
     model, plain = network(), ImageInput(mean_rgb=NO_MEAN, std_rgb=ONE)
     found = imported(model, plain, tap="map")
@@ -270,13 +290,15 @@ def test_from_the_file_to_recognized_places(
     assert said and not any(one.get("category") for one in said)
 
 
+@pytest.mark.parametrize(("columns", "output"), [([], "map 2x2"), (["--columns", "1"], "map 2x2 0 1")])
 def test_a_float_network_of_a_grid_recognizes_places(
-    file: Path, tmp_path: Path, write_traverse: Callable[..., Path]
+    columns: Options, output: str, file: Path, tmp_path: Path, write_traverse: Callable[..., Path]
 ) -> None:
     feed, model = write_traverse(tmp_path / "feed"), tmp_path / "model.onnx"
-    options = ["--tap", "map", "--pool", "2x2", "--float-only"]
+    options = ["--tap", "map", "--pool", "2x2", *columns, "--float-only"]
     assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
-    assert read_model_file(model).info.output == "map 2x2"
+    assert read_model_file(model).info.output == output
+    assert Network.load(model).describe(np.zeros((3, SIZE, SIZE, 3), np.uint8)).shape[0] == (6 if columns else 3)
     config = tmp_path / "lookback.toml"
     config.write_text(f'[descriptor]\nmodel = "{model}"\n[map]\npath = "{tmp_path / "map"}"\n[sequence]\nlength = 10\n')
     assert main(["map", "build", str(feed), "-o", str(tmp_path / "map"), "--config", str(config)]) == 0
