@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
-from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.network import Network, pictures_for
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Direction, Travel
@@ -85,16 +85,20 @@ def _network() -> Network:
     return Network.load()
 
 
-def described(scenario: Scenario, folder: Path, spacing_m: float = SPACING_M) -> Described:
-    """Render a drive at each spacing_m and describe it, unless `folder` has it."""
+def described(
+    scenario: Scenario, folder: Path, spacing_m: float = SPACING_M, network: Network | None = None
+) -> Described:
+    """Render a drive at each spacing_m and describe it, by fc6 unless another is given, unless `folder` has it."""
     road = f"{scenario.seed}_{scenario.length_m:g}m_{spacing_m:g}m"
     name = f"{road}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
+    if network is not None and network.info.sha256 != _network().info.sha256:
+        name = f"{network.info.sha256[:12]}_{name}"
     if not (folder / name).exists():
-        drive, network = scenario.drive(), _network()
+        drive, network = scenario.drive(), network or _network()
         times_s = times_by_distance(drive, spacing_m)
         renderer = open_renderer(scenario, drive)
         images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
-        raw = np.stack([network.describe(cut_regions(image, "left-right", 0.4, network.size)) for image in images])
+        raw = np.stack([network.describe(pictures_for(network.info, one, "left-right", 0.4)) for one in images])
         renderer.close()
         route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
         np.savez(folder / name, raw=raw, route_m=route_m, distance_m=driven_m)
