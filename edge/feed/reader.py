@@ -3,8 +3,8 @@
 A folder with `feed.toml` (`FeedHeader`), `frames.csv` (a row a frame, at least `file` and `stamp_ns`) and the pictures:
 files under `frames/`, or one video whose name `feed.toml` gives as `video` (rows are then its frames in order). Where
 they are known, a row also has `lat_deg, lon_deg, alt_m, heading_deg, speed_mps, distance_m`; further columns are kept
-as text. A bare video file is read as a feed as well: its rows are its frames, with stamps from its frame rate and
-nothing else known.
+as text. A bare video file is read as a feed as well: its rows are its frames, each with its own time in the video
+(phones record at a rate that varies) and nothing else known.
 
 Recordings of other kinds are read by plug-ins: an entry point `lookback.feeds`, named by the file's suffix, is a
 function of the path and a `FeedOptions` that returns a `Feed` with a `pictures` of its own.
@@ -44,10 +44,6 @@ class Frame:
 
 # FFmpeg prints lines of its own about a video that it cannot read; here that is one error. Read at its first use.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
-
-MOST_GRABBED = 64
-"""Frames of a video passed over one by one, since a jump decodes from the last key frame, up to 250 frames before."""
 
 
 class Pictures(Protocol):
@@ -122,20 +118,44 @@ def _read_file(path: Path, options: FeedOptions) -> Feed:
 
 def _read_bare_video(path: Path, view: View) -> Feed:
     video = _open_video(path)
-    count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
     width, height = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    times_ns = _frame_times_ns(path, video)
     video.release()
-    if count < 1 or not fps > 0:
-        raise FeedError(f"{path}: this video has no frame count or frame rate")
+    if not times_ns or not width * height:
+        raise FeedError(f"{path}: no picture in this video; if it was cut off while recording, repair it first")
     header = FeedHeader(path.stem, view, width, height, source=path.name, video=path.name)
-    return Feed(path.parent, header, tuple(FeedRow("", round(index * 1e9 / fps)) for index in range(count)))
+    return Feed(path.parent, header, tuple(FeedRow("", time_ns) for time_ns in times_ns))
+
+
+def _frame_times_ns(path: Path, video: cv2.VideoCapture) -> list[int]:
+    """When each frame of a video is shown, from the first on, strictly rising. FeedError.
+
+    From the packets where the package av is installed; else all frames are decoded, which takes far longer.
+    """
+    try:
+        import av
+    except ModuleNotFoundError:
+        times_ns = []
+        while video.grab():
+            times_ns.append(round(video.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+    else:
+        try:
+            with av.open(str(path)) as container:
+                stream = container.streams.video[0]
+                shown = (one.pts for one in container.demux(stream) if one.pts is not None and not one.is_discard)
+                tick_ns = (stream.time_base or 0) * 10**9
+                times_ns = [round(pts * tick_ns) for pts in sorted(shown)]
+        except (av.FFmpegError, IndexError) as error:
+            raise FeedError(f"{path}: cannot read this video: {error}") from None
+    return [time_ns - times_ns[0] for time_ns in dict.fromkeys(times_ns)]
 
 
 def _open_video(path: Path) -> cv2.VideoCapture:
-    video = cv2.VideoCapture(str(path))
-    if not video.isOpened():
+    video = cv2.VideoCapture(str(path)) if path.stat().st_size else None
+    if video is None or not video.isOpened():
         others = "".join(sorted({f", or *.{point.name}" for point in entry_points(group="lookback.feeds")}))
-        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}")
+        why = "it is empty" if not path.stat().st_size else "a recording that was cut off has no index to be read by"
+        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}: {why}")
     return video
 
 
@@ -196,16 +216,16 @@ class FeedImages:
         return image
 
     def _read_video(self, video: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
-        skipped = index - self._next_video_frame
-        if 0 < skipped <= MOST_GRABBED:
-            for _ in range(skipped):
-                video.grab()
-        elif skipped:
-            video.set(cv2.CAP_PROP_POS_FRAMES, index)
-        self._next_video_frame = index + 1
-        ok, image = video.read()
-        if not ok:
+        # Frame by frame: where the rate varies, OpenCV jumps to another frame than the one asked for.
+        if index < self._next_video_frame:
+            video.open(str(self._feed.path / self._feed.header.video))
+            self._next_video_frame = 0
+        while self._next_video_frame < index and video.grab():
+            self._next_video_frame += 1
+        ok, image = video.read() if self._next_video_frame == index else (False, None)
+        if not ok or image is None:
             raise FrameError(f"{self._feed.path / self._feed.header.video}: no frame {index} in this video")
+        self._next_video_frame = index + 1
         return np.asarray(image, dtype=np.uint8)
 
     def close(self) -> None:

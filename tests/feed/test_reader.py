@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import re
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -208,6 +210,48 @@ def test_a_bare_video_has_its_frame_rate_as_stamps(video_path: Path) -> None:
     feed = read_feed(video_path)
     assert (feed.header.name, feed.header.width, feed.header.height) == ("drive", 64, 48)
     assert [row.stamp_ns for row in feed.rows] == [index * 50_000_000 for index in range(12)]
+
+
+PHONE_MS = [*range(0, 3000, 100), *range(3000, 12_000, 300)]
+"""When a phone took its pictures: 10 a second, and from dusk on 3.3."""
+
+
+@pytest.fixture
+def phone_video_path(tmp_path: Path) -> Path:
+    """A video in the container that phones write, whose pictures are so far apart as PHONE_MS, each of its own gray."""
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "phone.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for index, time_ms in enumerate(PHONE_MS):
+            frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 12 + 4 * index, np.uint8), "bgr24")
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return tmp_path / "phone.mp4"
+
+
+@pytest.mark.parametrize("package", ["av", None])
+def test_each_picture_of_a_video_has_its_own_time(
+    phone_video_path: Path, package: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read by the package av, and without it."""
+    if package is None:
+        monkeypatch.setitem(sys.modules, "av", None)  # as Python itself marks a module that cannot be imported
+    feed = read_feed(phone_video_path)
+    assert [row.stamp_ns for row in feed.rows] == [time_ms * 1_000_000 for time_ms in PHONE_MS]
+    images = FeedImages(feed)
+    indices = [0, 5, 45, 59, 2]  # ahead, across the change of the rate, and back
+    assert [round((level(images.read(index)) - 10) / 4) for index in indices] == indices
+    images.close()
+
+
+@pytest.mark.parametrize(("kept", "why"), [(0, "it is empty"), (600, "cut off has no index")])
+def test_an_empty_and_a_cut_off_video_are_named(phone_video_path: Path, kept: int, why: str) -> None:
+    phone_video_path.write_bytes(phone_video_path.read_bytes()[:kept])
+    with pytest.raises(FeedError, match=rf"phone\.mp4: neither a feed folder nor a video .*: .*{why}"):
+        read_feed(phone_video_path)
 
 
 def test_a_file_that_is_no_video_is_refused_without_a_word_of_ffmpeg(
