@@ -26,6 +26,8 @@ class FeedHeader(msgspec.Struct, frozen=True):
 
     preprocessing: the flip, crop and mask that the images were recorded with; "" for images as the camera gave them.
     odometer: whether distance_m and heading_deg were measured, and not computed from the positions.
+    time_sigma_s: one standard deviation of what all stamps have in common against the positions' own times, as of a
+    video that was laid over a track: all positions are off by that much travel, to one side. None: not known.
     """
 
     name: Line
@@ -37,6 +39,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     video: Line = ""
     preprocessing: Line = ""
     odometer: bool = False
+    time_sigma_s: Annotated[float, msgspec.Meta(ge=0)] | None = None
 
 
 def read_header(file: Path) -> FeedHeader:

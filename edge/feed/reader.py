@@ -74,12 +74,12 @@ class FeedOptions:
     """What a recording that is not a feed may not contain.
 
     view: which way its camera faced; None: as recorded, else front. video: the video of a log; None: the one beside it
-    with the same name. video_start_s: seconds from the log's first position to the video's first frame.
+    with the same name. offset_s: seconds from the log's first position to the video's first frame; None: found out.
     """
 
     view: View | None = None
     video: Path | None = None
-    video_start_s: float | None = None
+    offset_s: float | None = None
 
 
 def read_feed(path: Path, options: FeedOptions | None = None) -> Feed:
@@ -111,7 +111,7 @@ def _read_file(path: Path, options: FeedOptions) -> Feed:
         except ModuleNotFoundError as error:
             raise FeedError(f"{path}: to read it, {point.value} needs the package {error.name}") from None
         return feed
-    if (options.video, options.video_start_s) != (None, None):
+    if (options.video, options.offset_s) != (None, None):
         raise FeedError(f"{path}: --video is for a log (.tlog, .bin, .ulg), and this is not one")
     return _read_bare_video(path, options.view or "front")
 

@@ -36,7 +36,7 @@ class FeedWriter:
         self.path = path
         self._whole_bytes = 0
         self._extra_columns = extra_columns
-        text = tomli_w.dumps(msgspec.structs.asdict(header))
+        text = tomli_w.dumps({key: one for key, one in msgspec.structs.asdict(header).items() if one is not None})
         begun = self._count_begun(text, begins)
         self.count = begun or 0
         """Frames that are written."""

@@ -19,6 +19,7 @@ from typing import Literal
 
 from edge.errors import FeedError
 from edge.feed import FeedRow, Pictures, View
+from sim.datasets.alignment import Alignment
 from sim.output import needing
 
 TruthKind = Literal["positions", "rows", "route_m"]
@@ -39,6 +40,8 @@ class Traverse:
     pictures: Pictures
     view: View = "front"
     notes: str = ""
+    alignment: Alignment | None = None
+    """Of a video over its track, where the two have clocks of their own."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,10 @@ class ReadOptions:
     """A text file that lists the pictures to use, one name a line."""
     fps: float | None = None
     """Pictures a second, where the layout has no times."""
-    start_s: float | None = None
-    """Seconds from the log's first position to the video's first frame."""
+    offset_s: float | None = None
+    """Seconds from the track's first position to the video's first frame."""
     start_time: str | None = None
-    """When the video's first frame was taken: ISO 8601, instead of start_s."""
+    """When the video's first frame was taken: ISO 8601, instead of offset_s."""
     columns: str | None = None
     """Columns of a CSV file by what they are: time=t,lat=y,lon=x,heading=course,file=name."""
     crop_bottom: int | None = None
@@ -107,7 +110,9 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),
         "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions"),
         "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),
-        "video-log": _kind("video_log", "video, and a .gpx, .tlog, .bin or .ulg", "positions", "start_s", "start_time"),
+        "video-log": _kind(
+            "video_log", "video, and a .gpx, .tlog, .bin or .ulg", "positions", "offset_s", "start_time"
+        ),
         "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "camera"),
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "camera", "positions"),
     }

@@ -13,7 +13,7 @@ from edge.config import SamplingConfig
 from edge.errors import ConfigError, FeedError
 from edge.extras import install_command
 from edge.feed import Feed, read_feed
-from sim.datasets import KINDS, ReadOptions, open_dataset
+from sim.datasets import KINDS, ReadOptions, Traverse, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.datasets.summary import summarize
@@ -45,7 +45,7 @@ def _add_read_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--names", metavar="FILE", type=Path, help="only the pictures in this list")
     parser.add_argument("--fps", metavar="HZ", type=float, help="pictures a second, for layouts without times")
     start = parser.add_mutually_exclusive_group()
-    start.add_argument("--start-s", metavar="S", type=float, help="from the log's first position to the first frame")
+    start.add_argument("--offset-s", metavar="S", type=float, help="from the track's first position to the first frame")
     start.add_argument("--start-time", metavar="TIME", help="when the first frame was taken, 2026-05-04T12:30:00Z")
     parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="crop rows that show the vehicle itself")
     parser.add_argument("--view", choices=["front", "rear"], help="direction of the camera")
@@ -88,18 +88,18 @@ def import_dataset(args: argparse.Namespace) -> int:
     print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}")
     for word, line in summarize(feed):
         print(f"  {word:<12} {line}")
-    print(f"  {'sheet':<12} {_write_sheet(feed)}")
+    print(f"  {'sheet':<12} {_write_sheet(feed, traverse)}")
     return 0
 
 
-def _write_sheet(feed: Feed) -> str:
+def _write_sheet(feed: Feed, traverse: Traverse) -> str:
     """Write the page beside the feed's header; the page's path, or what it needs."""
     try:
         from sim.datasets import sheet
     except ModuleNotFoundError as error:
         return f"needs {error.name}: {install_command('import')}"
     page = feed.path / sheet.NAME
-    page.write_text(sheet.render(feed), encoding="utf-8")
+    page.write_text(sheet.render(feed, traverse.alignment), encoding="utf-8")
     return str(page)
 
 
@@ -111,5 +111,5 @@ def _check_ranges(args: argparse.Namespace) -> None:
             raise ConfigError(f"{option}: {value:g} is not above 0")
     if args.crop_bottom is not None and args.crop_bottom < 0:
         raise ConfigError(f"--crop-bottom: {args.crop_bottom} is not 0 or more")
-    if args.start_s is not None and not math.isfinite(args.start_s):
-        raise ConfigError(f"--start-s: {args.start_s} is not a number of seconds")
+    if args.offset_s is not None and not math.isfinite(args.offset_s):
+        raise ConfigError(f"--offset-s: {args.offset_s} is not a number of seconds")

@@ -150,7 +150,9 @@ def _write(
 
 
 def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
-    return FeedHeader(traverse.name, traverse.view, size[1], size[0], traverse.source, traverse.notes)
+    sigma_s = traverse.alignment.sigma_s if traverse.alignment else None
+    size_px = size[1], size[0]
+    return FeedHeader(traverse.name, traverse.view, *size_px, traverse.source, traverse.notes, time_sigma_s=sigma_s)
 
 
 def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:

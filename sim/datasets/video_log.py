@@ -2,9 +2,9 @@
 
     drive.mp4   drive.gpx | flight.tlog | flight.bin | flight.ulg
 
-`start_s` is the time from the log's first position to the video's first frame, 0 by default; neither file has it.
-`start_time`, instead, is when the video's first frame was taken. An error of a second displaces all positions by a
-second of travel. Without `positions`, the log of the same name beside the video is used.
+Neither of the two has the clock of the other: `alignment` finds when the video began, unless `offset_s`, the seconds
+from the track's first position to the video's first frame, or `start_time` says it. Without `positions`, the log of the
+same name beside the video is used.
 
 A log is also accepted in place of a feed (`lookback replay flight.tlog`), with the video of the same name beside it.
 """
@@ -18,6 +18,7 @@ from pathlib import Path
 from edge.errors import FeedError
 from edge.feed import Feed, FeedOptions
 from sim.datasets import ReadOptions, Traverse, open_dataset
+from sim.datasets.alignment import Alignment, align, creation_time
 from sim.datasets.flight_logs import read_log
 from sim.datasets.importing import as_feed
 from sim.datasets.pictures import VIDEO_SUFFIXES, open_video
@@ -33,24 +34,29 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         raise FeedError(f"--positions: name the log or track ({', '.join(LOG_SUFFIXES)}) that belongs to {path}")
     track = read_log(log)
     first_ns = track.fixes[0].stamp_ns
-    if options.start_time is not None:
-        start_ns = parse_time_ns(options.start_time)
+    if options.start_time is None and options.offset_s is None:
+        made = creation_time(path, feed.rows[-1].stamp_ns / 1e9)
+        alignment = align(str(path), feed.rows, pictures, track, made)
     else:
-        start_ns = first_ns + round((options.start_s or 0.0) * 1e9)
-    stamps_ns = [start_ns + row.stamp_ns for row in feed.rows]
+        start_ns = first_ns + round((options.offset_s or 0.0) * 1e9)
+        start_ns = start_ns if options.start_time is None else parse_time_ns(options.start_time)
+        words = f"the video began {(start_ns - first_ns) / 1e9:g} s after the track's first position, as was given"
+        alignment = Alignment(start_ns, None, words)
+    stamps_ns = [alignment.start_ns + row.stamp_ns for row in feed.rows]
     return Traverse(
         name=path.stem,
         source=f"{path.name} with {log.name}",
         rows=track.rows(str(path), [str(index) for index in range(len(stamps_ns))], stamps_ns),
         pictures=pictures,
-        notes=f"the video began {(start_ns - first_ns) / 1e9:g} s after the log's first position",
+        notes=alignment.how,
+        alignment=alignment,
     )
 
 
 def open_feed(log: Path, options: FeedOptions) -> Feed:
     """A log and its video as a feed; the entry point of `lookback.feeds`. FeedError."""
     video = options.video or _video_beside(log)
-    read = ReadOptions(positions=str(log), start_s=options.video_start_s, view=options.view)
+    read = ReadOptions(positions=str(log), offset_s=options.offset_s, view=options.view)
     return as_feed(open_dataset("video-log", video, read), log, lambda: open_video(video)[1])
 
 

@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for role in ROLES:
         parser.add_argument(f"--{role}-view", choices=("front", "rear"), help="where its camera looked (default front)")
         parser.add_argument(f"--{role}-positions", metavar="FILE", help="its track, log or CSV file, of another name")
-        about = "seconds from the track's first position to the video's start"
-        parser.add_argument(f"--{role}-start-s", metavar="S", type=float, help=about)
+        about = "seconds from the track's first position to the video's start (default: by what both show)"
+        parser.add_argument(f"--{role}-offset-s", metavar="S", type=float, help=about)
     add_tolerance_option(parser)
     add_spacing_options(parser)
     parser.set_defaults(run=_run)
@@ -97,15 +97,15 @@ def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: Sampl
     """A recording as a feed: read in place where it is one, else converted into the folder. FeedError."""
     path: Path = getattr(args, role)
     view: View | None = getattr(args, f"{role}_view")
-    positions, start_s = getattr(args, f"{role}_positions"), getattr(args, f"{role}_start_s")
+    positions, offset_s = getattr(args, f"{role}_positions"), getattr(args, f"{role}_offset_s")
     if kind is None and path.is_dir():
-        for option, value in (("view", view), ("positions", positions), ("start-s", start_s)):
+        for option, value in (("view", view), ("positions", positions), ("offset-s", offset_s)):
             if value is not None:
                 raise ConfigError(f"--{role}-{option}: {path} is a feed; edit its feed.toml or frames.csv instead")
         return read_feed(path)
     if kind is None:
-        return read_feed(path, FeedOptions(view, video_start_s=start_s))
-    traverse = open_dataset(kind, path, ReadOptions(positions=positions, start_s=start_s, view=view))
+        return read_feed(path, FeedOptions(view, offset_s=offset_s))
+    traverse = open_dataset(kind, path, ReadOptions(positions=positions, offset_s=offset_s, view=view))
     output: Path = args.output / role
     write_feed(traverse, output, tqdm(choose_rows(traverse, sampling), unit="frame", desc=f"reading {path.name}"))
     return read_feed(output)

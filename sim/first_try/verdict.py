@@ -178,8 +178,8 @@ def _advice(tried: Tried, share: float) -> list[str]:
         if offset.order == "same" and abs(offset.ahead_m) > MOUNTED_M:
             found.append(
                 f"the matched place lies {offset.ahead_m:.0f} m ahead though both cameras see the same scene: the times"
-                f" of videos and tracks differ{_seconds(tried.query, offset.ahead_m)}; set --reference-start-s and"
-                " --query-start-s"
+                f" of videos and tracks differ{_seconds(tried.query, offset.ahead_m)}; set --reference-offset-s and"
+                " --query-offset-s"
             )
     if judged is not None:
         opposite = opposite_share(judged)

@@ -71,16 +71,16 @@ def add_feed_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for recordings that do not say all that a feed says."""
     about = "video of a log (.tlog, .bin, .ulg); default: the video of the same name"
     parser.add_argument("--video", type=Path, metavar="FILE", help=about)
-    about = "seconds from the log's first position to the video's first frame"
-    parser.add_argument("--video-start-s", type=float, metavar="S", help=about)
+    about = "seconds from the log's first position to the video's first frame (default: by what both show)"
+    parser.add_argument("--offset-s", type=float, metavar="S", help=about)
     parser.add_argument("--view", choices=("front", "rear"), help="where the camera of a video looked (default front)")
 
 
 def feed_options(args: argparse.Namespace) -> FeedOptions:
     """What the options say. ConfigError if a value is out of range."""
-    if args.video_start_s is not None and not np.isfinite(args.video_start_s):
-        raise ConfigError(f"--video-start-s: {args.video_start_s} is not a number of seconds")
-    return FeedOptions(args.view, args.video, args.video_start_s)
+    if args.offset_s is not None and not np.isfinite(args.offset_s):
+        raise ConfigError(f"--offset-s: {args.offset_s} is not a number of seconds")
+    return FeedOptions(args.view, args.video, args.offset_s)
 
 
 def sampling_from(args: argparse.Namespace, otherwise: SamplingConfig) -> SamplingConfig:

@@ -152,7 +152,7 @@ def test_if_no_picture_can_be_read_there_is_no_feed(walk: Path, sim_import: Impo
         ("--fps", "nan", "--fps: nan is not above 0"),
         ("--length-m", "-3", "--length-m: -3 is not above 0"),
         ("--crop-bottom", "-1", "--crop-bottom: -1 is not 0 or more"),
-        ("--start-s", "inf", "--start-s: inf is not a number of seconds"),
+        ("--offset-s", "inf", "--offset-s: inf is not a number of seconds"),
         ("--spacing-m", "0", "--spacing-m: "),
     ],
 )

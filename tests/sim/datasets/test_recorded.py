@@ -212,7 +212,7 @@ def test_a_video_is_put_along_its_log(
     write_video(tmp_path / "drive.avi", 20, 10.0)
     LOGS[suffix](tmp_path / f"flight{suffix}", degrees_at, 12)
     log, output = tmp_path / f"flight{suffix}", tmp_path / "feed"
-    sim_import("video-log", tmp_path / "drive.avi", "--positions", log, "--start-s", "1", "-o", output)
+    sim_import("video-log", tmp_path / "drive.avi", "--positions", log, "--offset-s", "1", "-o", output)
     feed = read_feed(output)
     # The log ends after 2.2 s, which is 1.2 s into the video.
     assert [row.extra["source_frame"] for row in feed.rows] == ["0", "4", "8", "12"]
@@ -225,7 +225,7 @@ def test_a_video_and_a_log_of_other_times_are_one_line(
 ) -> None:
     write_video(tmp_path / "drive.avi", 20, 10.0)
     write_tlog(tmp_path / "flight.tlog", degrees_at, 12)
-    options = ReadOptions(positions=str(tmp_path / "flight.tlog"), start_s=60.0)
+    options = ReadOptions(positions=str(tmp_path / "flight.tlog"), offset_s=60.0)
     message = r"drive\.avi: taken from 1714557660\.000 to 1714557661\.900 s, where .*flight\.tlog has no positions"
     refused("video-log", tmp_path / "drive.avi", message, options)
     begun = ReadOptions(positions=options.positions, start_time="2024-05-01T10:01:00Z")
@@ -316,20 +316,20 @@ def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
     assert main(["map", "build", str(tmp_path / "street"), "-o", str(tmp_path / "map")]) == 0
     options = ["--map", str(tmp_path / "map"), "--sequence-length", "5", "--spacing-frames", "1", "--all"]
     sim_import(
-        *("video-log", tmp_path / "flight.AVI", "--positions", log, "--start-s", "0.5", "--spacing-frames", 1),
+        *("video-log", tmp_path / "flight.AVI", "--positions", log, "--offset-s", "0.5", "--spacing-frames", 1),
         *("--lossless", "--view", "rear", "-o", tmp_path / "imported"),
     )
     capsys.readouterr()
     assert main(["replay", str(tmp_path / "imported"), *options]) == 0
     imported = capsys.readouterr().out
-    read = ["--video", str(tmp_path / "flight.AVI"), "--video-start-s", "0.5", "--view", "rear"]
+    read = ["--video", str(tmp_path / "flight.AVI"), "--offset-s", "0.5", "--view", "rear"]
     assert main(["replay", str(log), *options, *read]) == 0
     assert capsys.readouterr().out == imported
     assert imported.count("\n") == 34, "frames beyond the log's end are skipped"
     assert imported.count('"direction":"forward"') >= 20
     assert main(["replay", str(log), *options, *read[2:]]) == 0
     assert capsys.readouterr().out == imported, "the video of the same name is found"
-    rows = [read_feed(tmp_path / "imported").rows, read_feed(log, FeedOptions("rear", video_start_s=0.5)).rows]
+    rows = [read_feed(tmp_path / "imported").rows, read_feed(log, FeedOptions("rear", offset_s=0.5)).rows]
     assert [replace(row, file="") for row in rows[0]] == [replace(row, file="") for row in rows[1]]
 
 
@@ -343,7 +343,7 @@ def test_a_log_that_cannot_be_paired_is_one_line(
     write_video(tmp_path / "flight.avi", 20, 10.0)
     assert main(["replay", str(tmp_path / "flight.avi"), *there, "--video", str(log)]) == 78
     assert "flight.avi: --video is for a log" in capsys.readouterr().err
-    assert main(["replay", str(log), *there, "--video-start-s", "nan"]) == 78
-    assert "--video-start-s: nan is not a number of seconds" in capsys.readouterr().err
+    assert main(["replay", str(log), *there, "--offset-s", "nan"]) == 78
+    assert "--offset-s: nan is not a number of seconds" in capsys.readouterr().err
     assert main(["map", "build", str(log), str(log), "-o", "a.map", "--video", "a.avi"]) == 78
     assert "--video is for one log; with several, name each video like its log" in capsys.readouterr().err

@@ -78,7 +78,14 @@ def test_two_videos_with_their_tracks(
     reference = as_video(out, tmp_path / "out.avi")
     reference.with_suffix(".gpx").rename(tmp_path / "track.gpx")
     query = as_video(write_traverse(tmp_path / "again", range(65), noise=8.0), tmp_path / "query.avi", 2.0)
-    options = ["--reference-positions", str(tmp_path / "track.gpx"), "--query-start-s", "-2"]
+    options = [
+        "--reference-positions",
+        str(tmp_path / "track.gpx"),
+        "--reference-offset-s",
+        "0",
+        "--query-offset-s",
+        "-2",
+    ]
     assert main(["try", str(reference), str(query), "-o", str(tmp_path / "tried"), *options]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed, printed
