@@ -18,6 +18,8 @@ from edge.reference_map.store import MapHeader
 BEYOND = 1024
 """Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
 KEPT_DRIVES = 16
+GAP = 2.0
+"""Steps of more than so many times the median are gaps: places that were not mapped, for want of a picture."""
 NO_LAP_M = 1e12
 """Meters after which a drive that is not closed would go on at its beginning: never."""
 
@@ -258,10 +260,14 @@ class Drives:
 
 
 def _usual_step_m(route_m: NDArray[np.float64]) -> float:
-    """By how many meters places that follow each other usually differ, NaN where that is not known."""
+    """By how many meters places that follow each other differ on average, gaps aside; NaN where that is not known.
+
+    The average, since a line of 80 places is 79 times as long, and its middle 39 times as far back: where steps are
+    uneven, as of a video, the median is 3 % more (2.06 m of 2.00), which is 2 m.
+    """
     steps_m = np.abs(np.diff(route_m))
     steps_m = steps_m[~np.isnan(steps_m)]
-    return float(np.median(steps_m)) if steps_m.size else math.nan
+    return float(np.mean(steps_m[steps_m <= GAP * np.median(steps_m)])) if steps_m.size else math.nan
 
 
 def _course_deg(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> NDArray[np.float64]:

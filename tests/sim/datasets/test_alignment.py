@@ -178,7 +178,7 @@ def test_the_stated_sigma_holds_on_20_videos(tmp_path: Path, capsys: pytest.Capt
             stops=number % 2,
             drive_seed=number + 1,
             light=lights[number % 4],  # type: ignore[arg-type]
-            view=("front", "rear")[number // 2 % 2],  # type: ignore[arg-type]
+            view=("front", "rear")[number // 2 % 2],
             shaking=1.0,
         )
         record_drive(scenario, tmp_path / f"{number}", fps=10.0)
