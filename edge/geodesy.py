@@ -19,12 +19,23 @@ _RADIUS_M = 6_371_009.0
 """Mean radius of WGS 84. So many meters above the ellipsoid, ways are longer by one part of so many."""
 
 PositionSource = Literal[
-    "unknown", "gps", "dgps", "rtk_float", "rtk_fixed", "estimate", "dead_reckoning", "place_fixes", "survey", "ppp"
+    "unknown",
+    "gps",
+    "dgps",
+    "rtk_float",
+    "rtk_fixed",
+    "estimate",
+    "dead_reckoning",
+    "place_fixes",
+    "survey",
+    "ppp",
+    "local",
 ]
 """What a position rests on: a receiver, by its kind of fix; an autopilot's estimate with GPS in use, whose kind of fix
-is not known; an estimate without GPS; an estimate that rests on positions from Lookback; a better measurement."""
+is not known; an estimate without GPS; an estimate that rests on positions from Lookback; a better measurement; meters
+from an origin of their own, indoors perhaps, which are written as degrees near 0, 0 and are never sent."""
 POSITION_SOURCES: tuple[PositionSource, ...] = get_args(PositionSource)
-WORST_FIRST: tuple[PositionSource, ...] = ("place_fixes", "dead_reckoning", "unknown")
+WORST_FIRST: tuple[PositionSource, ...] = ("local", "place_fixes", "dead_reckoning", "unknown")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor.network import Head, Network, pictures_for
 from edge.descriptor.open_network import open_network
+from edge.errors import MapError
+from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import MapSet, MapSoFar, ModelKey, open_map_set
 from edge.sequence import NOTHING_KNOWN, CostView, PlaceMatch, Travel
 from edge.sequence.evidence import HoldOff
@@ -239,7 +241,14 @@ def open_recognizer(
 def open_maps(config: Config, newest: MapSoFar | None) -> MapSet:
     """The maps that the config names, and that of this drive. SetupError."""
     key = config.map.require_signature_by
-    return open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)
+    maps = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)
+    local = maps.places["position_source"] == POSITION_SOURCES.index("local")
+    if config.telemetry.emit != "report" and bool(local.any()):
+        raise MapError(
+            f"{config.map.path}: its positions are meters from an origin of their own, which no autopilot knows; set"
+            ' [telemetry] emit = "report", or map a recording with latitudes and longitudes'
+        )
+    return maps
 
 
 def model_key(network: Network) -> ModelKey:

@@ -50,7 +50,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
     distances_m = driven_m(feed)
     if distances_m is None and must_have_distance:
         raise FeedError(
-            f"{feed.path / 'frames.csv'}: no distance_m and no positions in every row, so frames cannot be chosen by"
+            f"{feed.path}: no distance_m and no positions in every row, so frames cannot be chosen by"
             " distance; use --spacing-frames or --interval-s"
         )
     sampler = Sampler(sampling)

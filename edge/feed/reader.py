@@ -123,8 +123,9 @@ def _read_bare_video(path: Path, view: View) -> Feed:
     video.release()
     if not times_ns or not width * height:
         raise FeedError(f"{path}: no picture in this video; if it was cut off while recording, repair it first")
-    header = FeedHeader(path.stem, view, width, height, source=path.name, video=path.name)
-    return Feed(path.parent, header, tuple(FeedRow("", time_ns) for time_ns in times_ns))
+    header = FeedHeader(path.stem, view, width, height, source=path.name)
+    rows = tuple(FeedRow("", time_ns) for time_ns in times_ns)
+    return Feed(path, header, rows, lambda: VideoPictures(path))
 
 
 def _frame_times_ns(path: Path, video: cv2.VideoCapture) -> list[int]:
@@ -186,16 +187,40 @@ def decode_picture(where: str, data: bytes | NDArray[np.uint8], flags: int = cv2
     return np.asarray(image, dtype=np.uint8)
 
 
+class VideoPictures:
+    """The pictures of a video, one after the other; going back begins again."""
+
+    def __init__(self, file: Path) -> None:
+        """FeedError for what is no video."""
+        self._file, self._video, self._next = file, _open_video(file), 0
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """Picture `index`, (H, W, 3) uint8 BGR, turned upright. FrameError."""
+        # Frame by frame: where the rate varies, OpenCV jumps to another frame than the one asked for.
+        if index < self._next:
+            self._video.open(str(self._file))
+            self._next = 0
+        while self._next < index and self._video.grab():
+            self._next += 1
+        ok, image = self._video.read() if self._next == index else (False, None)
+        if not ok or image is None:
+            raise FrameError(f"{self._file}: no frame {index} in this video")
+        self._next = index + 1
+        return np.asarray(image, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Release the file; more than once is harmless."""
+        self._video.release()
+
+
 class FeedImages:
     """The pictures of a feed, of the size that its header gives; quickest in row order."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
-        self._others = feed.pictures() if feed.pictures else None
-        self._video: cv2.VideoCapture | None = None
-        self._next_video_frame = 0
+        self._others: Pictures | None = feed.pictures() if feed.pictures else None
         if feed.header.video:
-            self._video = _open_video(feed.path / feed.header.video)
+            self._others = VideoPictures(feed.path / feed.header.video)
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """Picture of row `index`, (height, width, 3) uint8 BGR, of the size that the header gives.
@@ -205,8 +230,6 @@ class FeedImages:
         header = self._feed.header
         if self._others is not None:
             name, image = f"{self._feed.path}: picture {index}", self._others.read(index)
-        elif self._video is not None:
-            name, image = f"{self._feed.path / header.video}: frame {index}", self._read_video(self._video, index)
         else:
             file = file_inside(self._feed.path, self._feed.rows[index].file, FrameError)
             name, image = str(file), read_picture(file)
@@ -215,22 +238,7 @@ class FeedImages:
             raise FrameError(f"{name}: {width} x {height} pixels, and feed.toml says {header.width} x {header.height}")
         return image
 
-    def _read_video(self, video: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
-        # Frame by frame: where the rate varies, OpenCV jumps to another frame than the one asked for.
-        if index < self._next_video_frame:
-            video.open(str(self._feed.path / self._feed.header.video))
-            self._next_video_frame = 0
-        while self._next_video_frame < index and video.grab():
-            self._next_video_frame += 1
-        ok, image = video.read() if self._next_video_frame == index else (False, None)
-        if not ok or image is None:
-            raise FrameError(f"{self._feed.path / self._feed.header.video}: no frame {index} in this video")
-        self._next_video_frame = index + 1
-        return np.asarray(image, dtype=np.uint8)
-
     def close(self) -> None:
         """Release what is open; more than once is harmless."""
         if self._others is not None:
             self._others.close()
-        if self._video is not None:
-            self._video.release()

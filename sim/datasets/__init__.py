@@ -108,7 +108,9 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
         "nsavp": _kind("nsavp", "NSAVP: folder of one sequence's HDF5 files", "camera", "positions", "crop_bottom"),
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),
-        "geotagged": _kind("geotagged", "folder of JPEGs with EXIF positions"),
+        "frodobots": _kind("robots", "FrodoBots-2K: folder of one ride", "camera"),
+        "fred": _kind("robots", "FRED: folder of one sequence", "camera"),
+        "geotagged": _kind("geotagged", "folder of pictures, with EXIF positions or without", "fps"),
         "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),
         "video-log": _kind(
             "video_log", "video, and a .gpx, .tlog, .bin or .ulg", "positions", "offset_s", "start_time"

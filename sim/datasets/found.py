@@ -7,6 +7,7 @@ from pathlib import Path
 
 from edge.errors import FeedError
 from sim.datasets import KINDS
+from sim.datasets.mcap_file import is_feed
 from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from sim.datasets.video import holds_positions
 from sim.datasets.video_log import LOG_SUFFIXES, log_beside
@@ -19,6 +20,8 @@ LAYOUTS = (
     ("times.txt", "kitti"),
     ("metadata.yaml", "rosbag"),
     ("*.h5", "nsavp"),
+    ("front_camera_timestamps_*.csv", "frodobots"),
+    ("front-imgs", "fred"),
 )
 """A file that only one layout has, and its kind."""
 
@@ -53,7 +56,7 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
 
 
 def _kind_of_file(file: Path, positions: str | None) -> str | None:
-    if file.suffix.lower() in {".bag", ".db3"}:
+    if file.suffix.lower() in {".bag", ".db3"} or (file.suffix.lower() == ".mcap" and not is_feed(file)):
         return "rosbag"
     if file.suffix.lower() not in VIDEO_SUFFIXES:
         return None

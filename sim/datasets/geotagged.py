@@ -2,7 +2,7 @@
 
 Specified in EXIF 2.32 (CIPA DC-008), sections 4.6.5 and 4.6.6. Pictures come in the order of their times
 (DateTimeOriginal with its fraction of a second, taken as UTC); those of one second without fractions, in the order of
-their names, a nanosecond apart.
+their names, a nanosecond apart; and so those of a folder in which nothing has a time, `fps` a second.
 """
 
 from __future__ import annotations
@@ -26,25 +26,38 @@ log = logging.getLogger(__name__)
 
 GPS = ExifTags.GPS
 NOWHERE = Fix(0, math.nan, math.nan)
+UNTIMED = -1
+NOMINAL_FPS = 1.0
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
-    """The pictures of one folder. FeedError names a picture that has no time, or the folder if none has a position."""
-    placed = sorted(((read_fix(path / name), name) for name in list_pictures(path)), key=lambda item: item[0].stamp_ns)
+    """The pictures of one folder; without times, in the order of their names. FeedError where only some have one."""
+    names = list_pictures(path)
+    fixes = [read_fix(path / name) for name in names]
+    untimed = [name for name, fix in zip(names, fixes, strict=True) if fix.stamp_ns == UNTIMED]
+    if untimed and len(untimed) < len(names):
+        raise FeedError(
+            f"{path / untimed[0]}: no DateTimeOriginal in its EXIF data, as {len(names) - len(untimed)} others have; a"
+            " CSV file beside the pictures may give their times and positions (file,time,lat,lon)"
+        )
+    if untimed:
+        fps = options.fps or NOMINAL_FPS
+        fixes = [replace(fix, stamp_ns=round(index * 1e9 / fps)) for index, fix in enumerate(fixes)]
+        log.warning("%s: no times in it: pictures in the order of their names, %g a second (--fps)", path.name, fps)
+    placed = sorted(zip(fixes, names, strict=True), key=lambda item: item[0].stamp_ns)
     without = sum(math.isnan(fix.lat_deg) for fix, _ in placed)
-    if without == len(placed):
-        raise FeedError(f"{path}: none of its {without} pictures has a GPS position in its EXIF data")
     if without:
-        log.warning("%s: %d of %d pictures have no GPS position", path, without, len(placed))
+        log.warning("%s: %d of %d pictures have no GPS position", path.name, without, len(placed))
     rows, last_ns = [], -1
     for fix, name in placed:
         last_ns = max(fix.stamp_ns, last_ns + 1)
         rows.append(row_at(name, replace(fix, stamp_ns=last_ns)))
     return Traverse(
         name=path.name,
-        source=f"geotagged pictures in {path.name}",
+        source=f"pictures in {path.name}",
         rows=tuple(rows),
         pictures=PictureFiles([path / name for _, name in placed]),
+        notes="" if not untimed else "times are nominal: in the order of the names",
     )
 
 
@@ -53,7 +66,7 @@ def read_fix(file: Path) -> Fix:
     try:
         with Image.open(file) as image:
             exif = image.getexif()
-            stamp_ns = _stamp_ns(file, exif, exif.get_ifd(ExifTags.IFD.Exif))
+            stamp_ns = _stamp_ns(exif, exif.get_ifd(ExifTags.IFD.Exif))
             position = _position(exif.get_ifd(ExifTags.IFD.GPSInfo))
     except (OSError, UnidentifiedImageError) as error:
         raise FeedError(f"{file}: cannot read this picture: {error}") from None
@@ -62,14 +75,11 @@ def read_fix(file: Path) -> Fix:
     return replace(position, stamp_ns=stamp_ns)
 
 
-def _stamp_ns(file: Path, image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:
-    """Nanoseconds since 1970, if the clock that wrote the tag was on UTC."""
+def _stamp_ns(image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:
+    """Nanoseconds since 1970, if the clock that wrote the tag was on UTC; UNTIMED where there is none."""
     text = exif.get(ExifTags.Base.DateTimeOriginal) or image.get(ExifTags.Base.DateTime)
     if not text:
-        raise FeedError(
-            f"{file}: no DateTimeOriginal in its EXIF data; a CSV file beside the pictures may give their times and"
-            " positions (file,time,lat,lon)"
-        )
+        return UNTIMED
     seconds = datetime.strptime(str(text).strip(), "%Y:%m:%d %H:%M:%S").replace(tzinfo=timezone.utc).timestamp()
     fraction = str(exif.get(ExifTags.Base.SubsecTimeOriginal, "")).strip() or "0"
     return int(seconds) * 1_000_000_000 + round(float(f"0.{fraction}") * 1e9)

@@ -5,8 +5,8 @@
     dataset/poses/00.txt                          12 numbers a line: 3 x 4 pose of the left camera, row by row
 
 Specified in readme.txt of its development kit; A. Geiger et al., CVPR 2012. Poses are in the frame of the first
-camera (x right, y down, z ahead), so there is no north and no latitude: `local_x_m` is x and `local_y_m` is z.
-Poses are published for sequences 00 to 10.
+camera (x right, y down, z ahead), so there is no north and no latitude: positions are local, x as east and
+z as north. Poses are published for sequences 00 to 10.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers
+from sim.datasets.track import from_local
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
@@ -41,10 +42,12 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         FeedRow(
             f"{camera}/{name}",
             round(time_s * 1e9),
+            *from_local(x_m, y_m),
             distance_m=float(distance_m),
+            position_source="local",
             extra={"local_x_m": f"{x_m:.3f}", "local_y_m": f"{y_m:.3f}"},
         )
-        for name, time_s, (x_m, y_m), distance_m in zip(names, times_s, ground_m, covered_m, strict=True)
+        for name, time_s, (x_m, y_m), distance_m in zip(names, times_s, ground_m.tolist(), covered_m, strict=True)
     ]
     return Traverse(
         name=f"kitti-{path.name}-{camera}",

@@ -178,8 +178,14 @@ def open_feed(path: Path, options: FeedOptions) -> Feed:
         elif rows and rows[-1].stamp_ns == stamp_ns:
             rows[-1] = _with_message(rows[-1], message)
     if header is None or not rows:
-        raise FeedError(f"{path}: no feed in it; for other recordings there is `lookback import rosbag`")
+        raise FeedError(f"{path}: no feed in it; a recording of ROS 2 is read by `lookback import`")
     return Feed(path, header, tuple(rows), lambda: _pictures(path))
+
+
+def is_feed(path: Path) -> bool:
+    """Whether such a file was written here, by the name in its first record; others are of ROS 2."""
+    with refusing(FeedError, f"{path}: cannot read it"), path.open("rb") as stream:
+        return b"lookback" in stream.read(64)
 
 
 def _with_message(row: FeedRow, message: _Where | _Row) -> FeedRow:

@@ -18,16 +18,20 @@ from pathlib import Path
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
+from edge.geodesy import PositionSource
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures
 from sim.datasets.tables import Record, read_records
-from sim.datasets.track import Fix, Track
+from sim.datasets.track import Fix, Track, from_local
 from sim.datasets.video_log import parse_time_ns
 
 NAMES = {
     "time": ("stamp_ns", "timestamp", "time", "t", "stamp", "unix_time", "gps_time", "utc", "datetime", "date_time"),
     "lat": ("lat_deg", "lat", "latitude", "gps_lat", "gps_latitude"),
     "lon": ("lon_deg", "lon", "lng", "long", "longitude", "gps_lon", "gps_lng", "gps_longitude"),
+    "x": ("x", "x_m", "east", "easting", "utm_e", "utm_east", "utm_x", "pos_x", "position_x", "tx", "local_x_m"),
+    "y": ("y", "y_m", "north", "northing", "utm_n", "utm_north", "utm_y", "pos_y", "position_y", "ty", "local_y_m"),
+    "zone": ("zone", "utm_zone"),
     "alt": ("alt_m", "alt", "altitude", "elevation", "ele", "height"),
     "heading": ("heading_deg", "heading", "yaw", "bearing", "course", "azimuth", "track"),
     "speed": ("speed_mps", "speed", "velocity"),
@@ -70,13 +74,13 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows = Track(str(file), fixes).rows(str(path), names, stamps_ns)
     else:
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
-    found = ", ".join(f"{column} is the {what}" for what, column in columns.items())
+    found = ", ".join(column if column == what else f"{column} ({what})" for what, column in columns.items())
     return Traverse(
         name=path.name,
-        source=f"pictures in {path.name} with {file.name}",
+        source=f"{path.name} and {file.name}",
         rows=rows,
         pictures=PictureFiles([path / name for name in names]),
-        notes=f"{file.name}: {found}",
+        notes=f"columns of {file.name}: {found}",
     )
 
 
@@ -108,8 +112,13 @@ def find_columns(file: Path, header: Sequence[str], given: str | None) -> dict[s
             f"--columns: {', '.join(wrong)}: not KIND=COLUMN with a kind of {', '.join(NAMES)} and a column of {file}:"
             f" {', '.join(header)}"
         )
-    if ("lat" in known) != ("lon" in known) or known.keys().isdisjoint({"time", "lat", "file"}):
-        missing = [kind for kind in ("time", "lat", "lon", "file") if kind not in known]
+    for one, other in (("x", "y"), ("y", "x")):
+        if one in known and other not in known and not (given and one in given):
+            del known[one]  # of another meaning
+    halves = (("lat" in known) != ("lon" in known)) or (("x" in known) != ("y" in known))
+    if halves or known.keys().isdisjoint({"time", "lat", "x", "file"}):
+        wanted = ("time", "x", "y", "file") if "x" in known or "y" in known else ("time", "lat", "lon", "file")
+        missing = [kind for kind in wanted if kind not in known]
         raise FeedError(
             f"{file}: no column for {', '.join(missing)} among {', '.join(header)}; name them:"
             f" --columns {','.join(f'{kind}=COLUMN' for kind in missing)}"
@@ -185,14 +194,19 @@ def _stamps_ns(file: Path, records: Sequence[Record], times: _TimeColumn | None,
 
 def _fixes(stamps_ns: Sequence[int], records: Sequence[Record], columns: Mapping[str, str]) -> list[Fix]:
     """A position for each line that has one."""
-    if "lat" not in columns:
+    pair = next((pair for pair in (("lat", "lon"), ("x", "y")) if pair[0] in columns), None)
+    if pair is None:
         return []
     fixes = []
     for stamp_ns, record in zip(stamps_ns, records, strict=True):
-        if record.values[columns["lat"]].strip() and record.values[columns["lon"]].strip():
-            lat_deg, lon_deg = record.number(columns["lat"]), record.number(columns["lon"])
+        if all(record.values[columns[kind]].strip() for kind in pair):
+            lat_deg, lon_deg = (record.number(columns[kind]) for kind in pair)
+            zone = record.values.get(columns.get("zone", ""), "")
+            source: PositionSource = "unknown"
+            if pair == ("x", "y"):
+                (lat_deg, lon_deg), source = from_local(lat_deg, lon_deg, zone), "unknown" if zone else "local"
             alt_m, heading_deg, speed_mps = (_number(record, columns.get(kind)) for kind in ("alt", "heading", "speed"))
-            fixes.append(Fix(stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps))
+            fixes.append(Fix(stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps, source=source))
     return fixes
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import Transformer
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
@@ -15,6 +18,8 @@ from edge.geodesy import POSITION_SOURCES, PositionSource, east_north, worse_sou
 
 Floats = NDArray[np.float64]
 
+LOCAL = " +step +proj=tmerc +lat_0=0 +lon_0=0 +k=1 +ellps=WGS84"
+"""A projection that keeps distances: eastings of 500 km, as of UTM without a zone, are 0.3 % too long."""
 MAX_GAP_S = 5.0
 """Positions further apart in time than this are not interpolated."""
 
@@ -137,6 +142,26 @@ def _without_wandering(
             when.append(index)
             where.append(where[-1] if stood else index)
     return np.array(when), np.array(where)
+
+
+def from_local(x_m: float, y_m: float, zone: str = "") -> tuple[float, float]:
+    """Latitude and longitude of meters east and north: of a UTM zone ("56J"), else of an origin of their own.
+
+    That becomes 0, 0: as degrees, all that measures and draws tracks reads them. They are of the source "local".
+    """
+    to_degrees = _projection(zone)
+    lon_deg, lat_deg = to_degrees.transform(x_m, y_m, direction="INVERSE")
+    return float(lat_deg), float(lon_deg)
+
+
+@cache
+def _projection(zone: str) -> Transformer:
+    matched = re.fullmatch(r"(\d{1,2})([C-Xc-x]?)", zone.strip())
+    if not matched:
+        return Transformer.from_pipeline("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad" + LOCAL)
+    south = " +south" if matched[2] and matched[2].upper() < "N" else ""
+    utm = f" +step +proj=utm +zone={int(matched[1])}{south} +ellps=WGS84"
+    return Transformer.from_pipeline("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad" + utm)
 
 
 def row_at(file: str, fix: Fix) -> FeedRow:

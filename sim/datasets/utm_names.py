@@ -3,8 +3,8 @@
     @utm_east@utm_north@zone_number@zone_letter@lat@lon@pano_id@tile@heading@pitch@roll@height@time@note@.jpg
 
 Specified in the README of https://github.com/gmberton/VPR-datasets-downloader (G. Berton et al., CVPR 2022). All but
-the first two may be empty. The meters go to `local_x_m` and `local_y_m`, the degrees where there are any (in Nordland
-there are none, and its meters are made up: 2.4 a frame). Pictures come in the order of time, then of pano_id; their
+the first two may be empty. Degrees are used where there are any, else the meters, which also go to `local_x_m` and
+`local_y_m` (in Nordland they are made up: 2.4 a frame). Pictures come in the order of time, then of pano_id; their
 times are nominal, as the format's are of whole seconds at best and most often empty.
 """
 
@@ -16,8 +16,10 @@ from pathlib import Path
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
+from edge.geodesy import PositionSource
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures, natural_key
+from sim.datasets.track import from_local
 
 NOMINAL_FPS = 1.0
 FIELDS = ("", "x", "y", "zone", "letter", "lat", "lon", "pano", "tile", "heading", "pitch", "roll", "height", "time")
@@ -50,7 +52,10 @@ def _row(file: Path, said: Mapping[str, str], stamp_ns: int) -> FeedRow:
     x_m, y_m, lat_deg, lon_deg, heading_deg = map(number, ("x", "y", "lat", "lon", "heading"))
     if said[""] or x_m is None or y_m is None:
         raise FeedError(f"{file}: this name does not begin with @utm_east@utm_north@")
+    source: PositionSource = "unknown"
     if lat_deg is None or lon_deg is None:
-        lat_deg = lon_deg = None
+        zone = said.get("zone", "") + said.get("letter", "")
+        (lat_deg, lon_deg), source = from_local(x_m, y_m, zone), "unknown" if zone else "local"
     extra = {"local_x_m": f"{x_m:.2f}", "local_y_m": f"{y_m:.2f}"}
-    return FeedRow(file.name, stamp_ns, lat_deg=lat_deg, lon_deg=lon_deg, heading_deg=heading_deg, extra=extra)
+    at = {"lat_deg": lat_deg, "lon_deg": lon_deg, "heading_deg": heading_deg}
+    return FeedRow(file.name, stamp_ns, **at, position_source=source, extra=extra)

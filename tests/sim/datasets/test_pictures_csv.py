@@ -47,7 +47,7 @@ def test_usual_names_are_understood_and_shown(
     assert [row.lat_deg for row in feed.rows] == pytest.approx([-27 + index * 5e-5 for index in (0, 2, 4, 6)])
     assert feed.rows[2].heading_deg == pytest.approx(350)
     printed = capsys.readouterr().out
-    for text in ("4 of 64 x 48 pixels, 0.5 a second; front camera", "33 m", "UTC", "0.jpg to 6.jpg", "Lng is the lon"):
+    for text in ("4 of 64 x 48 pixels, 0.5 a second; front camera", "33 m", "UTC", "0.jpg to 6.jpg", "Lng (lon)"):
         assert text in printed, printed
     assert "assumed to look ahead; --view rear" in printed
 

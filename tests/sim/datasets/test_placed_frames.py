@@ -11,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
+from edge.geodesy import east_north_of
 from sim.datasets import ReadOptions, open_dataset
+from sim.datasets.track import from_local
 from sim.research.evaluation.truth import errors_between, points_of
 
 WritePictures = Callable[[Path, list[str]], None]
@@ -74,11 +76,14 @@ def kitti_path(tmp_path: Path, write_pictures: WritePictures) -> Path:
     return sequence
 
 
-def test_kitti_has_meters_and_no_degrees(kitti_path: Path, tmp_path: Path, sim_import: Import) -> None:
+def test_kitti_has_local_positions(kitti_path: Path, tmp_path: Path, sim_import: Import) -> None:
     rows = open_dataset("kitti", kitti_path).rows
     assert [row.distance_m for row in rows] == pytest.approx(np.arange(10) * 0.5)
     assert rows[8].extra == {"local_x_m": "1.500", "local_y_m": "2.500"}
-    assert (rows[8].stamp_ns, rows[8].lat_deg, rows[8].file) == (829_600_000, None, "image_2/000008.png")
+    assert (rows[8].stamp_ns, rows[8].position_source, rows[8].file) == (829_600_000, "local", "image_2/000008.png")
+    at = rows[8].lat_deg, rows[8].lon_deg
+    assert from_local(1.5, 2.5) == at
+    assert east_north_of(*at, (0.0, 0.0)) == pytest.approx((1.5, 2.5), abs=1e-4)
     sim_import("kitti", kitti_path, "-o", tmp_path / "feed", "--spacing-m", 1, "--width", 32)
     feed = read_feed(tmp_path / "feed")
     assert [row.extra["source_frame"] for row in feed.rows] == ["0", "2", "4", "6", "8"]

@@ -21,6 +21,7 @@ from edge.feed import FeedImages, FeedOptions, read_feed
 from edge.geodesy import east_north
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.flight_logs import read_log
+from sim.datasets.found import find_kind
 
 WriteVideo = Callable[[Path, int, float], None]
 Degrees = Callable[[float, float], tuple[float, float]]
@@ -86,13 +87,27 @@ def test_geotagged_pictures_become_a_feed(tmp_path: Path, degrees_at: Degrees, s
 
 def test_pictures_without_positions_or_times_and_broken_ones_are_named(tmp_path: Path, refused: Refused) -> None:
     geotag(tmp_path / "0.jpg", "2024:05:01 10:00:00", None)
-    refused("geotagged", tmp_path, f"^{tmp_path}: none of its 1 pictures has a GPS position in its EXIF data$")
+    (row,) = open_dataset("geotagged", tmp_path).rows
+    assert (row.stamp_ns, row.lat_deg) == (1_714_557_600_000_000_000, None)
     geotag(tmp_path / "1.jpg", None, (51.0, -1.0))
     refused("geotagged", tmp_path, r"1\.jpg: no DateTimeOriginal in its EXIF data")
     geotag(tmp_path / "1.jpg", "yesterday", (51.0, -1.0))
     refused("geotagged", tmp_path, r"1\.jpg: its EXIF data are damaged")
     (tmp_path / "1.jpg").write_bytes(b"\xff\xd8\xff\xe1 no picture")
     refused("geotagged", tmp_path, r"1\.jpg: cannot read this picture: ")
+
+
+def test_a_plain_folder_is_a_recording_in_the_order_of_its_names(
+    tmp_path: Path, write_pictures: Callable[[Path, list[str]], None]
+) -> None:
+    write_pictures(tmp_path / "walk", [f"shot{number}.png" for number in (10, 9, 1)])
+    assert find_kind(tmp_path / "walk") == "geotagged"
+    rows = open_dataset("geotagged", tmp_path / "walk", ReadOptions(fps=2.0)).rows
+    assert [(row.file, row.stamp_ns, row.lat_deg) for row in rows] == [
+        ("shot1.png", 0, None),
+        ("shot9.png", 500_000_000, None),
+        ("shot10.png", 1_000_000_000, None),
+    ]
 
 
 # Video and a log
