@@ -108,10 +108,12 @@ clean:
 	rm -rf $(VENV) .venv-* demo soak build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 $(BIN)/python:
+	@echo "1. an environment of Python in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
 $(VENV)/.demo: $(BIN)/python pyproject.toml
+	@echo "2. the packages, 800 MB: a few minutes"
 	$(BIN)/python -m pip install -qq --editable '.[sim,page,desk]'
 	touch $@
 

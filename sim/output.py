@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TextIO
 
 from edge.errors import ConfigError, SetupError, reason
@@ -31,15 +32,52 @@ def needing(what: str, extra: str, error_class: type[SetupError] = ConfigError) 
         raise error_class(f"{what} needs the package {package}: {install_command(extra)}") from None
 
 
-def make_folder(folder: Path, kind: str) -> None:
-    """An empty folder for a demo or a try; one of an earlier run of that kind is cleared, any other is kept."""
-    marker = f".lookback-{kind}"
+@contextmanager
+def replacing(folder: Path, kind: str) -> Iterator[Path]:
+    """A new folder for a demo or a try; where all goes well, it takes the place of the one of an earlier run.
+
+    Files that others put there stay; so do ours that were changed since, with ".old" after their names. Yields a folder
+    of the same name beside it.
+    """
+    made = folder / f".lookback-{kind}"
     with refusing(ConfigError, f"--output: {folder}: cannot write here"):
-        if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / marker).exists())):
+        ours = _listed(made)
+        if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not ours)):
             raise ConfigError(f"--output: {folder} has files that are not of a {kind}; name another folder")
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        (folder / marker).touch()
+        if not folder.parent.exists():
+            folder.parent.mkdir(parents=True)
+        beside = TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent)
+    with beside as temporary:
+        new = Path(temporary) / folder.name
+        new.mkdir()
+        yield new
+        with refusing(ConfigError, f"--output: {folder}: cannot write here"):
+            for name, changed_ns in ours.items():
+                if (folder / name).is_file() and (folder / name).stat().st_mtime_ns == changed_ns:
+                    (folder / name).unlink()
+            names = [str(file.relative_to(new)) for file in sorted(new.rglob("*")) if file.is_file()]
+            for name in names:
+                _move(new / name, folder / name)
+            lines = (f"{(folder / name).stat().st_mtime_ns} {name}\n" for name in names)
+            made.write_text("".join(lines), encoding="utf-8")
+            for one in sorted((one for one in folder.rglob("*") if one.is_dir()), reverse=True):
+                if not any(one.iterdir()):
+                    one.rmdir()
+
+
+def _listed(made: Path) -> dict[str, int]:
+    """What an earlier run wrote, by its names in the folder, and when each was changed last."""
+    lines = made.read_text(encoding="utf-8").splitlines() if made.is_file() else []
+    return {name: int(changed_ns) for changed_ns, _, name in (line.partition(" ") for line in lines)}
+
+
+def _move(file: Path, to: Path) -> None:
+    """Move a file to where it belongs; one that is there already is somebody's own, and gets another name."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    if to.exists():
+        names = (to.with_name(f"{to.name}.old{number or ''}") for number in count())
+        to.rename(next(name for name in names if not name.exists()))
+    file.replace(to)
 
 
 @contextmanager

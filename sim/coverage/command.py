@@ -27,6 +27,7 @@ from sim.journal import records_of
 from sim.output import refusing
 
 POINTS = 12
+VIEWS = 5  # pictures on the sheet
 """Of a stretch on the page."""
 MOST_PLACES = 50_000
 """A larger map would take hours, and more memory than this computer may have."""
@@ -87,8 +88,15 @@ def _run(args: argparse.Namespace) -> int:
             f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
             " nobody drove have one share, since nothing is known of their differences.",
         ]
-        write_sheet(args.picture, sheet, lines, found, headline, words)
+        write_sheet(args.picture, sheet, lines, found, headline, words, args.map.name, _views(maps))
     return 0
+
+
+def _views(maps: MapSet) -> list[tuple[str, bytes]]:
+    """Pictures along the map, by which a person knows it."""
+    rows = np.unique(np.linspace(0, maps.index.places - 1, VIEWS).round().astype(int)).tolist()
+    found = ((f"place {row}", maps.thumbnail(row)) for row in rows)
+    return [(words, jpeg) for words, jpeg in found if jpeg]
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from edge.errors import ConfigError
@@ -58,16 +59,32 @@ def write_sheet(
     found: Sequence[Alias],
     headline: str,
     words: Sequence[str],
+    name: str,
+    views: Sequence[tuple[str, bytes]] = (),
 ) -> None:
-    """Write the page. lines: of each stretch, longitudes and latitudes in degrees. SetupError without matplotlib."""
+    """Write the page. lines: of each stretch, longitudes and latitudes in degrees. views: pictures of places (JPEG).
+
+    name: of the map. SetupError without matplotlib.
+    """
     with needing("--picture", "sim"):
         from matplotlib.figure import Figure
     figure = Figure(figsize=A4_INCHES)
-    figure.text(0.08, 0.95, "Where this map will be recognized", fontsize=17, weight="bold", va="top")
+    figure.text(0.08, 0.95, f"Where {name} will be recognized", fontsize=17, weight="bold", va="top")
     figure.text(0.08, 0.915, _wrapped(headline, 80), fontsize=11.5, va="top", linespacing=1.4)
     alike = {one.stretch: one.other for one in found}
-    _draw_map(figure.add_axes((0.08, 0.37, 0.84, 0.46)), sheet, lines, [one.span in alike for one in sheet.stretches])
+    _draw_map(
+        figure.add_axes((0.08, 0.47 if views else 0.37, 0.84, 0.36 if views else 0.46)),
+        sheet,
+        lines,
+        [one.span in alike for one in sheet.stretches],
+    )
     _draw_strip(figure.add_axes((0.08, 0.265, 0.84, 0.035)), sheet, [one.span in alike for one in sheet.stretches])
+    for column, (words_of, jpeg) in enumerate(views):
+        axes = figure.add_axes((0.08 + column * 0.84 / len(views), 0.35, 0.84 / len(views) - 0.01, 0.1))
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        axes.imshow(np.asarray(image)[:, :, ::-1])
+        axes.set_axis_off()
+        axes.set_title(words_of, fontsize=8)
     pairs = [
         f"Looks like another stretch: drive {a.segment + 1}, {a.from_m:.0f} to {a.to_m:.0f} m,"
         f" and drive {b.segment + 1}, {b.from_m:.0f} to {b.to_m:.0f} m."

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import edge
-from sim.output import make_folder, needing
+from sim.output import needing, replacing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,16 +24,14 @@ def _run(args: argparse.Namespace) -> int:
         from sim.evaluation.report import render_page
     folder: Path = args.output
     started_s = time.monotonic()
-    make_folder(folder, "demo")
-    print(
-        "Out by day with two cameras; GPS fails at the far end; home at night on the map made on the way.", flush=True
-    )
-    print("Then the same way without Lookback. Both take about a minute, in simulated time.", flush=True)
-    story = drive_story(folder / "take_me_home")
-    report = folder / "report.html"
-    sections = [*sections_of(story), pairs_of(story, folder / "take_me_home")]
-    report.write_text(render_page(headline(story), {"version": edge.__version__}, sections), encoding="utf-8")
-    print(f"report: {report}   ({time.monotonic() - started_s:.0f} s)")
+    with replacing(folder, "demo") as new:
+        print("Out by day with two cameras; GPS fails at the far end; home at night on the map made on the way.")
+        print("Then the same way without Lookback. Both take about a minute, in simulated time.", flush=True)
+        story = drive_story(new / "take_me_home")
+        sections = [*sections_of(story), pairs_of(story, new / "take_me_home")]
+        page = render_page(headline(story), {"version": edge.__version__}, sections)
+        (new / "report.html").write_text(page, encoding="utf-8")
+    print(f"report: {folder / 'report.html'}   ({time.monotonic() - started_s:.0f} s)")
     print(f"Home at night without GPS: {headline(story)}")
     if args.require_good:
         require_good(story)

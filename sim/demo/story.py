@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -56,9 +58,19 @@ def drive_story(folder: Path) -> Run:
             closing(RoadLibrary(Network.load(), folder / "views")) as library,
             tqdm(total=draft.legs[-1].to_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
         ):
-            return Drive(draft, SEED, folder, library).run(bar.update)
+            return Drive(draft, SEED, folder, library).run(partial(_progress, bar, draft.legs[-1].to_m))
     finally:
         logger.setLevel(level)
+
+
+def _progress(bar: Any, length_m: float, meters: float) -> None:
+    """The bar on a terminal; elsewhere a line for each tenth of the way."""
+    before = bar.n
+    bar.update(meters)
+    if bar.disable:
+        bar.n = before + meters
+        if int(10 * bar.n / length_m) > int(10 * before / length_m):
+            print(f"driven {bar.n:.0f} of {length_m:.0f} m", flush=True)
 
 
 def lost_at_m(run: Run) -> float:

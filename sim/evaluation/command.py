@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import edge
 from edge.config import load_config
 from edge.errors import ConfigError
 from edge.feed import read_feed
@@ -62,15 +63,27 @@ def _run(args: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
     if args.output:
-        print(_write(args.output, args.map, judged, rows), file=sys.stderr)
+        about = {
+            "version": edge.__version__,
+            "map": f"{args.map}, {maps.index.places} places",
+            "model": f"{maps.headers[0].model.name}, sha256 {maps.headers[0].model.sha256}",
+        }
+        print(_write(args.output, about, args.map, judged, rows), file=sys.stderr)
     return 0
 
 
-def _write(folder: Path, map_path: Path, judged: Sequence[Judged], rows: Sequence[tuple[Value, ...]]) -> Path:
+def _write(
+    folder: Path, about: Mapping[str, str], map_path: Path, judged: Sequence[Judged], rows: Sequence[tuple[Value, ...]]
+) -> Path:
     with needing("--output", "sim"):
         from sim.evaluation import figures, report
     curves = {one.name: precision_recall(one.answers) for one in judged}
     plot = report.Figure("precision_recall", "Every confidence", figures.precision_recall_plot(curves))
     table = report.Table("recordings", "In numbers", COLUMNS, rows)
     section = report.Section("Recordings", tables=[table], figures=[plot])
-    return report.write_report(folder, f"Recognized on {map_path.name}", {"map": str(map_path)}, [section])
+    lead = [
+        f"{one.name}: {int(one.believed.sum())} of {len(one.believed)} frames believed, precision {one.precision:.3f},"
+        f" recall {one.recall:.3f}"
+        for one in judged
+    ]
+    return report.write_report(folder, f"Recognized on {map_path.name}", about, [section], lead)

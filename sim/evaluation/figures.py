@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 from collections.abc import Mapping
 
 import matplotlib as mpl
@@ -16,7 +15,6 @@ from matplotlib.figure import Figure
 
 from sim.evaluation.metrics import PrecisionRecall
 
-logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it logs its font cache
 DPI = 110
 WIDTH_IN = 6.4
 BLUE, ORANGE, GRAY, RED = "#1f6fb4", "#e6820e", "#9aa3ad", "#c0392b"
@@ -42,8 +40,10 @@ def route_plot(road_m: Points, right_m: Points, wrong_m: Points, missed_m: Point
     axes.plot(*road_m.T, color=GRAY, lw=3, label="the map's route")
     if len(missed_m):
         axes.plot(*missed_m.T, ".", color=ORANGE, ms=4, label="not believed")
-    axes.plot(*right_m.T, "o", color=BLUE, ms=4, label="believed")
-    axes.plot(*wrong_m.T, "x", color=RED, ms=7, label=f"over {tolerance_m:.0f} m off")
+    if len(right_m):
+        axes.plot(*right_m.T, "o", color=BLUE, ms=4, label="believed")
+    if len(wrong_m):
+        axes.plot(*wrong_m.T, "x", color=RED, ms=7, label=f"over {tolerance_m:.0f} m off")
     axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(fontsize=8)
@@ -70,8 +70,10 @@ def confidence_plot(at: Points, unit: str, confidence: Points, right: Flags, wro
     figure = Figure(figsize=(WIDTH_IN, 2.6), layout="constrained")
     axes = figure.subplots()
     axes.plot(at, confidence, color=GRAY, lw=1)
-    axes.plot(at[right], confidence[right], ".", color=BLUE, ms=4, label="believed")
-    axes.plot(at[wrong], confidence[wrong], "x", color=RED, ms=5, label="believed, wrong")
+    if right.any():
+        axes.plot(at[right], confidence[right], ".", color=BLUE, ms=4, label="believed")
+    if wrong.any():
+        axes.plot(at[wrong], confidence[wrong], "x", color=RED, ms=5, label="believed, wrong")
     axes.axhline(least, color=ORANGE, lw=1, label=f"asked for: {least:g}")
     axes.set(xlabel=f"driven, {unit}", ylabel="confidence", ylim=(0, 1.03))
     axes.legend(fontsize=8, loc="lower right", ncols=3)

@@ -139,7 +139,7 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
     heading_rad = np.radians(np.array([one.heading_deg for one in used], dtype=float))
     ahead_m = np.einsum("nd,nd->n", found_m - truth_m, np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]))
     return Judged(
-        feed.path.name,
+        feed.header.name,
         rows,
         Answers(confidence, on_map & (error_m <= tolerance_m), on_map),
         answers_within(confidence, error_m, on_map, 2 * tolerance_m),

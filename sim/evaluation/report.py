@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import cv2
 import jinja2
 import numpy as np
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from edge.errors import ConfigError
@@ -20,24 +22,31 @@ from sim.output import refusing
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
-def write_report(folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section]) -> Path:
+def write_report(
+    folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section], lead: Sequence[str] = ()
+) -> Path:
     """Write report.html, NAME.csv and NAME.png into `folder` and return the page's path. ConfigError if it cannot."""
     page = folder / "report.html"
     with refusing(ConfigError, f"{folder}: cannot write the report"):
         folder.mkdir(parents=True, exist_ok=True)
         for section in sections:
             _write_files(folder, section)
-        page.write_text(render_page(title, about, sections), encoding="utf-8")
+        page.write_text(render_page(title, about, sections, lead), encoding="utf-8")
     return page
 
 
 def render_page(title: str, about: Mapping[str, str], sections: Sequence[Section], lead: Sequence[str] = ()) -> str:
     """The page with its pictures inside. lead: lines under the title; about: terms at the end (versions, hashes)."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters.update(data=lambda data: base64.b64encode(data).decode(), cell=format_cell)
+    environment.filters.update(data=lambda data: base64.b64encode(data).decode(), cell=format_cell, words=as_words)
     environment.tests["number"] = lambda cell: not isinstance(cell, str)
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     return template.render(title=title, about=about, sections=sections, lead=lead)
+
+
+def as_words(text: str) -> Markup:
+    """Text with what stands between backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def format_cell(cell: Cell) -> str:
@@ -113,10 +122,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """One experiment: heading, plain words, tables, figures, and rows of pictures that belong together."""
+    """One experiment: heading, plain words, tables, figures, and rows of pictures that belong together.
+
+    film: MP4. folded: shown when it is clicked.
+    """
 
     title: str
     text: str = ""
     tables: Sequence[Table] = ()
     figures: Sequence[Figure] = ()
     pictures: Sequence[Sequence[Picture]] = field(default_factory=list)
+    film: bytes = b""
+    film_words: str = ""
+    folded: bool = False

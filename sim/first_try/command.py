@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,16 +19,18 @@ from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import open_map, open_map_set
 from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
 from sim.calibration.offset import Offset, rig_config
-from sim.datasets import ReadOptions, open_dataset
+from sim.datasets import ReadOptions, Traverse, open_dataset
+from sim.datasets.alignment import Alignment
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.evaluation.recognition import judge, recognize
 from sim.evaluation.replay import as_line, config_for_map
-from sim.first_try.verdict import Tried, verdict
+from sim.first_try.verdict import Tried, Verdict, verdict
 from sim.maps.command import add_spacing_options, build_map, sampling_from
-from sim.output import make_folder, needing
+from sim.output import needing, replacing
+from sim.traverse import driven_m
 
 ROLES = ("reference", "query")
 
@@ -56,19 +59,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     with needing("try:", "eval"):
-        from sim.first_try.page import render
+        import sim.first_try.page  # noqa: F401  # it needs matplotlib: known before the work begins
     if not args.tolerance_m > 0:
         raise ConfigError(f"--tolerance-m: {args.tolerance_m:g} is not above 0")
-    folder: Path = args.output
-    sampling = sampling_from(args, SamplingConfig())
     # Both before anything is written: a wrong path or option costs no time.
-    kinds = {role: find_kind(getattr(args, role), getattr(args, f"{role}_positions")) for role in ROLES}
-    make_folder(folder, "try")
-    reference, query = (_feed(args, role, kinds[role], sampling) for role in ROLES)
-    print(f"1. Map of {reference.path}")
+    opened = {role: _open(args, role) for role in ROLES}
+    sampling = sampling_from(args, SamplingConfig())
+    blind = [name for name in ROLES if not _has_meters(opened[name])]
+    if sampling.by == "distance" and blind and args.spacing_m is None:
+        sampling = msgspec.structs.replace(sampling, by="time")
+        print(
+            f"no positions in the {' and the '.join(blind)}: frames of both are compared every {sampling.interval_s} s"
+        )
+    with replacing(args.output, "try") as folder:
+        feeds = {role: _feed(one, folder / role, sampling) for role, one in opened.items()}
+        aligned = {role: one.alignment for role, one in opened.items() if isinstance(one, Traverse)}
+        found = _try(args, feeds, aligned, folder, sampling)
+    print("\n".join(["", found.headline, *(f"  {fact}" for fact in found.facts)]))
+    for number, line in enumerate(found.advice, start=1):
+        print(f"  {'to change: ' if number == 1 else '           '}{line}")
+    there: Path = args.output
+    print(f"page: {there / 'report.html'}   map: {there / 'map'}   config: {there / 'lookback.toml'}")
+    return 0
+
+
+def _try(
+    args: argparse.Namespace,
+    feeds: Mapping[str, Feed],
+    aligned: Mapping[str, Alignment | None],
+    folder: Path,
+    sampling: SamplingConfig,
+) -> Verdict:
+    """Make the map, recognize, and write all into the folder."""
+    from sim.first_try.page import render
+
+    reference, query = (feeds[role] for role in ROLES)
+    print(f"1. Map of {args.reference}", flush=True)
     build_map([reference], folder / "map", DescriptorConfig(), sampling)
     maps = open_map_set(folder / "map")
-    print(f"2. Recognizing {query.path}")
+    print(f"2. Recognizing {args.query}", flush=True)
     network = MemoizingNetwork.load()  # the frames are recognized twice: for the offset, and with it
     offsets, why = _measure(folder / "map", query, network)
     config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig_config(offsets))
@@ -84,20 +113,16 @@ def _run(args: argparse.Namespace) -> int:
     found, lines = verdict(tried), rig_lines(offsets)
     (folder / "frames.jsonl").write_text("".join(map(as_line, seen.used)), encoding="utf-8")
     (folder / "lookback.toml").write_text(_config_text(lines), encoding="utf-8")
-    page = folder / "report.html"
-    page.write_text(render(tried, found, lines), encoding="utf-8")
-    print("\n".join(["", found.headline, *(f"  {fact}" for fact in found.facts)]))
-    for number, line in enumerate(found.advice, start=1):
-        print(f"  {'to change: ' if number == 1 else '           '}{line}")
-    print(f"page: {page}   map: {folder / 'map'}   config: {folder / 'lookback.toml'}")
-    return 0
+    (folder / "report.html").write_text(render(tried, found, lines, aligned), encoding="utf-8")
+    return found
 
 
-def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: SamplingConfig) -> Feed:
-    """A recording as a feed: read in place where it is one, else converted into the folder. FeedError."""
+def _open(args: argparse.Namespace, role: str) -> Feed | Traverse:
+    """A recording: a feed, or what has to be converted to one. FeedError."""
     path: Path = getattr(args, role)
     view: View | None = getattr(args, f"{role}_view")
     positions, offset_s = getattr(args, f"{role}_positions"), getattr(args, f"{role}_offset_s")
+    kind = find_kind(path, positions)
     if kind is None and path.is_dir():
         for option, value in (("view", view), ("positions", positions), ("offset-s", offset_s)):
             if value is not None:
@@ -105,9 +130,20 @@ def _feed(args: argparse.Namespace, role: str, kind: str | None, sampling: Sampl
         return read_feed(path)
     if kind is None:
         return read_feed(path, FeedOptions(view, offset_s=offset_s))
-    traverse = open_dataset(kind, path, ReadOptions(positions=positions, offset_s=offset_s, view=view))
-    output: Path = args.output / role
-    write_feed(traverse, output, tqdm(choose_rows(traverse, sampling), unit="frame", desc=f"reading {path.name}"))
+    return open_dataset(kind, path, ReadOptions(positions=positions, offset_s=offset_s, view=view))
+
+
+def _has_meters(one: Feed | Traverse) -> bool:
+    if isinstance(one, Feed):
+        return driven_m(one) is not None
+    return any(row.lat_deg is not None or row.distance_m is not None for row in one.rows)
+
+
+def _feed(one: Feed | Traverse, output: Path, sampling: SamplingConfig) -> Feed:
+    """A recording as a feed: read in place where it is one, else converted into a folder. FeedError."""
+    if isinstance(one, Feed):
+        return one
+    write_feed(one, output, tqdm(choose_rows(one, sampling), unit="frame", desc=f"reading {one.name}", disable=None))
     return read_feed(output)
 
 

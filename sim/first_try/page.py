@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
+from dataclasses import replace
+
+import av
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 import edge
 from edge.feed import FeedImages
 from sim.calibration.command import Lines
 from sim.datasets import sheet
+from sim.datasets.alignment import Alignment
 from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
+from sim.evaluation.metrics import precision_recall
 from sim.first_try.verdict import Tried, Verdict, distances_m
 from sim.traverse import driven_m
 
-PAIRS = 8
+PAIRS = 4
 """Matched pairs on the page, spread over the believed frames."""
 MOST_STRETCHES = 20
+FILM_S, FILM_FPS, FILM_PX = 20, 10, (320, 240)
 
 
-def render(tried: Tried, found: Verdict, rig: Lines) -> str:
-    """The page. rig: what was measured of the camera's offset."""
+def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Alignment | None]) -> str:
+    """The page. rig: what was measured of the camera's offset. aligned: of videos over their tracks."""
     header = tried.maps.headers[0]
     about = {
         "version": edge.__version__,
         "map": f"{tried.maps.index.places} places",
         "model": f"{header.model.name}, sha256 {header.model.sha256}",
     }
-    sections = [_where(tried, found), _pictures(tried)]
+    sections = [_pictures(tried), _where(tried, found)]
     if found.advice:
         rows: list[list[report.Cell]] = [[number, line] for number, line in enumerate(found.advice, start=1)]
         advice = report.Table("advice", "", ("", "The most important first"), rows)
@@ -38,7 +48,8 @@ def render(tried: Tried, found: Verdict, rig: Lines) -> str:
         )
         sections.append(report.Section("The camera's offset", text, tables=[table]))
     for role, feed in ("reference", tried.reference), ("query", tried.query):
-        sections.append(sheet.section(feed, f"The {role} as it was understood: {feed.path}"))
+        about_it = sheet.section(feed, f"The {role} as it was understood: {feed.header.name}", aligned.get(role))
+        sections.append(replace(about_it, folded=True))
     return report.render_page(found.headline, about, sections, lead=found.facts)
 
 
@@ -78,7 +89,9 @@ def _where(tried: Tried, found: Verdict) -> report.Section:
             judged.truth_m[~judged.believed],
             tried.tolerance_m,
         )
-        drawn.append(report.Figure("route", "The query from above", to_png(plot)))
+        drawn.insert(0, report.Figure("route", "The map's drive and the query, from above", to_png(plot)))
+        curve = {"every confidence": precision_recall(judged.answers)}
+        drawn.append(report.Figure("curve", "Precision and recall", figures.precision_recall_plot(curve)))
     if seen.costs.shape[1]:
         places = np.array([np.nan if one.place is None else one.place for one in seen.used], dtype=float)
         note = "A line that rises is the same way, one that falls is the way back; none is a road that differs"
@@ -104,9 +117,40 @@ def _pictures(tried: Tried) -> report.Section:
         here = report.Picture.of(query.read(one.frame), f"query, frame {one.frame}")
         there = f"place {one.place}{error_m}, confidence {one.confidence:.2f}, {one.direction}"
         pairs.append([here, report.Picture.of(places.read(one.map_row), there)])
+    film = _film(tried, query, places)
     query.close()
     places.close()
-    return report.Section(title if pairs else "No place was matched", pictures=pairs)
+    words = "left: the query; right: the place that it is believed to be, dark where none is"
+    return report.Section(title if pairs else "No place was matched", pictures=pairs, film=film, film_words=words)
+
+
+def _film(tried: Tried, query: FeedImages, places: FeedImages) -> bytes:
+    """An MP4 of FILM_S, the query beside the places that it is believed to be."""
+    used = tried.seen.used
+    rows = np.unique(np.linspace(0, len(used) - 1, min(len(used), round(FILM_S * FILM_FPS))).round().astype(int))
+    stream = io.BytesIO()
+    with av.open(stream, "w", format="mp4") as container:
+        track = container.add_stream("libx264", rate=FILM_FPS, options={"crf": "28"})
+        track.width, track.height, track.pix_fmt = 2 * FILM_PX[0], FILM_PX[1], "yuv420p"
+        for row in rows.tolist():
+            one = used[row]
+            beside = np.full((FILM_PX[1], FILM_PX[0], 3), 24, np.uint8)
+            if one.accepted and one.map_row is not None:
+                beside = _fitted(places.read(one.map_row))
+            pair = np.hstack([_fitted(query.read(one.frame)), beside])
+            container.mux(track.encode(av.VideoFrame.from_ndarray(pair, "bgr24")))
+        container.mux(track.encode())
+    return stream.getvalue()
+
+
+def _fitted(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image in the middle of FILM_PX, whatever its shape."""
+    scale = min(FILM_PX[0] / image.shape[1], FILM_PX[1] / image.shape[0])
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)[: FILM_PX[1], : FILM_PX[0]]
+    top, left = (FILM_PX[1] - small.shape[0]) // 2, (FILM_PX[0] - small.shape[1]) // 2
+    whole = np.full((FILM_PX[1], FILM_PX[0], 3), 24, np.uint8)
+    whole[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return whole
 
 
 def _error(tried: Tried, row: int) -> str:

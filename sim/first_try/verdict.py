@@ -14,6 +14,7 @@ from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
 from edge_plugins.layers.tally import LIGHTS
 from sim.calibration.offset import Offset
+from sim.evaluation.metrics import precision_recall, recall_at_precision
 from sim.evaluation.recognition import Judged, Recognition
 from sim.traverse import driven_m
 
@@ -138,6 +139,7 @@ def _judged_facts(judged: Judged, tolerance_m: float) -> list[str]:
     return [
         f"precision {judged.precision:.3f} of {believed} believed places (within {tolerance_m:g} m); recall"
         f" {judged.recall:.3f} of {on_map} frames on the mapped road",
+        f"recall at precision 1: {recall_at_precision(precision_recall(judged.answers), 1.0):.3f}",
         f"error of the believed places: median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m",
     ]
 
@@ -199,11 +201,18 @@ def _advice(tried: Tried, share: float) -> list[str]:
         if off_share > 0.2:
             found.append(f"{off_share:.0%} of the query is not on the mapped road: map that road as well")
     else:
-        missing = [feed.path.name for feed in (tried.reference, tried.query) if not _is_placed(feed)]
+        missing = [feed.header.name for feed in (tried.reference, tried.query) if not _is_placed(feed)]
         found.append(
             f"no positions in {' and '.join(missing) or 'the map'}: with a GPX track or a log of the drive, frames are"
             " compared at equal distances whatever the speed, and right can be separated from wrong"
         )
+    for feed in (tried.reference, tried.query):
+        if feed.header.height > feed.header.width:
+            size = f"{feed.header.width} x {feed.header.height}"
+            found.append(
+                f"the pictures of {feed.header.name} are upright ({size}): both sides of the road are missing; hold"
+                " the phone across"
+            )
     if share < GOOD:
         found += _picture_advice(tried, could)
         found.append(
@@ -219,7 +228,7 @@ def _length_advice(tried: Tried) -> Iterator[str]:
     for feed, count in ((tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))):
         if count < enough:
             more = ", or use more of its frames: --spacing-frames 1" if len(feed.rows) >= enough else ""
-            yield f"{feed.path.name} has {count} places, and two sequences are {enough}: record a longer drive{more}"
+            yield f"{feed.header.name} has {count} places, and two sequences are {enough}: record a longer drive{more}"
 
 
 def _seconds(query: Feed, meters: float) -> str:
