@@ -30,8 +30,13 @@ class Page(Plugin):
 
     def start(self) -> None:
         """Serve it, if that is possible."""
-        recognizer = self._parts.recognizer
-        self._live = LiveStatus(recognizer.model_name, self._parts.config.acceptance.confidence_from)
+        config, recognizer = self._parts.config, self._parts.recognizer
+        self._live = LiveStatus(
+            recognizer.model_name,
+            config.acceptance.confidence_from,
+            sequence_frames=recognizer.config.sequence_frames,
+            sampling=recognizer.config.sampling,
+        )
         self._maps = recognizer.map_set
         self.server = open_page(self._config, map_view(self._maps))
 

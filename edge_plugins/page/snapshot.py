@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import edge
 from edge.camera import CameraHealth, Frame
+from edge.config import FEWEST_FRAMES, SamplingConfig
 from edge.journal.records import FrameUsed
 from edge.reference_map import COST_ONE, Bounds, MapSet
 from edge.sequence import CostView, PlaceMatch
@@ -55,7 +56,8 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
     """Everything about it that is words and numbers.
 
     started_unix_s identifies the run of the daemon. newest: the newest used frame, with its match where there is one;
-    slope: places that match passes per frame. fps: used frames per second over the recent ones. history: oldest first.
+    slope: places that match passes per frame. searched: how far the vehicle has gone since a place was recognized, how
+    far that takes on this map, and the unit. fps: used frames per second over the recent ones. history: oldest first.
     """
 
     started_unix_s: float
@@ -63,6 +65,7 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
     model: str
     newest: FrameUsed | None
     slope: float | None
+    searched: tuple[float, float, str]
     frames_used: int
     events: int
     fps: float
@@ -93,8 +96,27 @@ class Snapshot:
 class LiveStatus:
     """Keeps every used frame for a while, which costs microseconds, and makes a snapshot when it is asked for one."""
 
-    def __init__(self, model: str, confidence_from: float, unix_time_s: Callable[[], float] = time.time) -> None:
-        """model: its name, for people. confidence_from: from which on a place is believed."""
+    def __init__(
+        self,
+        model: str,
+        confidence_from: float,
+        unix_time_s: Callable[[], float] = time.time,
+        *,
+        sequence_frames: int = FEWEST_FRAMES,
+        sampling: SamplingConfig | None = None,
+    ) -> None:
+        """model: its name, for people. confidence_from: from which on a place is believed. sequence_frames: of a line.
+
+        sampling: how far frames are apart.
+        """
+        sampling = sampling or SamplingConfig()
+        self._step, self._unit = {
+            "distance": (sampling.spacing_m, "m"),
+            "time": (sampling.interval_s, "s"),
+            "frames": (float(sampling.spacing_frames), "frames"),
+        }[sampling.by]
+        self._sequence = sequence_frames * self._step
+        self._unrecognized = 0
         self._model, self._confidence_from = model, confidence_from
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
@@ -107,6 +129,7 @@ class LiveStatus:
         self._frame, self.match = frame, match
         self.frames_used += 1
         self.events += used.emitted
+        self._unrecognized = 0 if used.accepted else self._unrecognized + 1
         self._history.append(HistoryFrame(used, vehicle))
 
     def snapshot(self, daemon: DaemonStatus, costs: CostView) -> Snapshot:
@@ -118,6 +141,7 @@ class LiveStatus:
             model=self._model,
             newest=self._history[-1].used if self._history else None,
             slope=round(self.match.slope, 4) if self.match else None,
+            searched=(round(self._unrecognized * self._step, 1), self._sequence, self._unit),
             frames_used=self.frames_used,
             events=self.events,
             fps=self._fps(daemon.stamp_ns),

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -227,6 +227,38 @@ def on_the_road(number: int) -> Snapshot:
     history = tuple(replace(one, vehicle=at) for one in status.history)
     status = replace(status, link=link, mapping=mapping, newest=newest, history=history)
     return dataclasses.replace(shown, status=status)
+
+
+def searching(gone_m: float, state: str) -> Callable[[int], Snapshot]:
+    """A vehicle that has gone so far since a place was recognized."""
+
+    def shown(number: int) -> Snapshot:
+        before = on_the_road(number)
+        return dataclasses.replace(before, status=replace(before.status, state=state, searched=(gone_m, 80.0, "m")))
+
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("gone_m", "state", "words"),
+    [
+        (50.0, "warming up", "SEARCHING, 50 of about 80 m"),
+        (100.0, "off the map", "SEARCHING, 100 of about 80 m"),
+        (130.0, "off the map", "OFF THE MAP"),
+        (0.0, "on the map", "ON THE MAP"),
+    ],
+)
+def test_it_searches_before_it_is_off_the_map(tmp_path: Path, gone_m: float, state: str, words: str) -> None:
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps))) as page,
+        contextlib.closing(Loop(page, searching(gone_m, state))),
+        browser(390, 844) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        until(driver, "status !== null")
+        assert text(driver, "state") == words
+        assert driver.find_element("id", "searched").is_displayed() == words.startswith("SEARCHING")
 
 
 def click(driver: Any, name: str) -> None:

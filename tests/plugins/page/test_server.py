@@ -64,6 +64,7 @@ def snapshot(number: int) -> Snapshot:
         why="",
         newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2, confidence=0.9),
         slope=1.0,
+        searched=(0.0, 80.0, "m"),
         frames_used=number,
         events=1,
         fps=4.0,

@@ -7,6 +7,7 @@ import logging
 import socket
 import tracemalloc
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,18 @@ def test_a_snapshot_shows_the_newest_frame_and_how_it_came_to_its_place(
     assert [sample.used.uniqueness is None for sample in status.history] == [True] * (LENGTH - 1) + [False] * (
         FRAMES - LENGTH + 1
     )
+
+
+def test_meters_are_counted_until_a_place_is_recognized(watched: LiveStatus, recognizer: PlaceRecognizer) -> None:
+    shown = snapshot(watched, recognizer).status
+    unrecognized = len(list(takewhile(lambda one: not one.used.accepted, reversed(shown.history))))
+    assert shown.searched == (2.0 * unrecognized, 80.0, "m")
+    nothing = FrameUsed(FRAMES, FRAMES * 10**9, False, False)
+    frame = Frame(np.zeros((4, 4, 3), np.uint8), nothing.stamp_ns, FRAMES)
+    watched.add(frame, None, nothing, (0.0, 0.0))
+    assert snapshot(watched, recognizer).status.searched[0] == 2.0 * (unrecognized + 1)
+    watched.add(frame, None, FrameUsed(FRAMES + 1, FRAMES * 10**9 + 1, True, False), (0.0, 0.0))
+    assert snapshot(watched, recognizer).status.searched[0] == 0.0
 
 
 def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus, recognizer: PlaceRecognizer) -> None:
