@@ -13,9 +13,10 @@ import threading
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
-from edge.commands.parser import build_parser, moved
+from edge.commands.parser import beginning, build_parser, moved
 from edge.errors import EXIT_SETUP, ConfigError, LookbackError, SetupError, one_line, reason
 
+INTERRUPTED = 130
 LEVELS = ("debug", "info", "warning", "error")
 
 
@@ -59,6 +60,12 @@ def _spelled(character: str) -> str:
     return f"\\u{ord(character):04x}" if ord(character) <= 0xFFFF else "?"
 
 
+def _at_home(word: str) -> str:
+    """An option's ~ as the home folder: a shell leaves it as it is in --map=~/street."""
+    option, equals, path = word.partition("=")
+    return f"{option}={os.path.expanduser(path)}" if equals and option.startswith("--") else word  # noqa: PTH111  # never raises
+
+
 def _open_log() -> None:
     """Log to standard error, from the level on that LOOKBACK_LOG names."""
     level = os.environ.get("LOOKBACK_LOG", "info")
@@ -71,14 +78,16 @@ def _open_log() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; errors that Lookback raises on purpose become one line on standard error."""
-    words = sys.argv[1:] if argv is None else argv
+    words = [_at_home(word) for word in (sys.argv[1:] if argv is None else argv)]
     if there := moved(words):
         print(f"lookback: {there}", file=sys.stderr)
         return 2
     try:
         _open_log()
-        args = build_parser(words).parse_args(words)
-        return int(args.run(args))
+        if not words:
+            print(beginning())
+        args = build_parser(words).parse_args(words) if words else None
+        return int(args.run(args)) if args else 0
     except LookbackError as error:
         print(f"lookback: {error}", file=sys.stderr)
         return EXIT_SETUP if isinstance(error, SetupError) else 1
@@ -92,7 +101,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         logging.debug("where it came from", exc_info=True)
         return EXIT_SETUP if isinstance(error, PermissionError) else 1
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
 def command() -> NoReturn:
@@ -109,7 +118,7 @@ def command() -> NoReturn:
     except SystemExit as stop:
         code = stop.code
     hanging = [one for one in threading.enumerate() if one.daemon and not type(one).__module__.startswith("tqdm.")]
-    if isinstance(code, int) and hanging:
+    if isinstance(code, int) and (hanging or code == INTERRUPTED):  # a library may be half loaded, or half closed
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

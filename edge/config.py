@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import os
 import re
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint, entry_points
@@ -313,7 +314,7 @@ def parse_config(text: str, path: Path) -> Config:
         config = _converted(values, path)
     for where, why in _unusable_paths(config):
         raise ConfigError(f"{path}: {where}: {why}")
-    return change_paths(config, lambda _, value: str(path.parent / value))
+    return change_paths(config, lambda _, value: str(path.parent / os.path.expanduser(value)))  # noqa: PTH111
 
 
 def _converted(values: dict[str, Any], path: Path) -> Config:

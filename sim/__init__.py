@@ -21,10 +21,12 @@ commands     the list of `lookback dev sim` commands
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 from edge.geodesy import moved
 
+logging.getLogger("matplotlib").setLevel(logging.WARNING)  # at its first import it logs that it lists the fonts
 ORIGIN_LAT_DEG = -27.4772  # Queensland University of Technology, Gardens Point
 ORIGIN_LON_DEG = 153.0283
 ORIGIN_ALT_M = 20.0

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import ast
+import re
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, NoReturn
 
 import edge
 from edge.errors import ConfigError
@@ -72,13 +75,45 @@ def moved(words: Sequence[str]) -> str | None:
     return None
 
 
+FIRST = {
+    "demo": "watch the main task in simulation, a minute, no hardware",
+    "try out.mp4 home.mp4": "is the road of one recording recognized in another?",
+    "import out.mp4 -o out": "your video, pictures, ROS bag: what is understood of them",
+    "config": "the settings that most vehicles need",
+    "run lookback.toml": "recognize places live",
+}
+"""The commands with which one begins, each with an example."""
+
+
+def beginning() -> str:
+    """What `lookback` alone says."""
+    width = max(map(len, FIRST))
+    lines = [f"  lookback {words:<{width}}  {about}" for words, about in FIRST.items()]
+    return "\n".join([edge.__doc__.splitlines()[0], "", *lines, "", "All commands: lookback --help"])
+
+
+class _Parser(argparse.ArgumentParser):
+    """Names the nearest command where one is mistyped, instead of all of them."""
+
+    def error(self, message: str) -> NoReturn:
+        """As ArgumentParser has it."""
+        wrong = re.search(r"invalid choice: '([^']*)' \(choose from (.*)\)", message)
+        if wrong:
+            near = get_close_matches(wrong[1], re.findall(r"[\w-]+", wrong[2]), n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"see `{self.prog} --help`"
+            if re.match(r"argument (COMMAND|\{)", message):
+                message = f"{wrong[1]!r} is none of its commands"
+            message = f"{message}; {hint}"
+        super().error(message)
+
+
 def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     """The parser of a command line; each leaf sets `run`, a function of the arguments.
 
     words: the command line, of which the first that is no option names the command. Of all others only the names and
     the lines of help are known. None: every command, with all that it imports.
     """
-    parser = argparse.ArgumentParser(prog="lookback", description=edge.__doc__.splitlines()[0])
+    parser = _Parser(prog="lookback", description=edge.__doc__.splitlines()[0])
     parser.add_argument("--version", action="version", version=f"lookback {edge.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     asked = None if words is None else [word for word in words if not word.startswith("-")]
@@ -92,7 +127,7 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
 
 
 def fill_all(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    commands: argparse._SubParsersAction[Any],
     modules: dict[str, str],
     asked: Sequence[str] | None = None,
 ) -> None:
@@ -104,7 +139,7 @@ def fill_all(
             commands.add_parser(name, help=_about(module))
 
 
-def _fill(name: str, module: str, commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _fill(name: str, module: str, commands: argparse._SubParsersAction[Any]) -> None:
     """Add one command; one whose packages are not installed here must not take the others down with it."""
     try:
         add_arguments: Callable[[argparse.ArgumentParser], None] = import_module(module).add_arguments
