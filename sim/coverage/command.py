@@ -88,7 +88,7 @@ def _run(args: argparse.Namespace) -> int:
             f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
             " nobody drove have one share, since nothing is known of their differences.",
         ]
-        write_sheet(args.picture, sheet, lines, found, headline, words, args.map.name, _views(maps))
+        write_sheet(args.picture, sheet, lines, found, headline, words, f"the map {args.map}", _views(maps))
     return 0
 
 
