@@ -100,7 +100,7 @@ def test_without_the_library_it_is_said_what_to_install(
 def test_messages_of_somebody_else_are_one_line(tmp_path: Path) -> None:
     for topic, encoding, data, told in (
         ("/camera", "json", b'{"picture": 1}', r"/camera: .*`data`"),
-        ("/camera", "cdr", b"\0\1", "no feed in it; for other recordings there is `lookback import rosbag`"),
+        ("/camera", "cdr", b"\0\1", "no feed in it; a recording of ROS 2 is read by `lookback import`"),
     ):
         with (tmp_path / "other.mcap").open("wb") as stream:
             writer = Writer(stream)
