@@ -29,7 +29,7 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLink_heartbeat_message
 import edge
 from edge.commands.parser import build_parser
 from edge.config import SHIPPED, Config, parse_config
-from edge.feed.format import MEASURES, SOURCE
+from edge.feed.format import MEASURES, SOURCE, FeedHeader
 from edge.geodesy import POSITION_SOURCES
 from edge.journal.records import KINDS, Record
 from edge_plugins.home.home_requests import HomeAnswered
@@ -281,7 +281,14 @@ def unknown_words(text: str) -> list[str]:
     known = set().union(
         *keys.values(), config_values(), journal_words(), message_words(), plug_in_words(), edge.__all__
     )
-    known |= {*Scenario.__struct_fields__, *names_of_tests(), *MEASURES, SOURCE, *POSITION_SOURCES}
+    known |= {
+        *Scenario.__struct_fields__,
+        *FeedHeader.__struct_fields__,
+        *names_of_tests(),
+        *MEASURES,
+        SOURCE,
+        *POSITION_SOURCES,
+    }
     return [
         word for section, word in WORD.findall(text) if word not in (keys.get(section, set()) if section else known)
     ]
