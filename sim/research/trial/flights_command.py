@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
     parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
+    parser.add_argument("--summary", type=Path, metavar="FILE", help="a page of docs, to write its last lines into")
     parser.set_defaults(run=_run)
 
 
@@ -75,10 +76,10 @@ def _run(args: argparse.Namespace) -> int:
     flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs)
     (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
-    if args.page is not None:
-        given = " ".join(path.name for path in args.flights)
-        text = f"`lookback dev flights {given}` of version {__version__}:\n\n{table(flights)}"
-        put_between(SECTION, args.page, text)
+    given = " ".join(path.name for path in args.flights)
+    for file, text in ((args.page, table(flights)), (args.summary, summary(flights))):
+        if file is not None:
+            put_between(SECTION, file, f"`lookback dev flights {given}` of version {__version__}:\n\n{text}")
     print(table(flights))
     return 0
 
@@ -172,9 +173,14 @@ def _row(found: Score) -> str:
 
 def table(flights: Sequence[Flight | Failed]) -> str:
     """All drives, and what they say together."""
+    return "\n".join([HEADER, *map(rows, flights), f"\n{summary(flights)}"])
+
+
+def summary(flights: Sequence[Flight | Failed]) -> str:
+    """What all drives say together."""
     replayed = [one for one in flights if isinstance(one, Flight)]
     together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
-    return "\n".join([HEADER, *map(rows, flights), f"\nAll {len(replayed)} drives together:\n", *together])
+    return "\n".join([f"All {len(replayed)} drives together:\n", *together])
 
 
 def _together(scores: Sequence[Score]) -> str:

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config
+from edge.config import Config, parse_config
 from edge.errors import FeedError
 from edge.journal.records import SCHEMA, FixSent, FrameUsed, JournalOpened, Record, StateChanged
 from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
-from edge.toml_file import parse_toml, read_toml
+from edge.toml_file import read_toml
 from edge_plugins.mapping import MappingConfig
 from sim.datasets.flight_logs import tlog_frames
 from sim.journal import UnknownRecord, read_journal
@@ -157,13 +157,13 @@ def read_drive(folder: Path) -> RecordedDrive:
     lines = [(unix_s - epoch_s, record) for unix_s, record in _journal(folder / JOURNAL)]
     frames = [(at_s, record) for at_s, record in lines if isinstance(record, FrameUsed)]
     config_path = folder / "lookback.toml"
-    config = parse_toml(config_path.read_text(encoding="utf-8"), config_path, Config)
+    config = parse_config(config_path.read_text(encoding="utf-8"), config_path)
     scenarios = read_scenarios(folder)
     first_s, last_s = float(truth["mono_s"][0]), float(truth["mono_s"][-1])
     alone: list[tuple[float, object]] = [(first_s, JournalOpened(SCHEMA, "")), (last_s, None)]
     return RecordedDrive(
         name=folder.name,
-        map_name=f"{folder.parent.name}/{config.map.path}",
+        map_name=f"{folder.parent.name}/{Path(config.map.path).name}",
         config=config,
         scenarios=scenarios,
         lane_m=_lane_m(folder / LANE, scenarios[-1][1]),
