@@ -44,10 +44,10 @@ FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
 autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
 """
-USED_FRAME_FILES_MOST = 41
+USED_FRAME_FILES_MOST = 42
 """A file counts once, if any function of it is called. Eight keep the evidence and decide by it: telemetry, which asked
-for a decision itself, hid those before."""
-TURN_FILES_MOST = 56
+for a decision itself, hid those before; and a network says which regions of a picture it needs."""
+TURN_FILES_MOST = 57
 """Of a turn that reads a local position as well."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 11
 """How many classes may have more attributes than that; records are not counted."""

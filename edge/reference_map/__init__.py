@@ -11,7 +11,6 @@
 """
 
 from edge.reference_map.costs import COST_ONE
-from edge.reference_map.gps_motion import GpsMotion, Moved, disagreements
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
 from edge.reference_map.map_so_far import MapSoFar
@@ -30,13 +29,11 @@ __all__ = [
     "Drive",
     "Drives",
     "ExcludedMap",
-    "GpsMotion",
     "MapHeader",
     "MapSet",
     "MapSoFar",
     "Mapped",
     "ModelKey",
-    "Moved",
     "PlaceIndex",
     "Position",
     "Ranges",
@@ -44,7 +41,6 @@ __all__ = [
     "RegionsKey",
     "Rival",
     "Route",
-    "disagreements",
     "is_signed",
     "maps_in",
     "open_map",

@@ -33,7 +33,6 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import FileKey, check_files
-from edge.reference_map.gps_motion import moved_as_driven
 from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
 from edge.toml_file import Line
@@ -160,6 +159,8 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def checked(self, places: NDArray[np.void]) -> MapHeader:
         """With those drives alone as moved as driven whose places (N,) of PLACE did."""
+        from edge.reference_map.gps_motion import moved_as_driven  # which only makers of maps need
+
         moved = (one.moved_as_driven and moved_as_driven(places[one.start : one.end]) for one in self.segments)
         alike = zip(self.segments, moved, strict=True)
         return replace(self, segments=tuple(replace(one, moved_as_driven=has) for one, has in alike))

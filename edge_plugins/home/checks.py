@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.reference_map import disagreements
+from edge.reference_map.gps_motion import disagreements
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.drive_line import DriveLine
 

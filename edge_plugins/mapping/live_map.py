@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from edge.errors import ConfigError, MapError, reason
 from edge.files import DISK_ERRORS, locked, named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.reference_map import GpsMotion, MapSoFar
+from edge.reference_map import MapSoFar
+from edge.reference_map.gps_motion import GpsMotion
 from edge_plugins.layers.stored import delete_oldest
 from edge_plugins.layers.tally import source_of
 from edge_plugins.mapping import MappingConfig

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import WORST_FIRST, VehiclePosition, east_north_of, moved
-from edge.reference_map import GpsMotion, Moved
+from edge.reference_map.gps_motion import GpsMotion, Moved
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north, moved
-from edge.reference_map import disagreements
-from edge.reference_map.gps_motion import moved_as_driven
+from edge.reference_map.gps_motion import disagreements, moved_as_driven
 from edge.reference_map.place_records import PLACE
 from edge.telemetry.codec import MavlinkCodec
 

@@ -299,7 +299,7 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
         ("lat_deg", np.nan, "place 1 has half a position"),
         ("position_sigma_m", 0.0, "place 1 has position_sigma_m 0"),
         ("position_sigma_m", np.inf, "place 1 has position_sigma_m inf"),
-        ("position_source", 10, "place 1 has position_source 10"),
+        ("position_source", 11, "place 1 has position_source 11"),
         ("position_source", -1, "place 1 has position_source -1"),
     ],
 )
