@@ -395,7 +395,8 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except ConfigError as error:
-        raise ConfigError(f"{path}: {error}" if str(error).startswith("[") else str(error)) from None
+        lines = map(str, error.args)
+        raise ConfigError(*(f"{path}: {line}" if line.startswith("[") else line for line in lines)) from None
 
 
 def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
