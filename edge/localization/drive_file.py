@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from edge import __version__
 from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
-from edge.errors import ConfigError, FeedError
+from edge.errors import ConfigError, FeedError, reason
 from edge.files import Behind
 from edge.localization.events import Break, Fix, Frame, Maps, Moved, Own, Used
 from edge.localization.position_estimator import Asked, Drive, Entry, PositionEstimator, Restored
@@ -175,7 +175,7 @@ def _chunks(path: Path) -> Iterator[bytes]:
     except (EOFError, zlib.error):
         return
     except OSError as error:
-        raise FeedError(f"{path}: {error}") from None
+        raise FeedError(f"{path}: {reason(error)}") from None
 
 
 def _encoded(value: Any) -> Any:
