@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-GITHUB = Path(__file__).parents[1] / ".github"
+GITHUB = Path(__file__).parents[2] / ".github"
 
 
 @pytest.mark.parametrize("file", sorted((GITHUB / "workflows").glob("*.yml")), ids=lambda file: file.name)
