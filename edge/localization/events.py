@@ -154,13 +154,14 @@ class Limits(Struct, frozen=True, tag=True):
     """What holds for a position beside what happened: of the message that would carry it, and of the moment.
 
     at: of the newest exposure, or of now. oldest_s: its age at most. is_reset: whether the autopilot uses it as it is
-    instead of weighing it. with_gps: whatever is known of GPS. again: one that was not answered, in place of the
-    newest. unable: why nothing is recognized at this moment, "" while it is.
+    instead of weighing it. moves_autopilot: whether it goes there; if not, neither its GPS nor its clock matters.
+    again: one that was not answered, in place of the newest. unable: why nothing is recognized at this moment, "" while
+    it is.
     """
 
     at: Moment = "exposure"
     oldest_s: float = math.inf
     is_reset: bool = False
-    with_gps: bool = False
+    moves_autopilot: bool = True
     again: Fix | None = None
     unable: str = ""

@@ -47,7 +47,7 @@ RULES = (
         "it sent nothing for 0.3 s, or its newest stamp is of another clock: it may have rebooted",
         "after one position with the stamp of the old clock, the next hundred count as half a second old",
         "test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known",
-        lambda now: not now.own.is_clock_known,
+        lambda now: now.limits.moves_autopilot and not now.own.is_clock_known,
     ),
     Rule(
         "nothing is recognized now",
@@ -76,14 +76,14 @@ RULES = (
         "GPS works, and `with_gps` is not set",
         "a better position is made worse",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.own.gps == "healthy" and not (now.gates.with_gps or now.limits.with_gps),
+        lambda now: now.own.gps == "healthy" and now.limits.moves_autopilot and not now.gates.with_gps,
     ),
     Rule(
         "GPS is unknown",
         "a receiver is silent or unsteady, or the filter does not use it",
         "two positions compete in the filter",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.own.gps == "unknown" and not (now.gates.with_gps or now.limits.with_gps),
+        lambda now: now.own.gps == "unknown" and now.limits.moves_autopilot and not now.gates.with_gps,
         lambda now: now.own.gps_why,
     ),
     Rule(

@@ -44,7 +44,7 @@ class Ros2Plugin(Plugin):
         if ros2.published_ns is not None and now_ns - ros2.published_ns < parts.config.gates.min_interval_s * 1e9:
             return
         unable = parts.pictures.why_no_position if health.able == "on the map" else health.able
-        answer = parts.drive.fix(now_ns, Limits(oldest_s=OLDEST_S, with_gps=True, unable=unable))
+        answer = parts.drive.fix(now_ns, Limits(oldest_s=OLDEST_S, moves_autopilot=False, unable=unable))
         if isinstance(answer, Fix):
             ros2.publish_position(answer.place)
 

@@ -177,12 +177,19 @@ def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
     assert isinstance(far, Refusal) and far.distance_m == pytest.approx(205.0, abs=0.5) and far.fix == one.place
 
 
-def test_gps_does_not_matter_where_positions_are_wanted_with_it(long_road: Road) -> None:
+def test_positions_are_published_with_gps_where_that_is_wanted(long_road: Road) -> None:
     one = since_gps(long_road, with_gps=True)
     assert one.go(2, gps=True) == [None]
+
+
+@pytest.mark.parametrize("own", [{"gps": "healthy"}, {"gps": "unknown"}, {"is_clock_known": False}])
+def test_what_only_matters_to_an_autopilot_withholds_no_position_from_others(
+    own: dict[str, Any], long_road: Road
+) -> None:
     one = since_gps(long_road)
-    one.own(gps="healthy")
-    assert isinstance(one.ask(with_gps=True), Fix)
+    one.own(**own)
+    assert isinstance(one.ask(), Refusal)
+    assert isinstance(one.ask(moves_autopilot=False), Fix)
 
 
 def test_asking_changes_nothing(long_road: Road) -> None:
