@@ -59,7 +59,7 @@ def run(
         Path(programs, "sitecustomize.py").write_text(NOTES_COMPILERS)
         environment = {**os.environ, "PIP_NO_DEPS": "1", "PATH": f"{programs}:{os.environ['PATH']}"}
         environment |= {"PYTHONPATH": programs, "COMPILERS": str(compilers), "DPKG_DEB_COMPRESSOR_LEVEL": "0"}
-        installs = script in (INSTALL, BUILD_DEB) and not {"--uninstall", "--help"} & set(arguments)
+        installs = script.name in (INSTALL.name, BUILD_DEB.name) and not {"--uninstall", "--help"} & set(arguments)
         # What is locked would be downloaded.
         command = [str(script), *["--newest"] * installs, *map(str, arguments)]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

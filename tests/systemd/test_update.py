@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -93,9 +94,12 @@ def version_of(root: Path) -> str:
     return file.read_text().split('"')[1]
 
 
-def install(system: Callable[..., subprocess.CompletedProcess[str]], package: Path) -> str:
-    """What the script says, of its success or of its failure."""
-    done = system(SYSTEMD / "install.sh", "--wheel", package, "--python", package.parent / "python3")
+def install(
+    system: Callable[..., subprocess.CompletedProcess[str]], package: Path, *options: str, of: Path = SYSTEMD
+) -> str:
+    """What the script says, of its success or of its failure; without the locked packages, unless `of` has its own."""
+    options = (*options, *["--newest"] * (of == SYSTEMD))
+    done = system(of / "install.sh", "--wheel", package, "--python", package.parent / "python3", *options)
     return done.stdout if done.returncode == 0 else done.stderr
 
 
@@ -136,6 +140,28 @@ def test_the_extras_are_known_after_the_python_of_the_system_changed(
     libraries.rename(libraries.with_name("python3.9"))
     (tmp_path / "opt/lookback/bin/python3").unlink()
     assert "Lookback is updated, with the extras oak." in install(system, wheel(tmp_path, "2.0"))
+
+
+def test_locked_packages_are_installed_by_their_hashes(
+    system: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    scripts, whole = tmp_path / "systemd", tmp_path / "locked-1.0-py3-none-any.whl"
+    shutil.copytree(SYSTEMD, scripts, ignore=shutil.ignore_patterns("lock"))
+    (scripts / "lock").mkdir()
+    (scripts / "lock/build.txt").touch()
+    with zipfile.ZipFile(whole, "w") as archive:
+        archive.writestr("locked.py", "")
+        archive.writestr("locked-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: locked\nVersion: 1.0\n")
+        archive.writestr("locked-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr("locked-1.0.dist-info/RECORD", "")
+    right = hashlib.sha256(whole.read_bytes()).hexdigest()
+    for version, checksum in (("1.0", right), ("2.0", "0" * 64)):
+        pin = f"--find-links {tmp_path}\nlocked==1.0 --hash=sha256:{checksum}\n"
+        (scripts / "lock/core.txt").write_text(pin)
+        said = install(system, wheel(tmp_path, version), "--extras", "none", of=scripts)
+        assert ("Lookback is installed" if checksum == right else "DO NOT MATCH THE HASHES") in said
+        assert version_of(tmp_path) == "1.0"
+    assert list(tmp_path.glob("opt/lookback/lib/*/site-packages/locked.py"))
 
 
 def test_a_package_that_was_removed_can_be_installed_again(
