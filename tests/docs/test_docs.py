@@ -2,8 +2,9 @@
 
 The folder is empty, or a copy of the one in which README's commands ran where the page says so. A ```toml block that
 begins with `# NAME.toml` is that file, any other must be a valid config. Each ```sh block is run by bash, each
-```python block by Python, and must succeed; a ```text block is a picture. The README's sh
-blocks that need make or root are not run here.
+```python block by Python, and must succeed; one that begins with `# NAME.py` is that file, and only compiled, since
+what it talks to may be a robot. A ```text block is a picture, a ```yaml block a file of another program. The README's
+sh blocks that need make or root are not run here.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [README, *DOCS]
 BESIDE_THE_CODE = [ROOT / "CONTRIBUTING.md"]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+KINDS_OF_BLOCKS = ("sh", "toml", "python", "text", "yaml")
 MOST_S = 600
 SHORTER = {
     "length_m = 400.0": "length_m = 240.0",
@@ -67,12 +69,13 @@ def script_of(text: str, page: Path, folder: Path) -> str:
     """Write the files that a page's text shows, and return its commands."""
     commands = []
     for kind, block in BLOCK.findall(text):
-        assert kind in ("sh", "toml", "python", "text"), f"{page.name}: nothing runs a block of {kind or 'no kind'}"
-        if kind == "toml":
-            if name := re.match(r"# ([\w.]+\.toml)\n", block):
-                (folder / name[1]).write_text(block, encoding="utf-8")
-            else:
-                parse_config(block, page)
+        assert kind in KINDS_OF_BLOCKS, f"{page.name}: nothing runs a block of {kind or 'no kind'}"
+        if kind in ("toml", "python") and (name := re.match(r"# (\w+\.(?:toml|py))\n", block)):
+            (folder / name[1]).write_text(block, encoding="utf-8")
+            if kind == "python":
+                commands.append(f"python -m py_compile {name[1]}")
+        elif kind == "toml":
+            parse_config(block, page)
         elif kind == "python":
             commands.append(f"python - <<'PROGRAM'\n{block}PROGRAM")
         elif kind == "sh":
@@ -123,11 +126,15 @@ def test_every_command_works(page: Path, programs: Path, tmp_path: Path, make_on
     assert re.search(PRINTS.get(page.stem, ""), output)
 
 
+SHOWN_COMMAND = re.compile(r" *(sudo |(- )?[\w.]+: )?lookback [a-z]")
+"""At the beginning of a line, or the value of a key in YAML."""
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_that_is_shown_exists_with_its_options(page: Path) -> None:
     """Those too that no test runs, since they need a vehicle, a container or somebody's recordings."""
     for line in page.read_text(encoding="utf-8").splitlines():
-        words = shlex.split(line, comments=True) if re.match(r" *(sudo )?lookback [a-z]", line) else []
+        words = shlex.split(line, comments=True) if SHOWN_COMMAND.match(line) else []
         if words and not line.rstrip().endswith("\\"):
             words = words[words.index("lookback") + 1 :]
             words = list(itertools.takewhile(lambda word: word not in ("|", ">", "&", "2>", "&&"), words))
