@@ -184,7 +184,7 @@ def _encoded(value: Any) -> Any:
         return [np.lib.format.dtype_to_descr(value.dtype), value.shape, value.tobytes()]
     if isinstance(value, np.generic):
         return value.item()
-    raise NotImplementedError(type(value))
+    raise TypeError(f"no MessagePack for {type(value)}")
 
 
 def _decoded(kind: Any, value: Any) -> Any:
