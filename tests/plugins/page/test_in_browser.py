@@ -293,6 +293,9 @@ def test_every_button_does_what_it_says(tmp_path: Path) -> None:
         click(driver, "[data-ask=home]")
         answer_prompt(driver, "not the token")
         until(driver, "document.getElementById('said').textContent === 'this is not [page] token\\n'")
+        driver.execute_script("past.length = 0")
+        until(driver, "past.length > 0")  # a status later it is still there
+        assert text(driver, "said") == "this is not [page] token"
         assert page.requested() is None
         click(driver, "[data-ask=home]")
         answer_prompt(driver, TOKEN)
