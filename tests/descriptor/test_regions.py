@@ -41,3 +41,15 @@ def test_a_large_image_is_averaged_and_not_thinned(height: int, width: int) -> N
     assert abs(float(whole.mean()) - 100) < 3
     nearest = cv2.resize(image, (224, 224), interpolation=cv2.INTER_NEAREST)
     assert float(whole.std()) < 0.7 * float(nearest.std())
+
+
+@pytest.mark.parametrize("size", [(128, 256), (224, 224)])
+@pytest.mark.parametrize(("height", "width"), [(480, 640), (720, 1280), (1080, 1920), (720, 256), (700, 300)])
+def test_every_pixel_counts(height: int, width: int, size: tuple[int, int]) -> None:
+    """Nearly as by the mean of the pixels under each one, whichever sides are halved first."""
+    coarse = np.random.default_rng(0).integers(0, 256, (height // 8, width // 8, 3), dtype=np.uint8)
+    image = np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    (whole,) = cut_regions(image, "whole", 0.4, size)
+    mean = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA).astype(np.int16)
+    nearest = cv2.resize(image, size[::-1], interpolation=cv2.INTER_NEAREST)
+    assert np.abs(whole - mean).mean() < 0.13 * np.abs(nearest - mean).mean()
