@@ -11,10 +11,13 @@ from pathlib import Path
 
 import cv2
 
+from edge.config import NETWORKS
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
 from edge.recognizer import model_key
+from sim.bench.frames import SIZE_PX
 from sim.research.bench import (
+    daemon_rows,
     frame_rows,
     map_rows,
     mapping_rows,
@@ -63,6 +66,8 @@ def _sections(machine: Machine, folder: Path, rounds: int, *, quick: bool) -> It
     yield search_rows.measure(places, rounds)
     yield frame_rows.measure(folder, USUAL, frames)
     yield mapping_rows.measure(folder, USUAL, frames)
+    models, sizes = (NETWORKS[1:], [SIZE_PX]) if quick else (NETWORKS, network_rows.SIZES)
+    yield daemon_rows.measure(folder, USUAL, 2 if quick else 10, models, sizes)
     yield map_rows.measure(folder, maps, rounds, model_key(Network.load()))
 
 

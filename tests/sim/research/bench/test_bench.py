@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from edge.config import Config
+from edge.errors import LookbackError
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
@@ -16,7 +17,7 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
-from sim.research.bench import frame_rows, map_rows, mapping_rows, motion_rows, search_rows
+from sim.research.bench import daemon_rows, frame_rows, map_rows, mapping_rows, motion_rows, search_rows
 from sim.research.bench.machine import Machine
 from sim.research.bench.map_rows import seen_at, write_simulated_tiles
 from sim.research.bench.rows import Row, Section, Target, page
@@ -102,6 +103,25 @@ def test_every_section_of_tiny_maps(tmp_path: Path) -> None:
     for what in ("L = 80", "whole frame", "| 300 places |", "opening, with its search", "one that maps"):
         assert what in text
     assert not (tmp_path / "300.map").exists()
+
+
+def test_the_daemon_is_measured_from_the_camera_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon_rows, "BEGUN_S", 1)
+    monkeypatch.setattr(daemon_rows, "STARTS", 1)
+    section = daemon_rows.measure(tmp_path, 200, 1, ["grid"], [(96, 64)])
+    took_ms = {row.what: row.times.median_ms for row in section.rows if row.times}
+    _, five, fifteen, unused, start = took_ms.values()
+    assert unused == pytest.approx((fifteen - five) / 10)
+    assert min(five, fifteen, start) > 0
+    journal = (tmp_path / "96x64/events.jsonl").read_text()
+    assert '"frames_used":10' in journal
+    assert '"delivered":30' in journal, "pictures of two seconds, all of which came"
+
+
+def test_a_daemon_that_does_not_start_says_why(tmp_path: Path) -> None:
+    (tmp_path / "lookback.toml").write_text("[camera]\nkind = 3\n")
+    with pytest.raises(LookbackError, match=r"does not start: .*kind"):
+        daemon_rows._start(tmp_path / "lookback.toml")
 
 
 def test_the_motion_that_is_timed_is_measured() -> None:
