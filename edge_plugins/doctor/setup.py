@@ -200,6 +200,9 @@ def check_links(examined: Examined) -> Iterator[Found]:
         else:
             open_to = f"{link.connection}: unsigned, and who reaches it can speak in the autopilot's name"
             yield note(open_to, "set signing_key on both ends (docs/positions.md), or use a wire of its own")
+            if examined.settings.of(HomeConfig).enabled:
+                home = "he can have a way home planned and uploaded while a person steers (MAV_CMD 31014)"
+                yield note(f"{link.connection}: {home}", "the same; it starts no mode")
             if link.connection.startswith("udpin:") and "@" not in link.connection:
                 only = "the first sender is answered until the next start, whoever it is"
                 yield note(f"{link.connection}: {only}", "name the autopilot's address: udpin:HOST:PORT@ADDRESS")

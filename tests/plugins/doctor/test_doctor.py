@@ -330,6 +330,13 @@ def test_a_link_that_answers_the_first_sender_is_named(
     assert ("the first sender is answered" in told(findings, "link", "note")) == warned
 
 
+@pytest.mark.parametrize(("connection", "warned"), [("udp:10.0.0.1:14550", True), ("udp:127.0.0.1:14550", False)])
+def test_who_can_request_a_way_home_is_said(connection: str, warned: bool, write_config: Callable[..., Path]) -> None:
+    config = write_config(telemetry={"connection": connection}, home={"enabled": True})
+    said = told(list(examine(config, 0.1, offline=True)), "link", "note")
+    assert ("while a person steers (MAV_CMD 31014)" in said) == warned
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root")
 def test_root_runs_no_command_of_a_config(write_config: Callable[..., Path], tmp_path: Path) -> None:
     config = write_config(camera={"kind": "stream", "device": f"exec:touch {tmp_path / 'run'}"})
