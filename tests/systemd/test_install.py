@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -320,6 +321,9 @@ def test_the_list_of_components_has_every_package_with_its_license() -> None:
     assert {re.sub(r"[-_.]+", "-", name).lower() for name in packages} - {"lookback-nav"} == set(found)
     assert found["msgspec"]["licenses"] == [{"expression": "BSD-3-Clause"}]
     assert found["numpy"]["purl"] == f"pkg:pypi/numpy@{version('numpy')}"
+    files = {part["name"] for one in bill["components"] for part in one.get("components", ()) if part["type"] == "file"}
+    libraries = {str(file.relative_to(site)) for file in Path(site).glob("*.libs/*.so*")}
+    assert libraries and libraries <= files  # OpenSSL of the wheel of OpenCV, for example
     copyright_file = subprocess.run([*command, "copyright"], capture_output=True, text=True, check=True).stdout
     assert "License: various" not in copyright_file
     paragraphs = [part for part in copyright_file.split("\n\n") if part.strip()]
@@ -345,6 +349,17 @@ def test_what_a_vehicle_installs_is_locked_with_hashes() -> None:
             pins = [str(pin.specifier).removeprefix("==") for pin in locked if pin.name == need.name.lower()]
             assert pins, need
             assert all(need.specifier.contains(pin) for pin in pins) or need.marker, (need, pins)
+
+
+def test_the_list_of_an_image_has_the_packages_of_its_system() -> None:
+    if shutil.which("dpkg-query") is None:
+        pytest.skip("needs dpkg-query")
+    command = [sys.executable, "-c", "import components, json; print(json.dumps(components.system_components()))"]
+    shown = subprocess.run(command, cwd=SYSTEMD, capture_output=True, check=True).stdout
+    purls = {one["name"]: one["purl"] for one in json.loads(shown)}
+    assert purls["python"] == f"pkg:generic/python@{platform.python_version()}"
+    assert re.fullmatch(r"pkg:deb/debian/libc6@[^ ]+\?arch=[a-z0-9]+", purls["libc6"])
+    assert all(re.fullmatch(r"pkg:[^ ]+@[^ ]+", purl) for purl in purls.values())
 
 
 SCRIPTS = [
