@@ -25,7 +25,7 @@ from edge.feed import FeedImages, read_feed, read_picture
 from edge.reference_map.store import HEADER, encode_header, open_map, read_header
 from sim.maps.keys import make_key, sign_map
 
-EDGE = Path(__file__).parents[2] / "edge"
+ROOT = Path(__file__).parents[2]
 OUT = ["../secret", "/etc/passwd", "frames/../../secret", "./../secret", "a\0b", "frames/..", "..", ""]
 
 
@@ -241,13 +241,13 @@ def test_a_map_made_with_another_model_is_refused(
 NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib", "asyncio", "xmlrpc", "requests"}
 NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
 SPEAKS = {
-    "commands/doctor_computer.py": {"serial"},  # which ports there are
-    "health/monitor.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
-    "page/coverage_job.py": {"asyncio"},  # to no network: a process of its own, over pipes
-    "page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
-    "telemetry/port.py": {"socket"},  # the names of their hosts
-    "telemetry/local_socket.py": {"socket"},  # a Unix socket, where [home] socket says
-    "telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
+    "edge/health/monitor.py": {"socket"},  # to systemd, where NOTIFY_SOCKET says
+    "edge/telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
+    "edge/telemetry/port.py": {"socket"},  # the names of their hosts
+    "edge_plugins/doctor/computer.py": {"serial"},  # which ports there are
+    "edge_plugins/home/local_socket.py": {"socket"},  # a Unix socket, where [home] socket says
+    "edge_plugins/page/coverage_job.py": {"asyncio"},  # to no network: a process of its own, over pipes
+    "edge_plugins/page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
 }
 
 
@@ -259,8 +259,7 @@ def imported(file: Path) -> set[str]:
 
 
 def test_only_what_the_config_names_speaks_to_a_network() -> None:
-    found = {str(file.relative_to(EDGE)): imported(file) & NETWORK for file in sorted(EDGE.rglob("*.py"))}
-    spoken = {file: names for file, names in found.items() if names}
-    assert len(found) > 50
-    assert set(spoken) <= set(SPEAKS)
-    assert all(names <= SPEAKS[file] for file, names in spoken.items()), spoken
+    files = [file for part in ("edge", "edge_plugins") for file in sorted((ROOT / part).rglob("*.py"))]
+    assert len(files) > 150
+    found = {str(file.relative_to(ROOT)): imported(file) & NETWORK for file in files}
+    assert {file: names for file, names in found.items() if names} == SPEAKS
