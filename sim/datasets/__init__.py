@@ -10,6 +10,7 @@ A further layout is a module and a line in `KINDS`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
@@ -124,6 +125,14 @@ OWN = frozenset({"geotagged", "pictures", "video-log", "video", "rosbag"})
 ASSUMED_FRONT = "the camera is assumed to look ahead; --view rear, if it looked back"
 
 
+def check_files(path: Path) -> None:
+    """FeedError for a pipe or a device in a recording, which would be waited for without end."""
+    for folder, _, names in os.walk(path):
+        for file in (Path(folder, name) for name in names):
+            if file.exists() and not file.is_file():
+                raise FeedError(f"{file}: not a regular file; remove it from the recording")
+
+
 def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> Traverse:
     """Open one traverse of a data set.
 
@@ -137,6 +146,7 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         raise FeedError(f"--{unused[0].replace('_', '-')}: is no option of {kind}")
     if not path.exists():
         raise FeedError(f"{path}: no such file or folder")
+    check_files(path)
     with needing(f"{kind}:", "import", FeedError):
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)

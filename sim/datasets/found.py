@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from edge.errors import FeedError
-from sim.datasets import KINDS
+from sim.datasets import KINDS, check_files
 from sim.datasets.mcap_file import is_feed
 from sim.datasets.pictures import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from sim.datasets.video import holds_positions
@@ -35,6 +35,7 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
         return _kind_of_file(path, positions)
     if not path.is_dir():
         raise FeedError(f"{path}: no such file or folder")
+    check_files(path)
     if (path / "feed.toml").exists() or (path / "frames").is_dir():
         return None
     for sign, kind in LAYOUTS:

@@ -23,6 +23,8 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError, FrameError, MapError
 from edge.feed import FeedImages, read_feed, read_picture
 from edge.reference_map.store import HEADER, encode_header, open_map, read_header
+from sim.datasets import open_dataset
+from sim.datasets.found import find_kind
 from sim.maps.keys import make_key, sign_map
 
 ROOT = Path(__file__).parents[2]
@@ -72,6 +74,16 @@ def test_a_feeds_files_lie_in_its_folder(how: str, name: str, street: Path, tmp_
         os.mkfifo(feed / name)
     with pytest.raises((FeedError, FrameError), match=f"{feed / name}: not a regular file of this feed"):
         FeedImages(read_feed(feed)).read(3)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.mp4", "track.csv"])
+@pytest.mark.parametrize("kind", ["found", "geotagged"])
+def test_no_pipe_holds_up_an_import(kind: str, name: str, tmp_path: Path) -> None:
+    """Of whichever reader: it would wait without end."""
+    pytest.importorskip("PIL", reason="needs the extra `import`")
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(FeedError, match=f"{tmp_path / name}: not a regular file; remove it from the recording"):
+        find_kind(tmp_path) if kind == "found" else open_dataset(kind, tmp_path)
 
 
 def test_a_picture_of_another_program_is_no_pipe(tmp_path: Path) -> None:
