@@ -295,10 +295,14 @@ class Daemon:
         return stopped
 
 
-def run(config: Config, stop: threading.Event, reload: threading.Event) -> Stopped:
-    """Run until `stop` is set or the camera comes to its end. reload: set when the maps are to be opened again."""
+def run(config: Config, stop: threading.Event, reload: threading.Event, opened: threading.Event) -> Stopped:
+    """Run until `stop` is set or the camera comes to its end; `opened` is set once all parts are open.
+
+    reload: set when the maps are to be opened again.
+    """
     with ExitStack() as parts:
         daemon = Daemon(OpenedParts(config, parts))
+        opened.set()
         with daemon.parts.monitor.failures():
             while not stop.is_set() and daemon.turn():
                 if reload.is_set():

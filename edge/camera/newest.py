@@ -80,7 +80,11 @@ class NewestFrame:
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
-        self._opened.wait(start_s)
+        try:
+            self._opened.wait(start_s)
+        except BaseException:  # the program is to end, and does not wait for a camera that is still being opened
+            self._stop.set()
+            raise
         if isinstance(self._failure, SetupError):
             raise self._failure
 

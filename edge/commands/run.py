@@ -26,13 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(args: argparse.Namespace) -> int:
     config = load_config(args.config)
-    stop, reload = threading.Event(), threading.Event()
+    stop, reload, opened = threading.Event(), threading.Event(), threading.Event()
+
+    def end() -> None:
+        stop.set()
+        if not opened.is_set():  # a network, a map or a camera may take seconds: what is open by now is closed
+            raise SystemExit(0)
+
     if not os.isatty(0):  # at a terminal it means that the terminal is closed
         signal.signal(signal.SIGHUP, lambda number, at: reload.set())  # systemctl reload lookback
     ended = threading.Event()
     threading.Thread(target=_end_in_time, args=(stop, ended), name="end", daemon=True).start()
-    with on_stop_signal(stop.set), naming(args.config):
-        stopped = run(config, stop, reload)
+    with on_stop_signal(end), naming(args.config):
+        stopped = run(config, stop, reload, opened)
     ended.set()
     log.info("stopped: %d frames used, %d events", stopped.frames_used, stopped.events)
     return 0
