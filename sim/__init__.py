@@ -8,11 +8,12 @@ home         `lookback home`: the way home as a file or a mission; a request to 
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
 evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall
+compare      `lookback compare`: methods side by side, the paper's and others'
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback model`: import, quantize, verify
 bench        `lookback dev bench`: this board
-research     what was measured to build Lookback: the paper's comparisons, training, `make bench`; not in the wheel
+research     what was measured to build Lookback: its belief, training, `make bench`; not in the wheel
 journal      reads a journal
 traverse     a feed as the places of a traverse
 completion   `lookback completion`

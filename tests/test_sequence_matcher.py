@@ -16,7 +16,7 @@ from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 PLACES, DIMENSIONS, SPACING_M = 200, 256, 2.0
 Floats = NDArray[np.float32]

@@ -26,6 +26,7 @@ COMMANDS = {
     "config": "edge.commands.config_file",
     "doctor": "edge_plugins.doctor.command",
     "calibrate": "sim.calibration.command",
+    "compare": "sim.compare.command",
     "completion": "sim.completion",
     "demo": "sim.demo.command",
     "eval": "sim.evaluation.command",
@@ -43,7 +44,6 @@ DEV_COMMANDS = {
     "flights": "sim.research.trial.flights_command",
     "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",
-    "paper": "sim.research.evaluation.commands",
     "sim": "sim.commands",
     "train": "sim.research.training.command",
 }
@@ -59,7 +59,7 @@ MOVED = {
     "dev model": "model",
     "sim gps": "dev gps",
     "sim flights": "dev flights",
-    **{f"eval {name}": f"{DEV} paper {name}" for name in ("match", "networks", "run")},
+    **dict.fromkeys((f"{DEV} paper", "eval match", "eval networks", "eval run"), "compare"),
     **{name: f"{DEV} {name}" for name in ("bench", "mcap", "sim", "train")},
     **dict.fromkeys(("golden", "dev golden"), "replay"),  # whose output is the same, byte for byte
 }

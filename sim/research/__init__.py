@@ -1,6 +1,6 @@
 """What was measured to build Lookback, and how: not in the wheel, run from a clone.
 
-evaluation  `lookback dev paper`: the paper's comparisons, other methods, networks side by side
+evaluation  the place belief: on other roads, at any spacing, by light
 trial       `lookback dev gps`, `lookback dev flights`: errors of GPS, and recorded drives computed anew
 alexnet     `lookback dev alexnet`: networks from weights of AlexNet, as the shipped one was made
 training    `lookback dev train`: the shipped network trained again

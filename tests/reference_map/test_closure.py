@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig
 from edge.reference_map import NO_LAP_M, Drives, ModelKey
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 LAP = 100
 MODEL = ModelKey("none", "0" * 64, "fc6", 64)

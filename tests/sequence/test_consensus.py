@@ -14,7 +14,7 @@ from edge.reference_map import Drives, ModelKey
 from edge.sequence import Direction
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 SETTINGS = ConsensusSettings()
 STRONG = PlaceVote(

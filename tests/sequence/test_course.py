@@ -15,7 +15,7 @@ from edge.sequence.consensus import FEWER_LINES
 from edge.sequence.evidence import Roads
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 NORTH, EAST, SOUTH, WEST = 0.0, math.pi / 2, math.pi, -math.pi / 2
 CONFIG = AcceptanceConfig(window_m=40.0)

@@ -16,7 +16,7 @@ from edge.sequence.parallax import NO_LAGS, REACH, Lags, Lanes, lags_of, lane_co
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 PLACES, LENGTH, DIMENSIONS = 120, 10, 64
 LAG = 4

@@ -12,7 +12,7 @@ from edge.reference_map import ModelKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
+from sim.compare.temporary_map import MappedDrive, temporary_map
 
 LENGTH_M, DIMENSIONS, NOISE = 600, 96, 1.0
 ALIKE_M = 6

@@ -1,4 +1,1 @@
-"""`lookback dev paper`: the paper's comparisons on traverses of a plan.
-
-feeds -> methods (a named row each) -> cost matrix -> answers -> metrics -> report
-"""
+"""The place belief measured: on other roads, at any spacing, by light, and what each claim is worth."""

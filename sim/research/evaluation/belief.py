@@ -31,10 +31,10 @@ from edge.sequence import Direction, Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
 from sim.calibration.sightings import lag_places
+from sim.compare.scores import at_threshold, joined
+from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
-from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.tables import options, publish
-from sim.research.evaluation.temporary_map import MappedDrive, temporary_map
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import LightName, Scenario

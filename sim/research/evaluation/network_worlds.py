@@ -23,6 +23,7 @@ import numpy as np
 from edge.config import AcceptanceConfig
 from edge.descriptor.network import Network
 from edge.sequence import Direction
+from sim.compare.scores import at_threshold, joined
 from sim.research.evaluation.belief import (
     DIRECTIONS,
     Cut,
@@ -38,7 +39,6 @@ from sim.research.evaluation.belief import (
     offset_m,
     rig_of,
 )
-from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import LightName, Scenario
 

@@ -20,13 +20,13 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from edge.sequence.consensus import RIGHT_AT_HALF
+from sim.compare.method_runner import MethodRunner
+from sim.compare.plan import NetworkPlan, Pair, TraversePlan, load_plan
+from sim.compare.run import Folders, find_plan, open_runner
+from sim.compare.scores import joined
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.belief import World, foreign_confidence, judge_world, worlds
-from sim.research.evaluation.method_runner import MethodRunner
-from sim.research.evaluation.plan import NetworkPlan, Pair, TraversePlan, load_plan
-from sim.research.evaluation.run import Folders, find_plan, open_runner
-from sim.research.evaluation.scores import joined
 from sim.research.evaluation.tables import options, publish
 
 TENTHS = 10

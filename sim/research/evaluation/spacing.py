@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, SamplingConfig
+from sim.compare.scores import at_threshold, joined
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.belief import Cut, Described, believe, described, judge, kept, offset_m
-from sim.research.evaluation.scores import at_threshold, joined
 from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import Scenario
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
+from sim.compare.truth import errors_between, points_of
 from sim.datasets import ReadOptions, open_dataset
-from sim.research.evaluation.truth import errors_between, points_of
 
 WritePictures = Callable[[Path, list[str]], None]
 WriteVideo = Callable[[Path, int, float], None]

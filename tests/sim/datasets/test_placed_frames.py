@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north_of
+from sim.compare.truth import errors_between, points_of
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.track import from_local
-from sim.research.evaluation.truth import errors_between, points_of
 
 WritePictures = Callable[[Path, list[str]], None]
 WriteVideo = Callable[[Path, int, float], None]

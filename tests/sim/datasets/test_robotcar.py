@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError, FrameError
 from edge.feed import FeedImages, read_feed
+from sim.compare.truth import errors_between, points_of
 from sim.datasets import ReadOptions, open_dataset
-from sim.research.evaluation.truth import errors_between, points_of
 
 Degrees = Callable[[float, float], tuple[float, float]]
 

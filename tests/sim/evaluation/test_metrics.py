@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim.compare.scores import at_threshold, scores
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
-from sim.research.evaluation.scores import at_threshold, scores
 
 
 @st.composite

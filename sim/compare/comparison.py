@@ -1,0 +1,236 @@
+"""Every method on every pair: tables and curves of figs. 5 to 9, and max-F1 over the length of a sequence (fig. 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from sim.compare import plots
+from sim.compare.method_runner import MethodRunner, Outcome
+from sim.compare.plan import Pair, Plan
+from sim.compare.scores import area, at_threshold, interval, max_f1_of_places, recall_at_1, recall_at_100, scores
+from sim.compare.traverses import open_pictures
+from sim.evaluation import figures
+from sim.evaluation.metrics import OFFSET_SHARE, Answers, precision_recall, recall_at_precision
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell
+
+Results = dict[tuple[str, str], Outcome]
+"""Outcome by the names of pair and method."""
+
+SCORE_NOTE = (
+    "Accuracy: right best matches over all frames that have a true place. Max-F1 (places): recall counts every frame"
+    " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
+    " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
+    " R@P100, R@P99: recall of places at 100 % and 99 % precision; within twice: the tolerance. Precision, recall: of"
+    " what is accepted at the default threshold. Offset: how far ahead of the vehicle a match is"
+    " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
+    " an offset it is limited to the tolerance. Published: the paper's max-F1, of its own data sets: compare the order,"
+    " not the numbers; it does not say by which recall."
+)
+
+
+def compare(runner: MethodRunner, step: Callable[[str], None]) -> Results:
+    """Run every method on every pair; `step` is called before each with its name."""
+    found: Results = {}
+    for pair in runner.plan.pairs:
+        for text in runner.plan.methods:
+            step(f"{pair.name}: {text}")
+            found[pair.name, text] = runner.run(pair, text)
+    return found
+
+
+def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
+    """All scores of one pair, its curves, and the matches of one method."""
+    outcomes = [results[pair.name, text] for text in runner.plan.methods]
+    shown = shown_outcome(runner, pair, results)
+    slug = "".join(letter if letter.isalnum() else "_" for letter in pair.name)
+    wrong = ~(shown.error_of_best() <= pair.tolerance)
+    curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
+    plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, wrong, pair.tolerance)
+    return Section(
+        title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
+        text=_describe(pair, shown),
+        tables=[table_of(f"{slug}_scores", "Scores", [_scores_of(runner, pair, one) for one in outcomes], SCORE_NOTE)],
+        figures=[
+            Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
+            Figure(
+                f"{slug}_matches", f"Costs and matches of {shown.method.name}", plot, "Between the blue lines: true."
+            ),
+        ],
+        pictures=matched_pictures(shown),
+    )
+
+
+def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome:
+    """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
+    texts = runner.plan.methods
+    return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
+
+
+SUMMARY = ("pair", "method", "R@1", "R@5", "R@10", "AUC", "R@P100", "max-F1", "median error", "ms a frame")
+SUMMARY_NOTE = (
+    "R@K: share of the frames on the map that have a true place among their K best. AUC: area under precision over"
+    " recall of places. R@P100: recall of places at 100 % precision. Intervals: block bootstraps at 95 %. Median error:"
+    " of right answers, in meters or frames along the road. Time: to describe and match a frame here, on one run."
+)
+
+
+def summary(runner: MethodRunner, results: Results) -> Table:
+    """A row for every method on every pair."""
+    rows = [_summary_row(runner, *key, outcome) for key, outcome in results.items()]
+    note = " ".join(offset_warnings(runner, results))
+    return Table("scores", "Every method on every pair", SUMMARY, rows, note)
+
+
+def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome) -> list[Cell]:
+    def with_interval(statistic: Callable[[Answers], float]) -> Interval:
+        # Sequences that far apart share no frame.
+        return interval(statistic, outcome.answers, 2 * outcome.length, runner.plan.resamples)
+
+    first = with_interval(recall_at_1)
+    others = [outcome.recall_within(count) for count in (5, 10)]
+    curve = [with_interval(one) for one in (area, recall_at_100, max_f1_of_places)]
+    return [pair, method, first, *others, *curve, outcome.median_error(), outcome.frame_ms]
+
+
+def as_short(cell: Cell) -> str:
+    """A cell on the terminal: of an interval its value."""
+    return format_cell(cell.value if isinstance(cell, Interval) else cell)
+
+
+def matched_pictures(outcome: Outcome, count: int = 6) -> list[list[Picture]]:
+    """Frames of the query, spread over the drive, each beside the place that was found."""
+    answered = outcome.judged[outcome.matches.place[outcome.judged] >= 0]
+    chosen = answered[np.linspace(0, len(answered) - 1, min(count, len(answered))).round().astype(int)]
+    query, reference = (open_pictures(one.feed) for one in (outcome.query, outcome.reference))
+    error, rows = outcome.error_of_best(), []
+    for frame in chosen:
+        place, says = outcome.matches.place[frame], "right" if error[frame] <= outcome.pair.tolerance else "wrong"
+        here = Picture.of(query.read(outcome.query.rows[frame]), f"query, frame {frame}")
+        there = Picture.of(reference.read(outcome.reference.rows[place]), f"place {place}: {says}")
+        rows.append([here, there])
+    for one in (query, reference):
+        one.close()
+    return rows
+
+
+def networks_section(runner: MethodRunner, results: Results) -> Section:
+    """What each network takes, and who owns it."""
+    rows: list[list[Cell]] = []
+    for name, network in runner.descriptions.opened().items():
+        info, size_mb = network.info, network.path.stat().st_size / 1e6
+        size = f"{info.size[0]} x {info.size[1]}"
+        rows.append([name, info.dimensions, size, f"{size_mb:.1f}", info.license.partition(",")[0]])
+    columns = ("network", "dimensions", "image, pixels", "file, MB", "license")
+    return Section("Networks", tables=[Table("networks", "Networks", columns, rows)])
+
+
+def overview(runner: MethodRunner, results: Results) -> Section:
+    """All scores in one table, and max-F1 of every method on every pair."""
+    pairs = [pair.name for pair in runner.plan.pairs]
+    heights = {text: [max_f1_of_places(results[pair, text].answers) for pair in pairs] for text in runner.plan.methods}
+    rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
+    table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
+    plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
+    text = f"{_methods_text(runner)} {SUMMARY_NOTE}"
+    return Section("Overview", text, [summary(runner, results), table], [plot])
+
+
+def sweep_pairs(plan: Plan) -> list[Pair]:
+    """The pairs of the sweeps; pairs that differ in the length only count once."""
+    wanted = plan.experiments.sweep_pairs
+    chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
+    apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
+    return list(reversed(apart.values()))
+
+
+def sequence_lengths(runner: MethodRunner, step: Callable[[str], None]) -> Section:
+    """Max-F1 over the length of a sequence (fig. 12), judged on the same frames at every length."""
+    lengths = sorted(runner.plan.experiments.sequence_lengths)
+    rows: list[Sequence[Cell]] = []
+    drawn = []
+    for number, pair in enumerate(sweep_pairs(runner.plan)):
+        lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
+        for text in runner.plan.experiments.sweep_methods:
+            values = []
+            for length in lengths:
+                step(f"{pair.name}: {text}, length {length}")
+                values.append(_f1_from(runner.run(pair, text, length=length), lengths[-1]))
+            rows.append([pair.name, text, *values])
+            lines[text] = (lengths, values)
+        plot = plots.line_plot(lines, "frames in a sequence", "max-F1 (places)")
+        drawn.append(Figure(f"sequence_length_{number}", pair.name, plot))
+    columns = ("pair", "method", *(f"{length}" for length in lengths))
+    text = "Frames are judged from the first whole sequence of the greatest length on, so that all lengths share them."
+    return Section(
+        "Sequence length (fig. 12)", text, [Table("sequence_length", "Max-F1 (places)", columns, rows)], drawn
+    )
+
+
+def median_ahead(outcome: Outcome) -> float:
+    """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
+    ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
+    return float(np.median(ahead)) if ahead.size else float("nan")
+
+
+def _describe(pair: Pair, outcome: Outcome) -> str:
+    unit = "m" if pair.truth in ("positions", "route_m") else "frames"
+    on_map = int(outcome.answers.has_truth.sum())
+    known = outcome.errors[outcome.judged][outcome.answers.has_truth]
+    guess = float((known <= pair.tolerance).mean()) if on_map else 0.0
+    return (
+        f"{pair.query} against {pair.reference}: {len(outcome.query.rows)} frames and {len(outcome.reference.rows)}"
+        f" places, sequences of {outcome.length} frames, tolerance {pair.tolerance:g} {unit}."
+        f" {len(outcome.judged)} frames are judged: those with a known position, from the first whole sequence on."
+        f" {on_map} of them have a true place in the map. A guess is right in {guess:.1%} of them."
+    )
+
+
+def table_of(name: str, title: str, rows: Sequence[Mapping[str, Cell]], note: str) -> Table:
+    """A table of rows by its columns."""
+    return Table(name, title, tuple(rows[0]), [list(row.values()) for row in rows], note)
+
+
+def _scores_of(runner: MethodRunner, pair: Pair, outcome: Outcome) -> dict[str, Cell]:
+    """A row of the table by its columns."""
+    found, block = scores(outcome.answers), 2 * outcome.length  # sequences that far apart share no frame
+    precision, recall = at_threshold(outcome.answers, outcome.threshold)
+    return {
+        "method": outcome.method.name,
+        "accuracy": found.accuracy,
+        "max-F1 (places)": interval(max_f1_of_places, outcome.answers, block, runner.plan.resamples),
+        "max-F1 (correct)": found.max_f1_of_correct,
+        "AP": found.average_precision,
+        "R@P100": found.recall_at_100,
+        "R@P100 within twice": recall_at_precision(precision_recall(outcome.within_twice()), 1.0),
+        "R@P99": found.recall_at_99,
+        "precision": precision,
+        "recall": recall,
+        "offset": outcome.ahead,
+        "median ahead": median_ahead(outcome),
+        "published max-F1": pair.published.get(outcome.method.name, ""),
+    }
+
+
+def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
+    """A line for each pair of which the shown answers lie so far from the offset that the tolerance cuts them off."""
+    lines = []
+    for pair in runner.plan.pairs:
+        shown = shown_outcome(runner, pair, results)
+        ahead = median_ahead(shown)
+        if abs(ahead - shown.ahead) > OFFSET_SHARE * pair.tolerance:
+            lines.append(
+                f"pair {pair.name!r}: right answers of {shown.method.name} lie a median of {ahead:.0f} ahead, where"
+                f" {shown.ahead:.0f} is expected, near the tolerance of {pair.tolerance:g}: set ahead or calibration."
+            )
+    return lines
+
+
+def _methods_text(runner: MethodRunner) -> str:
+    return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)
+
+
+def _f1_from(outcome: Outcome, length: int) -> float:
+    """Max-F1 on the frames that a sequence of `length` can end at."""
+    return max_f1_of_places(outcome.answers.take(np.flatnonzero(outcome.judged >= length - 1)))

@@ -1,0 +1,155 @@
+"""From descriptors to answers with the recognizer's own parts: cost rows, lines, uniqueness; and SeqSLAM's own way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
+from edge.descriptor import NormalizedRows
+from edge.feed import View
+from edge.reference_map import COST_ONE
+from edge.sequence.evidence import Neighborhood
+from edge.sequence.submap import RowMatcher
+from sim.compare import seqslam
+from sim.evaluation.metrics import Answers
+
+
+@dataclass(frozen=True)
+class Matches:
+    """A method's answers to the queries of a traverse.
+
+    place: (Q,) best place, -1 while there is no answer. confidence: (Q,) float64, higher is more certain, NaN without
+    one. reverse: (Q,) bool, the map was passed backwards. ranked: (Q, MOST_RANKED) the best places in order, -1 where
+    there is none; () of a method that answers with one place.
+    costs: (Q, N) float32 cost of each query to each place, before any sequence, for pictures.
+    """
+
+    place: NDArray[np.intp]
+    confidence: NDArray[np.float64]
+    reverse: NDArray[np.bool_]
+    costs: NDArray[np.float32]
+    ranked: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, MOST_RANKED), np.intp))
+
+
+MOST_RANKED = 10
+"""Places of each query that are kept in order, for recall@1, 5 and 10."""
+
+
+def best_places(costs: NDArray[Any]) -> NDArray[np.intp]:
+    """The MOST_RANKED places (..., MOST_RANKED) of least cost (..., N), the best first; -1 where there are fewer."""
+    order = np.argsort(costs, axis=-1, kind="stable")[..., :MOST_RANKED]
+    padding = [(0, 0)] * (order.ndim - 1) + [(0, MOST_RANKED - order.shape[-1])]
+    return np.pad(order, padding, constant_values=-1)
+
+
+def match_alone(similarity: NDArray[np.floating]) -> Matches:
+    """The best match of each frame alone by similarities (Q, N), which are its confidence."""
+    ranked = best_places(-similarity)
+    confidence = similarity.max(axis=1).astype(np.float64)
+    return Matches(ranked[:, 0], confidence, np.zeros(len(ranked), np.bool_), (-similarity).astype(np.float32), ranked)
+
+
+def as_costs(similarity: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Costs (Q, N) for the search of sequences: cosines as 1 less each, all else by its span, its highest as 0.
+
+    The uniqueness of a line is a ratio of costs, which needs a zero.
+    """
+    low, high = float(similarity.min()), float(similarity.max())
+    costs = 1 - similarity if low >= -1 and high <= 1 else (high - similarity) / max(high - low, 1e-12)
+    return np.asarray(np.rint(costs * COST_ONE), dtype=np.float32)
+
+
+CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
+"""Costs (n, orders, N) int32 of query rows (n, R, D), or of whatever the rows are."""
+
+
+def match(
+    rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher, starts: Collection[int] = ()
+) -> Matches:
+    """Match every frame of a query with the recognizer's own search; a new sequence begins at each of `starts`."""
+    found = []
+    for frame, change in enumerate(rows):
+        if frame in starts:
+            matcher.clear()
+        costs = costs_of(change.rows)
+        best = matcher.push(costs, change.ages)
+        newest = costs[0].min(axis=0).astype(np.float32)
+        if best is None or matcher.lines is None:
+            found.append((-1, float("nan"), False, newest, NO_PLACES))
+        else:
+            ranked = best_places(matcher.lines.costs)
+            found.append((best.place, best.uniqueness, best.direction == "reverse", newest, ranked))
+    return gathered(found)
+
+
+def open_matcher(
+    ground: NDArray[np.float64],
+    along: NDArray[np.float64],
+    window: float,
+    sequence: SequenceConfig,
+    *,
+    regions: int = 1,
+    views: tuple[View, View] = ("front", "front"),
+    drives: Sequence[slice] = (),
+) -> RowMatcher:
+    """A matcher of places that are where `place_coordinates` says.
+
+    window: places within it of each other, in the same unit, are the same place. views: of reference and query.
+    drives: the places of each; all are of one by default.
+    """
+    segments = [(drive.start, drive.stop) for drive in drives] or [(0, len(along))]
+    drive_of = np.repeat(np.arange(len(segments), dtype=np.int32), [end - start for start, end in segments])
+    acceptance = AcceptanceConfig(window_m=window)
+    config = Config(camera=CameraConfig(view=views[1]), sequence=sequence, acceptance=acceptance)
+    near = Neighborhood(ground, along, drive_of, acceptance)
+    return RowMatcher(segments, [views[0]] * len(segments), regions, near, config)
+
+
+NO_PLACES = np.full(MOST_RANKED, -1, dtype=np.intp)
+
+
+def gathered(found: Sequence[tuple[int, float, bool, NDArray[np.float32], NDArray[np.intp]]]) -> Matches:
+    """The matches of frames as one; each has the fields of `Matches`, place -1 and NaN where there is none."""
+    place, confidence, reverse, costs, ranked = zip(*found, strict=True)
+    return Matches(np.array(place), np.array(confidence), np.array(reverse), np.stack(costs), np.stack(ranked))
+
+
+def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], length: int) -> Matches:
+    """SeqSLAM as published, on frames as it describes them, (N, 32, 64) and (Q, 32, 64)."""
+    differences = seqslam.difference_matrix(reference, query)
+    ds = 2 * ((length - 1) // 2)  # its window is centered, and one frame longer
+    place, ratio, scores = seqslam.search(seqslam.enhance_contrast(differences), ds)
+    # Best over second best: its inverse is the uniqueness of the other methods.
+    ranked = np.where((place >= 0)[:, np.newaxis], best_places(scores), -1)
+    return Matches(place, -ratio, np.zeros(len(query), np.bool_), differences.T, ranked)
+
+
+def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
+    """Judge the matches of some queries by the true errors (Q, N); a place of error NaN is no answer."""
+    best = errors_of(matches.place, errors)[queries]
+    has_truth = np.fmin.reduce(errors[queries], axis=1) <= tolerance
+    answers = Answers(
+        confidence=matches.confidence[queries],
+        correct=best <= tolerance,
+        has_truth=has_truth,
+    )
+    return answers.take(np.flatnonzero(~np.isnan(best)))
+
+
+def judged_queries(errors: NDArray[np.float64], length: int, drives: Sequence[slice] = ()) -> NDArray[np.intp]:
+    """Queries with a known true position, from the first of each drive on that ends a whole sequence."""
+    is_judged: NDArray[np.bool_] = ~np.asarray(np.isnan(errors).all(axis=1))
+    for drive in drives or [slice(0, len(errors))]:
+        is_judged[drive][: length - 1] = False
+    return np.flatnonzero(is_judged)
+
+
+def errors_of(places: NDArray[np.intp], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """True error of the place of each query, (Q,); inf where there is none (-1)."""
+    picked = errors[np.arange(len(places)), np.maximum(places, 0)]
+    return np.where(places < 0, np.inf, picked)

@@ -1,0 +1,204 @@
+"""A plan: which traverses, which pairs of them, which methods, which experiments. One TOML file, checked whole.
+
+title = "My street"
+methods = ["Raw-single", "Raw-fc6", "NSD-CR", "Lookback", "NSD-single@cosplace", "SeqSLAM"]   # NAME or NAME@NETWORK
+region_width = 0.4          # of each region of NSD-CR, fraction of the picture
+resamples = 1000            # of the bootstrap
+
+[sampling]                  # as in Lookback's configuration
+by = "distance"
+spacing_m = 2.0
+
+[networks.places100]        # the first is the default
+model = "fc6"               # or "grid"; or a file, under --models or beside the plan
+[networks.cosplace]
+model = "cosplace.onnx"     # any ONNX network; also: size = [height, width], mean and std of each channel
+[networks.netvlad]
+descriptors = { day_rear = "rear.npy", dusk_front = "front.npy" }  # made elsewhere: (n, D), a row for each frame
+
+[traverses.day_rear]
+feed = "day_rear"           # a recording or a folder of pictures, under --feeds or beside the plan; or:
+feeds = ["a_rear", "b_rear"]  # several, each a drive of its own; or:
+scenario = "day_rear.toml"  # a drive of the simulator, rendered once
+
+[[pairs]]
+name = "front against rear, dusk"
+reference = "day_rear"
+query = "dusk_front"
+truth = "positions"         # or rows, route_m, anchors, FILE.npy: see `Pair`
+tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
+ahead = 28.0                # how far ahead the matched place lies, or: calibration = "another traverse"
+length_m = 40.0             # of a sequence; or length = 20, in frames
+figure = "fig. 5"           # the paper's figure of the same comparison
+
+[experiments]               # all optional, see `Experiments`
+sequence_lengths = [5, 10, 20, 40]
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+
+from edge.config import SamplingConfig
+from edge.errors import ConfigError
+from edge.toml_file import convert_toml, read_toml
+
+TRUTHS = ("positions", "rows", "route_m", "anchors")
+Length = Annotated[int, Meta(ge=1, le=500)]
+Positive = Annotated[float, Meta(gt=0)]
+Pixels = Annotated[int, Meta(ge=8, le=4096)]
+Named = TypeVar("Named")
+
+
+class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
+    """[networks.NAME]: a network, or descriptors that were made elsewhere.
+
+    model: "grid" or "fc6"; a file or folder of `lookback model import`; or any other ONNX file that makes a descriptor
+    of an RGB image. size: height and width of its images, where the file leaves them open; mean, std: of RGB images
+    from 0 to 1. conv3: the file of an AlexNet's layer. descriptors: a .npy file for each traverse, (n, D) or (n, R, D)
+    of R regions, a row for each frame that the sampling chooses.
+    """
+
+    model: str = ""
+    conv3: str = ""
+    size: tuple[Pixels, Pixels] | None = None
+    mean: tuple[float, float, float] = (0.485, 0.456, 0.406)
+    std: tuple[Positive, Positive, Positive] = (0.229, 0.224, 0.225)
+    descriptors: dict[str, str] = {}
+
+
+class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
+    """[traverses.NAME]: a recording, several (each a drive of its own), or a scenario that is rendered into a feed.
+
+    A scenario has a frame every spacing of the sampling.
+    last_row: the last row of the feed that is used.
+    """
+
+    feed: str = ""
+    feeds: tuple[str, ...] = ()
+    scenario: str = ""
+    last_row: Annotated[int, Meta(ge=0)] | None = None
+
+
+class Pair(Struct, frozen=True, forbid_unknown_fields=True):
+    """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
+
+    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters); route_m
+    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames; of traverses with
+    several feeds, equally numbered feeds); anchors (frames). Or a .npy file: a matrix (queries, places) of what is
+    right, or the list of places of each query that VPR-Bench has. soft: a matrix of what is neither right nor wrong, as
+    GTsoft of VPR_Tutorial. similarity: by the name of a method, the .npy file of its similarities (queries, places),
+    higher is more alike. transposed: all these matrices are (places, queries), as in VPR_Tutorial.
+    ahead: how far ahead of the vehicle, in its direction of travel, the right place lies, meters or frames: the offset
+    of the rig, as `lookback calibrate` prints it. calibration: a traverse on which each method measures it instead.
+    anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
+    have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
+    anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
+    figure: of the paper. published: method -> max-F1 in the paper, of its own data sets.
+    """
+
+    name: str
+    reference: str
+    query: str
+    truth: str = "positions"
+    soft: str = ""
+    similarity: dict[str, str] = {}
+    transposed: bool = False
+    tolerance: Positive = 40.0
+    ahead: float = 0.0
+    calibration: str = ""
+    length: Length | None = None
+    length_m: Positive | None = None
+    anchors: list[tuple[float, float]] = []
+    loop: Annotated[int, Meta(ge=0)] = 0
+    loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
+    figure: str = ""
+    published: dict[str, float] = {}
+
+
+class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
+    """[experiments]: what is run besides every method on every pair.
+
+    sequence_lengths: frames (fig. 12), with sweep_methods on sweep_pairs (all).
+    """
+
+    sequence_lengths: list[Length] = []
+    sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
+    sweep_pairs: list[str] = []
+
+
+class Plan(Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole plan."""
+
+    title: str
+    methods: Annotated[list[str], Meta(min_length=1)]
+    traverses: dict[str, TraversePlan]
+    pairs: Annotated[list[Pair], Meta(min_length=1)]
+    networks: Annotated[dict[str, NetworkPlan], Meta(min_length=1)] = msgspec.field(
+        default_factory=lambda: {"shipped": NetworkPlan()}
+    )
+    sampling: SamplingConfig = SamplingConfig()
+    region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
+    resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000
+    notes: str = ""
+    experiments: Experiments = Experiments()
+
+
+def load_plan(path: Path) -> Plan:
+    """Read and check a plan; ConfigError names the file and the key, in one line."""
+    plan = read_toml(path, Plan)
+    _check_names(path, plan)
+    return plan
+
+
+def checked_plan(where: Path, values: dict[str, Any]) -> Plan:
+    """A plan that is no file; ConfigError names the key."""
+    plan = convert_toml(values, where, Plan)
+    _check_names(where, plan)
+    return plan
+
+
+def _check_names(path: Path, plan: Plan) -> None:
+    """ConfigError unless all names in the plan are defined."""
+    for name, traverse in plan.traverses.items():
+        if [bool(traverse.feed), bool(traverse.feeds), bool(traverse.scenario)].count(True) != 1:
+            raise ConfigError(f"{path}: traverses.{name}: needs one of feed, feeds and scenario")
+        if traverse.feeds and traverse.last_row is not None:
+            raise ConfigError(f"{path}: traverses.{name}: last_row needs feed, not feeds")
+    for index, pair in enumerate(plan.pairs):
+        _check_pair(f"{path}: pairs[{index}] {pair.name!r}", plan, pair)
+    experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
+    for name in experiments.sweep_pairs:
+        named(f"{path}: experiments", name, pairs)
+
+
+def _check_pair(where: str, plan: Plan, pair: Pair) -> None:
+    """ConfigError unless the keys of a pair fit each other."""
+    for key in ("reference", "query", "calibration"):
+        name = getattr(pair, key)
+        if name or key in ("reference", "query"):
+            named(f"{where}: {key}", name, plan.traverses)
+    if pair.calibration and (pair.calibration == pair.query or pair.ahead or pair.truth == "anchors"):
+        raise ConfigError(f"{where}: calibration needs another drive than the query, no ahead, and no anchors")
+    if pair.truth not in TRUTHS and not pair.truth.endswith(".npy"):
+        raise ConfigError(f"{where}: truth: {pair.truth!r} is none of {', '.join(TRUTHS)}, and no .npy file")
+    if pair.soft and pair.truth in TRUTHS:
+        raise ConfigError(f"{where}: soft needs the .npy file of what is right as truth")
+    if (pair.length is None) == (pair.length_m is None):
+        raise ConfigError(f"{where}: needs length (frames) or length_m, and not both")
+    if pair.length_m is not None and plan.sampling.by != "distance":
+        raise ConfigError(f'{where}: length_m needs [sampling] by = "distance"; give length, in frames')
+    rows = [query for query, _ in pair.anchors]
+    if (pair.truth == "anchors") != (len(rows) >= 2) or rows != sorted(set(rows)):
+        raise ConfigError(f'{where}: truth = "anchors" needs two or more anchors, the query\'s rows in order')
+
+
+def named(where: str, name: str, known: dict[str, Named]) -> Named:
+    """The one of that name; ConfigError lists the names there are."""
+    if name not in known:
+        raise ConfigError(f"{where}: no {name!r}; there are {', '.join(known)}")
+    return known[name]

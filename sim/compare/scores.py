@@ -1,0 +1,118 @@
+"""Scores of a method's answers: F1, areas, recall; and their intervals. See `sim.evaluation.metrics`.
+
+Neighboring frames are nearly the same picture, so that resampling single frames would make every interval too narrow.
+Blocks of contiguous frames are drawn instead (circular block bootstrap, Politis and Romano 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.evaluation.metrics import Answers, Floats, PrecisionRecall, precision_recall, recall_at_precision
+from sim.evaluation.report import Interval
+
+LEVEL = 0.95
+"""Of the intervals."""
+
+
+def joined(several: Sequence[Answers]) -> Answers:
+    """The answers of several traverses, one after the other."""
+    columns = ((one.confidence, one.correct, one.has_truth) for one in several)
+    return Answers(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The curve in numbers.
+
+    accuracy: correct best matches over the queries that have a true place, at any confidence (recall@1).
+    average_precision: sum over thresholds of precision times the gain in recall_of_places. max_f1_*: highest harmonic
+    mean of precision and that recall. recall_at_100, recall_at_99: highest recall_of_places at any threshold with at
+    least that precision in percent.
+    """
+
+    accuracy: float
+    average_precision: float
+    max_f1_of_correct: float
+    max_f1_of_places: float
+    recall_at_100: float
+    recall_at_99: float
+
+
+def scores(answers: Answers) -> Scores:
+    """All single numbers of one method on one pair of traverses."""
+    curve = precision_recall(answers)
+    return Scores(
+        accuracy=recall_at_1(answers),
+        average_precision=average_precision(curve),
+        max_f1_of_correct=_max_f1(curve.precision, curve.recall_of_correct),
+        max_f1_of_places=_max_f1(curve.precision, curve.recall_of_places),
+        recall_at_100=recall_at_precision(curve, 1.0),
+        recall_at_99=recall_at_precision(curve, 0.99),
+    )
+
+
+def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
+    """Precision and recall_of_places of what is accepted from a threshold on; NaN where there is nothing."""
+    accepted = answers.confidence >= threshold  # NaN is not
+    hits = float((accepted & answers.correct).sum())
+    total, on_map = float(accepted.sum()), float(answers.has_truth.sum())
+    return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
+
+
+def max_f1_of_places(answers: Answers) -> float:
+    """Highest F1 with recall_of_places; 0 if nothing is correct."""
+    curve = precision_recall(answers)
+    return _max_f1(curve.precision, curve.recall_of_places)
+
+
+def recall_at_1(answers: Answers) -> float:
+    """Right best matches over the queries that have a true place, at any confidence; NaN without such a query."""
+    right, on_map = answers.correct & ~np.isnan(answers.confidence), int(answers.has_truth.sum())
+    return float(right.sum()) / on_map if on_map else float("nan")
+
+
+def area(answers: Answers) -> float:
+    """Area under precision over recall_of_places (average precision)."""
+    return average_precision(precision_recall(answers))
+
+
+def recall_at_100(answers: Answers) -> float:
+    """Highest recall_of_places without a wrong answer."""
+    return recall_at_precision(precision_recall(answers), 1.0)
+
+
+def _max_f1(precision: Floats, recall: Floats) -> float:
+    """Highest harmonic mean of (T,) and (T,); 0 where both are 0 or recall is undefined."""
+    total = precision + recall
+    f1 = np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
+    return float(f1.max(initial=0.0))
+
+
+def average_precision(curve: PrecisionRecall) -> float:
+    """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
+    gains = np.diff(curve.recall_of_places, prepend=0.0)
+    return float(gains @ curve.precision) if gains.size else 0.0
+
+
+def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """`count` indices below `count`, in runs of `block` that start anywhere; after the last comes the first."""
+    block = min(block, count)
+    starts = rng.integers(0, count, -(-count // block))
+    runs = starts[:, np.newaxis] + np.arange(block)
+    return np.asarray(runs.ravel()[:count] % count, dtype=np.intp)
+
+
+def interval(
+    statistic: Callable[[Answers], float], answers: Answers, block: int, resamples: int, seed: int = 0
+) -> Interval:
+    """The interval of one method's score, by resamples of blocks of so many frames."""
+    rng, count = np.random.default_rng(seed), len(answers.confidence)
+    drawn = np.array([statistic(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
+    drawn = drawn[~np.isnan(drawn)]  # a resample with no query on the map has no recall
+    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if drawn.size else (np.nan, np.nan)
+    return Interval(statistic(answers), float(low), float(high), LEVEL)

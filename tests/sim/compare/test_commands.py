@@ -1,0 +1,87 @@
+"""`lookback compare` as people run it: on miniature feeds with the shipped network."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from edge.__main__ import main
+
+PLAN = """
+title = "Miniature"
+methods = ["Raw-fc6", "NSD-CR", "Lookback", "SeqSLAM"]
+resamples = 20
+sampling = { by = "frames" }
+[traverses]
+there = { feed = "there" }
+here = { feed = "here" }
+"""
+EXPERIMENTS = """
+published = { "NSD-CR" = 0.5 }
+[experiments]
+sequence_lengths = [2, 4]
+sweep_methods = ["NSD-CR"]
+"""
+
+
+@pytest.fixture
+def plan_path(write_plan: Callable[[str, str], Path]) -> Path:
+    return write_plan(PLAN, EXPERIMENTS)
+
+
+def test_a_shipped_plan_goes_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "real_feeds", "--feeds", str(tmp_path), "-o", str(tmp_path / "out")]) == 78
+    assert "corridor_reference: no such feed" in capsys.readouterr().err.splitlines()[-1]
+
+
+def read_table(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="") as stream:
+        return {row[0]: row[1:] for row in csv.reader(stream)}
+
+
+def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = plan_path.parent / "out"
+    assert main(["compare", str(plan_path), "-o", str(out)]) == 0
+    scores = read_table(out / "there_and_here_scores.csv")
+    assert scores["NSD-CR"][-1] == "0.5" and scores["Raw-fc6"][-1] == ""
+    overview = read_table(out / "overview.csv")
+    assert f"{float(overview['Raw-fc6'][0]):.3f}" in capsys.readouterr().out
+    with (out / "scores.csv").open(newline="") as stream:
+        rows = {row["method"]: row for row in csv.DictReader(stream)}
+    for row in rows.values():
+        assert float(row["R@1"].split()[0]) <= float(row["R@5"]) <= float(row["R@10"]) or row["method"] == "Lookback"
+        assert float(row["ms a frame"]) > 0
+    assert rows["Lookback"]["R@5"] == "nan"
+    page = (out / "report.html").read_text()
+    for heading in ("Overview", "Sequence length"):
+        assert heading in page
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('feed = "here"', 'feed = "gone"', "gone: no such feed"),
+        ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-fc7"', "'Raw-fc7': no such row"),
+        ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-conv3"', "[networks.shipped]: has no conv3"),
+        ("length = 4", "length = 40", "no frame with a known true place ends a sequence of 40"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    plan_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+) -> None:
+    plan_path.write_text(plan_path.read_text().replace(old, new, 1).partition("[experiments]")[0])
+    assert main(["compare", str(plan_path), "-o", str(plan_path.parent / "out")]) == 78
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("lookback: ") and says in error
+
+
+def test_the_options_do_not_wait_for_what_a_comparison_needs() -> None:
+    code = "import sys, edge.__main__ as m; m.build_parser(['compare']); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "sim.compare.command" in loaded
+    assert not {"sim.compare.run", "matplotlib", "jinja2", "onnxruntime"} & set(loaded)

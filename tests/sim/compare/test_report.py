@@ -1,0 +1,55 @@
+"""One page that needs nothing beside it, and tables that other programs read."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+
+from edge.errors import ConfigError
+from sim.compare.plots import bar_plot, line_plot
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell, write_report
+
+
+def section() -> Section:
+    rows: list[list[Cell]] = [["NSD <best>", Interval(0.5, 0.4, 0.625, 0.95), float("nan")], ["SeqSLAM", 1.0, 3]]
+    plot = Figure("bars", "Bars", bar_plot(["a", "b"], {"x": [0.5, 1.0]}, "F1"))
+    return Section(
+        "One & two",
+        "Text.",
+        [Table("t", "T", ("m", "f", "n"), rows, "Note.")],
+        [plot],
+        [[Picture(b"\xff\xd8jpeg", "query 3")]],
+    )
+
+
+def test_the_page_is_whole_in_itself_and_escapes_what_it_is_given(tmp_path: Path) -> None:
+    page = write_report(tmp_path / "out", "Title", {"command": "lookback eval x"}, [section()]).read_text()
+    assert "NSD &lt;best&gt;" in page and "One &amp; two" in page and "lookback eval x" in page
+    assert "0.500 (0.400 to 0.625)" in page and "data:image/png;base64," in page and "data:image/jpeg;base64," in page
+    assert not re.search(r'(src|href)="(?!data:|#)', page) and "http" not in page
+
+
+def test_tables_and_figures_are_files_too(tmp_path: Path) -> None:
+    write_report(tmp_path, "Title", {}, [section()])
+    with (tmp_path / "t.csv").open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    assert rows == [["m", "f", "n"], ["NSD <best>", "0.5 [0.4, 0.625]", "nan"], ["SeqSLAM", "1.0", "3"]]
+    assert (tmp_path / "bars.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_numbers_draw_the_same_file() -> None:
+    lines = {"x": ([1, 2, 3], [0.1, float("nan"), 0.3])}
+    assert line_plot(lines, "a", "b") == line_plot(lines, "a", "b")
+
+
+def test_cells_are_as_people_read_them() -> None:
+    assert [format_cell(cell) for cell in ("a", 3, 0.12345, float("nan"))] == ["a", "3", "0.123", "–"]
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot write the report"):
+        write_report(tmp_path / "file", "Title", {}, [])
