@@ -1,0 +1,113 @@
+"""What a researcher does: two folders to recall@1 and a curve; a map; pictures one after another."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lookback
+
+PLACES = 40
+
+
+def street(at: int, light: float, seed: int) -> NDArray[np.uint8]:
+    """A window of a fixed random wall, in some light, with some noise."""
+    wall = np.random.default_rng(7).integers(0, 255, (12, 200, 3)).astype(np.float64)
+    seen = wall[:, at * 4 : at * 4 + 20].repeat(8, axis=0).repeat(8, axis=1)
+    return (seen * light + np.random.default_rng(seed).normal(0, 6, seen.shape)).clip(0, 255).astype(np.uint8)
+
+
+def write(folder: Path, places: range, light: float) -> Path:
+    folder.mkdir()
+    for number, at in enumerate(places):
+        cv2.imwrite(str(folder / f"{number}.png"), street(at, light, number))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A drive by day, and its second half by dusk."""
+    base = tmp_path_factory.mktemp("drives")
+    return write(base / "out", range(PLACES), 1.0), write(base / "again", range(10, PLACES), 0.5)
+
+
+def test_two_folders_to_recall_and_a_curve(folders: tuple[Path, Path]) -> None:
+    reference, query = (lookback.describe(folder, progress=False) for folder in folders)
+    similarity = lookback.compare(lookback.normalize(query), lookback.normalize(reference))
+    truth = np.abs(np.arange(10, PLACES)[:, np.newaxis] - np.arange(PLACES)) <= 2
+    found = lookback.search(similarity, length=5)
+    assert lookback.recall_at(similarity, truth) > 0.8
+    assert lookback.recall_at(similarity, truth, 5) >= lookback.recall_at(similarity, truth)
+    assert (found.place[:4] == -1).all() and (np.abs(found.place[4:] - np.arange(14, PLACES)) <= 2).all()
+    curve = lookback.pr_curve(found, truth)
+    assert lookback.auc(curve) == pytest.approx(26 / 30)  # all that is answered is right
+    assert len(lookback.match_pairs(found)) == 26
+    assert lookback.plot(similarity, truth, found).axes and lookback.plot(curve).axes
+    believed = lookback.believe(query, reference, length=5)
+    assert lookback.recall_at(believed, truth) > 0.6
+
+
+def test_a_sequence_driven_back_is_found_by_the_swapped_regions() -> None:
+    drive = lookback.normalize(np.random.default_rng(1).random((PLACES, 2, 32), dtype=np.float32))
+    back = drive[::-1, ::-1]  # the same camera looks the other way: left is right
+    both = lookback.compare(back, drive, orders=True)
+    assert both.shape == (2, PLACES, PLACES)
+    found = lookback.search(both, length=5)
+    assert found.reverse[4:].all() and (found.place[4:] == np.arange(PLACES)[::-1][4:]).all()
+    assert np.array_equal(lookback.compare(back, drive), both.max(axis=0))
+
+
+def test_the_truth_of_two_recordings_and_what_lacks_it(folders: tuple[Path, Path]) -> None:
+    right = lookback.truth(folders[1], folders[0], tolerance=1, kind="rows")
+    assert right.shape == (30, PLACES) and right[5].nonzero()[0].tolist() == [4, 5, 6]
+    with pytest.raises(lookback.Error, match="no positions in any row"):
+        lookback.truth(folders[1], folders[0], tolerance=1)
+
+
+def test_a_map_and_one_picture_after_another(folders: tuple[Path, Path], tmp_path: Path) -> None:
+    built = lookback.Map.build(folders[0], tmp_path / "map")
+    again = lookback.Map.open(tmp_path / "map")
+    assert len(again) == PLACES and again.descriptors.shape[:2] == (PLACES, 2) and again.picture(3).ndim == 3
+    recognizer = lookback.Recognizer(built, length=5)
+    matches = [recognizer.observe(street(at, 0.5, at)) for at in range(10, PLACES)]
+    last = matches[-1]
+    assert matches[0] is None and last is not None
+    assert abs(last.place - (PLACES - 1)) <= 1 and last.direction == "forward" and last.accepted
+    with pytest.raises(lookback.Error, match=r"made with the network grid.*not with fc6"):
+        lookback.Map.open(tmp_path / "map", model="fc6")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda: lookback.compare(np.zeros((3, 2, 4)), np.zeros((3, 4))), "differ in regions or dimensions"),
+        (lambda: lookback.normalize(np.zeros((3, 3, 4), np.float32)), "1 or 2 regions"),
+        (lambda: lookback.search(np.full((9, 9), np.nan)), "finite numbers"),
+        (lambda: lookback.recall_at(np.eye(3), np.eye(4, dtype=bool)), r"truth is bool \(3, 3\)"),
+        (lambda: lookback.recall_at(np.eye(3), np.eye(3, dtype=bool), 11), "at 1 to 10 places"),
+        (lambda: lookback.describe([np.zeros((4, 4), np.uint8)], progress=False), r"an image is \(H, W, 3\)"),
+    ],
+)
+def test_wrong_arrays_are_named(wrong: object, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        wrong()  # type: ignore[operator]
+
+
+def test_what_the_user_calls_sim_hides_nothing_silently(tmp_path: Path) -> None:
+    (tmp_path / "sim").mkdir()
+    (tmp_path / "sim/__init__.py").write_text("raise SystemExit('the user own package ran')\n")
+    here = {**os.environ, "PYTHONPATH": str(Path(lookback.__file__).parents[1])}
+    command = Path(sys.executable).with_name("lookback")
+    done = subprocess.run([command, "compare", "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", "import lookback"], cwd=tmp_path, env=here, capture_output=True, text=True, check=False
+    )
+    assert "sim/__init__.py hides the package 'sim' that Lookback is made of" in done.stderr.splitlines()[-1]
