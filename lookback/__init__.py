@@ -6,9 +6,9 @@ in and out; nothing of a vehicle is needed. From two folders of pictures to reca
     import lookback
 
     reference, query = lookback.describe("out"), lookback.describe("home")
-    similarity = lookback.compare(lookback.normalize(query), lookback.normalize(reference))
+    similarity = lookback.compare(lookback.normalize(query), lookback.normalize(reference), orders=True)
     truth = lookback.truth("home", "out", tolerance=20)
-    found = lookback.search(similarity, length=20)
+    found = lookback.search(similarity, length=20, views=("rear", "front"))  # where each camera looked
     print(lookback.recall_at(similarity, truth), lookback.recall_at(found, truth))
     lookback.plot({"frames": lookback.pr_curve(similarity, truth), "sequences": lookback.pr_curve(found, truth)})
 
@@ -35,9 +35,10 @@ from edge.errors import LookbackError as Error
 from edge.sequence import PlaceMatch
 from lookback.description import describe, normalize
 from lookback.maps import Map, Recognizer
-from lookback.matching import Matches, believe, compare, nearest, search
+from lookback.matching import believe, compare, nearest, search
 from lookback.plotting import plot
 from lookback.scoring import Curve, auc, match_pairs, pr_curve, recall_at, truth
+from sim.compare.matching import Matches
 
 __all__ = [
     "Curve",

@@ -63,8 +63,7 @@ class Map:
             with contextlib.suppress(*([] if model else [ModelError])):  # one that is not installed
                 if model_key(network_of(name)) == made:
                     return cls(opened, name)
-        known = model or " or ".join(NETWORKS)
-        raise MapError(f"{path}: made with the network {made}, not with {known}; name its file by model=")
+        raise MapError(f"{path}: made with the network {made}, not with {model or 'one of ours'}; name it by model=")
 
     def __len__(self) -> int:
         return len(self.opened.places)

@@ -19,8 +19,6 @@ from sim.compare.as_run import run_on
 from sim.compare.matching import Matches, as_costs, match, match_alone, open_matcher
 from sim.compare.temporary_map import MappedDrive
 
-__all__ = ["Matches", "believe", "compare", "nearest", "search"]
-
 
 def compare(
     query: NDArray[np.floating], reference: NDArray[np.floating], *, orders: bool = False
@@ -44,12 +42,17 @@ def compare(
 
 
 def nearest(similarity: NDArray[np.floating]) -> Matches:
-    """The most similar place of each frame alone, by S (Q, N); the similarity is the confidence.
+    """The most similar place of each frame alone, by S (Q, N) or (2, Q, N); the similarity is the confidence.
 
     >>> nearest(np.array([[0.1, 0.9], [0.8, 0.2]])).place.tolist()
     [1, 0]
     """
-    return match_alone(_checked(similarity, 2))
+    return match_alone(of_better_order(_checked(similarity)))
+
+
+def of_better_order(similarity: NDArray[np.floating]) -> NDArray[np.floating]:
+    """S (Q, N) of both orders (2, Q, N), or as it is."""
+    return similarity if similarity.ndim == 2 else np.asarray(similarity.max(axis=0))
 
 
 def search(
@@ -75,7 +78,7 @@ def search(
     >>> bool(search(similarity[::-1], length=5).reverse[-1])  # the same road, driven back
     True
     """
-    given = _checked(similarity, 2, 3)
+    given = _checked(similarity)
     costs = as_costs(given)
     by_frame = costs[:, np.newaxis] if given.ndim == 2 else costs.swapaxes(0, 1)
     places = given.shape[-1]
@@ -130,9 +133,9 @@ def believe(
     return run_on([MappedDrive(places, mapped, views[0])], rows, travel, {0}, config, model, "belief")
 
 
-def _checked(similarity: NDArray[np.floating], *ranks: int) -> NDArray[np.floating]:
+def _checked(similarity: NDArray[np.floating]) -> NDArray[np.floating]:
     """Similarities (Q, N) or (2, Q, N). ValueError for other arrays."""
     given = np.asarray(similarity)
-    if given.ndim not in ranks or given.dtype.kind not in "fiu" or not given.size or not np.isfinite(given).all():
+    if given.ndim not in (2, 3) or given.dtype.kind not in "fiu" or not given.size or not np.isfinite(given).all():
         raise ValueError(f"similarities are finite numbers (Q, N) or (2, Q, N), not {given.shape} {given.dtype}")
     return given

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lookback.matching import of_better_order
 from lookback.scoring import Curve
 from sim.compare.matching import Matches
 from sim.output import needing
@@ -21,7 +22,7 @@ def plot(
     truth: NDArray[np.bool_] | None = None,
     found: Matches | None = None,
 ) -> Figure:
-    """A figure of curves by their names, or of S (Q, N) with what is right and what was found.
+    """A figure of curves by their names, or of S (Q, N) or (2, Q, N) with what is right and what was found.
 
     truth: (Q, N), whose borders are drawn. found: places, right ones in green and others in red. Save it with
     `figure.savefig("curve.png")`. Needs the extra `sim` (matplotlib).
@@ -34,7 +35,7 @@ def plot(
     figure = ShownFigure(figsize=(6.4, 4.2), layout="constrained")
     axes = figure.subplots()
     if isinstance(shown, np.ndarray):
-        axes.imshow(shown, aspect="auto", cmap="viridis", interpolation="nearest")
+        axes.imshow(of_better_order(shown), aspect="auto", cmap="viridis", interpolation="nearest")
         axes.set(xlabel="place of the reference", ylabel="frame of the query")
         if truth is not None:
             axes.contour(truth, levels=[0.5], colors="white", linewidths=0.7)
@@ -44,7 +45,7 @@ def plot(
             for chosen, color in ((right, "tab:green"), (~right, "tab:red")):
                 axes.plot(found.place[rows[chosen]], rows[chosen], ".", color=color, markersize=3)
         return figure
-    curves = {"": shown} if isinstance(shown, Curve) else dict(shown)
+    curves = {"": shown} if isinstance(shown, Curve) else shown
     for name, curve in curves.items():
         axes.plot(curve.recall_of_places, curve.precision, drawstyle="steps-post", label=name)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.03))

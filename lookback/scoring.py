@@ -19,16 +19,11 @@ from sim.evaluation.metrics import Answers, PrecisionRecall, precision_recall
 
 Curve: TypeAlias = PrecisionRecall
 Found: TypeAlias = "Matches | NDArray[np.floating]"
-"""What `nearest`, `search` or `believe` gave; or S (Q, N), of which each frame's most similar place counts."""
+"""What `nearest`, `search` or `believe` gave; or S (Q, N) or (2, Q, N), of which the most similar place counts."""
 
 
 def truth(
-    query: str | Path,
-    reference: str | Path,
-    *,
-    tolerance: float,
-    kind: TruthKind = "positions",
-    ahead: float = 0.0,
+    query: str | Path, reference: str | Path, *, tolerance: float, kind: TruthKind = "positions", ahead: float = 0.0
 ) -> NDArray[np.bool_]:
     """Which places (Q, N) are right for each frame, of two recordings as `describe` takes them.
 
