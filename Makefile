@@ -102,6 +102,7 @@ flights: $(VENV)/.dev
 dist: $(VENV)/.dev
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m build --outdir dist lookback_fc6
 	$(BIN)/python -m twine check --strict dist/*
 
 clean:

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from edge.config import Config, DescriptorConfig, SamplingConfig
+from edge.descriptor.model_file import network_of_map
 from edge.errors import FeedError, FrameError
 from edge.feed.format import FeedRow
 from edge.feed.reader import Feed, FeedImages, Frame
@@ -35,10 +36,15 @@ class TraverseFrame:
 
 
 def config_as_mapped(header: MapHeader) -> Config:
-    """The default settings with regions, normalization and sampling as a map has them."""
+    """The default settings with network, regions, normalization and sampling as a map has them."""
     made = header.regions
     normalization: Literal["online", "none"] = "online" if made.normalization == "set" else "none"
-    descriptor = DescriptorConfig(regions=made.kind, region_width=made.width, normalization=normalization)
+    descriptor = DescriptorConfig(
+        model=network_of_map(header.model.name),
+        regions=made.kind,
+        region_width=made.width,
+        normalization=normalization,
+    )
     return Config(descriptor=descriptor, sampling=header.sampling)
 
 

@@ -29,7 +29,8 @@ a minute with it. A service that was disabled stays disabled.
   --wheel FILE      install this wheel (default: the checkout that contains this script)
   --pypi VERSION    install this version from PyPI
   --extras NAMES    install these extras of the package as well, for example oak,stream; the first installation
-                    includes the extra page; "none" installs no extra, and no earlier one again
+                    includes the extra page; "none" installs no extra, and no earlier one again. fc6 is the other network,
+                    for non-commercial use: from the checkout, from a wheel beside that of --wheel, or from PyPI
   --newest          the newest version of each package, and not those of $here/lock, which this version was tested with
   --python PYTHON   the Python to use (default /usr/bin/python3)
   --root DIR        install below DIR and change nothing else: for packages and tests
@@ -102,6 +103,24 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
     echo "$spec"
 }
 
+has_extra() {
+    case ,$extras, in
+        *,"$1",*) ;;
+        *) return 1 ;;
+    esac
+}
+
+install_fc6() { # before the extra that asks for it
+    if [ -n "$wheel" ]; then
+        install_packages --no-deps --find-links "$(dirname -- "$wheel")" lookback-fc6 \
+            || die "the network fc6 is a package of its own: copy lookback_fc6-*.whl beside $wheel, or --extras none"
+    elif [ -z "$pypi" ]; then
+        [ -d "$here/../lookback_fc6" ] || die "no lookback_fc6 in the checkout, which the extra fc6 needs"
+        cp -R "$here/../lookback_fc6" "$work/fc6" # a build would leave files in it
+        install_packages --no-deps "$work/fc6"
+    fi
+}
+
 installed_extras() { # prints those of the installed version whose packages are all there, with commas
     # By the new Python: after an upgrade of the system, the old environment's own finds none of its packages.
     PYTHONPATH=$(echo "$root$prefix"/lib/python3*/site-packages) "$python" - <<'PYTHON'
@@ -145,6 +164,10 @@ choose_extras() {
                 [ -n "$extras" ] || die "cannot find out which extras are installed; name them with --extras"
                 kept=
             fi
+            # Until it was a package of its own, fc6 was in every version, and a config that names no network means it.
+            for old in "$root$prefix"/lib/python3*/site-packages/edge/descriptor/models/alexnet_places100; do
+                [ ! -d "$old" ] || kept=$kept${kept:+,}fc6
+            done
             extras=$kept${kept:+${extras:+,}}$extras
             ;;
     esac
@@ -167,7 +190,9 @@ install_packages() {
 install_locked() { # the same bytes on every vehicle: compiled packages of known hashes; Lookback itself comes after them
     set -- -r "$here/lock/core.txt" -r "$here/lock/build.txt"
     for extra in $(echo "$extras" | tr , ' '); do
-        if [ -e "$here/lock/$extra.txt" ]; then
+        if [ "$extra" = fc6 ]; then
+            continue # it needs no other package
+        elif [ -e "$here/lock/$extra.txt" ]; then
             set -- "$@" -r "$here/lock/$extra.txt"
         else
             echo "install.sh: the extra $extra has no file in $here/lock: its newest packages are installed" >&2
@@ -185,6 +210,7 @@ make_venv() { # at $stage, with every path in it as if it were at $prefix
     "$python" -m venv "$stage"
     spec=$(what_to_install)
     [ "$newest" = yes ] || install_locked
+    ! has_extra fc6 || install_fc6
     install_packages "$spec"
     [ "$newest" = yes ] || "$stage/bin/python" -m pip check >&2 \
         || die "this version needs other packages than $here/lock has: take its own install.sh, or --newest"

@@ -13,20 +13,21 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from edge.config import NETWORKS
 from edge.errors import ModelError
+from edge.extras import install_command
 
 FC6_FILE, NETWORK_FILE = "fc6_int8.onnx", "network_int8.onnx"
 """The network file of a model folder: of an AlexNet, and of any other network."""
 HEAD_FILE = "head_int8.onnx"
-MODELS = Path(__file__).with_name("models")
-SHIPPED_MODEL = MODELS / "alexnet_places100"
-INSTALLED = dict(zip(NETWORKS, (MODELS / "grid" / "network_float32.onnx", SHIPPED_MODEL), strict=True))
+GRID = Path(__file__).parent / "models" / "grid" / "network_float32.onnx"
+FC6_PACKAGE = "lookback_fc6"
+FC6_NAME = "alexnet_places100"
 
 METADATA_KEY = "lookback"
 MAX_FILE_BYTES = 512 * 2**20  # the float graph of AlexNet to fc6 is 161 MB
@@ -107,13 +108,35 @@ class ModelFile:
 def resolve_model(path: Path | None, name: str = FC6_FILE) -> Path:
     """The file `name` of fc6 (None), of one of NETWORKS, or of a model folder; any other path is the file itself.
 
-    In a folder without `name`, its NETWORK_FILE if it has one.
+    In a folder without `name`, its NETWORK_FILE if it has one. ModelError where fc6 is not installed.
     """
-    path = SHIPPED_MODEL if path is None else INSTALLED.get(str(path), path)
+    if path is None or str(path) == "fc6":
+        path = fc6_folder()
+    elif str(path) == "grid":
+        path = GRID
     if not path.is_dir():
         return path
     other = path / NETWORK_FILE
     return other if name == FC6_FILE and not (path / name).exists() and other.exists() else path / name
+
+
+def fc6_folder() -> Path:
+    """Of the package lookback-fc6: beside `edge`, as in a clone and in most installations, or where Python finds it."""
+    beside = Path(__file__).parents[2] / FC6_PACKAGE
+    if beside.is_dir():
+        return beside
+    found = find_spec(FC6_PACKAGE)
+    if found is None or found.origin is None:
+        raise ModelError(
+            "the network fc6 is a package of its own, for non-commercial use, and is not installed:"
+            f' {install_command("fc6")}; or set [descriptor] model = "grid", for which maps must be built again'
+        )
+    return Path(found.origin).parent
+
+
+def network_of_map(name: str) -> str:
+    """What `[descriptor] model` is for a map whose network has this name; "" where Lookback does not know it."""
+    return {"grid": "grid", FC6_NAME: "fc6"}.get(name, "")
 
 
 def read_model_file(path: Path) -> ModelFile:

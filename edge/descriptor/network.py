@@ -167,7 +167,7 @@ class Network:
 
     @classmethod
     def load(cls, path: Path | None = None, provider: str = CPU) -> Network:
-        """The shipped network (None), or that of a file or model folder. Raises ModelError, in one line."""
+        """fc6 (None), or the network of a name, file or model folder. Raises ModelError, in one line."""
         return cls(read_model_file(resolve_model(path)), provider)
 
     def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import cv2
 
-from edge.config import RigConfig
+from edge.config import FIRST_NETWORK, RigConfig
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from edge.recognizer import model_key
@@ -77,7 +77,7 @@ def measure(folder: Path, places: int, seconds: float) -> Run:
     """Recognize pictures for that long, at least two of them, and read the sensors between them."""
     frames, temperatures, limits = [], [], set()
     until_ns = wall_ns() + seconds * 1e9
-    network, path = Network.load(), folder / "board.map"
+    network, path = Network.load(Path(FIRST_NETWORK)), folder / "board.map"
     write_simulated_map(path, places, model_key(network))
     for frame in run_frames(path, places, sys.maxsize // 2, network, RigConfig()):
         frames.append(frame)

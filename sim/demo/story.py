@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from edge.config import FIRST_NETWORK
 from edge.descriptor.network import Network
 from edge.errors import LookbackError
 from edge.journal.records import PlaceFix
@@ -55,7 +56,7 @@ def drive_story(folder: Path) -> Run:
     logger.setLevel(logging.ERROR)
     try:
         with (
-            closing(RoadLibrary(Network.load(), folder / "views")) as library,
+            closing(RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views")) as library,
             tqdm(total=draft.legs[-1].to_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
         ):
             return Drive(draft, SEED, folder, library).run(partial(_progress, bar, draft.legs[-1].to_m))
@@ -160,7 +161,7 @@ def pairs_of(run: Run, folder: Path) -> report.Section:
     """What the camera saw at night beside the places that were recognized; `folder` has the journal and the views."""
     draft, places = laid(), recognized(run, folder)
     pairs = []
-    with closing(RoadLibrary(Network.load(), folder / "views")) as library:
+    with closing(RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views")) as library:
         night, day = library[draft.home], library[map_scenario(draft.home)]
         for index in np.linspace(0, len(places) - 1, PAIRS).round().astype(int) if places else ():
             time_s, place_m = places[index]

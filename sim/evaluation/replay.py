@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     about = "a feed, an MCAP file, a video, or an autopilot log (.tlog) with its video"
     parser.add_argument("feed", type=Path, metavar="FEED", help=about)
     parser.add_argument("--map", type=Path, required=True, help="a map, or a folder of maps")
-    parser.add_argument("--model", type=Path, help="the network that the map was made with (default: the shipped one)")
+    parser.add_argument("--model", type=Path, help="the network that the map was made with, unless it is grid or fc6")
     parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
     parser.add_argument("--confidence-from", type=float, metavar="P", help="probability from which a place is believed")

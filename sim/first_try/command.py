@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from edge.camera.picture_check import FrozenPictureDetector
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import open_map, open_map_set
@@ -95,10 +95,10 @@ def _try(
 
     reference, query = (feeds[role] for role in ROLES)
     print(f"1. Map of {args.reference}", flush=True)
-    build_map([reference], folder / "map", DescriptorConfig(), sampling)
+    build_map([reference], folder / "map", DescriptorConfig(model=FIRST_NETWORK), sampling)
     maps = open_map_set(folder / "map")
     print(f"2. Recognizing {args.query}", flush=True)
-    network = MemoizingNetwork.load()  # the frames are recognized twice: for the offset, and with it
+    network = MemoizingNetwork.load(Path(FIRST_NETWORK))  # the frames are recognized twice: for the offset, and with it
     offsets, why = _measure(folder / "map", query, network)
     config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig_config(offsets))
     watch = _Watch()
@@ -185,4 +185,5 @@ class _Watched:
 
 def _config_text(rig: Lines) -> str:
     """A config with which `eval`, `replay` and `run` know what was measured."""
-    return f'[map]\npath = "map"\n{as_toml(rig)}\n' if rig else '[map]\npath = "map"\n'
+    text = f'[descriptor]\nmodel = "{FIRST_NETWORK}"\n\n[map]\npath = "map"\n'
+    return f"{text}{as_toml(rig)}\n" if rig else text

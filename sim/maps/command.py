@@ -12,7 +12,8 @@ import numpy as np
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.parser import fill_all
-from edge.config import Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.config import FIRST_NETWORK, Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend = actions.add_parser("extend", help="add feeds to a map and normalize all of its descriptors again")
     extend.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
     extend.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
-    extend.add_argument("--model", type=Path, help="the network that the map was made with (default: the shipped one)")
+    extend.add_argument("--model", type=Path, help="the network that the map was made with, unless it is grid or fc6")
     extend.set_defaults(run=_extend)
 
     map_files.add_actions(actions)
@@ -145,7 +146,7 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
 
 def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command `map build`; network: in place of the one that its config names."""
-    config = load_config(args.config) if args.config else Config()
+    config = load_config(args.config) if args.config else Config(descriptor=DescriptorConfig(model=FIRST_NETWORK))
     descriptor = config.descriptor
     if args.regions:
         descriptor = checked_option(descriptor, "--regions", regions=args.regions)
@@ -176,7 +177,8 @@ def _extend(args: argparse.Namespace) -> int:
     old = open_map(args.map, every_file=True)
     feeds = [read_feed(path) for path in args.feeds]
     header = old.header
-    network = open_network(DescriptorConfig(model=str(args.model or ""), provider=header.model.provider))
+    name = str(args.model or network_of_map(header.model.name))
+    network = open_network(DescriptorConfig(model=name, provider=header.model.provider))
     key = model_key(network)
     if key != header.model:
         raise MapError(f"{args.map}: made with another model, so nothing can be added; name the map's with --model")

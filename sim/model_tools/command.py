@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from edge.config import FIRST_NETWORK
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import NSD_COSINE_MIN
@@ -28,11 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_use(actions.add_parser("use", help="switch a config to another network, and say what that costs"))
 
     info = actions.add_parser("info", help="print the metadata of a network")
-    info.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
+    about = "grid, fc6, a folder or a file (default %(default)s)"
+    info.add_argument("model", type=Path, nargs="?", default=Path(FIRST_NETWORK), help=about)
     info.set_defaults(run=_info)
 
     verify = actions.add_parser("verify", help="compare an int8 network with its float one on a feed")
-    verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default: the shipped network)")
+    verify.add_argument("model", type=Path, nargs="?", help="a folder or file (default fc6)")
     verify.add_argument("feed", type=Path, metavar="FEED")
     verify.add_argument("--weights", type=Path, required=True, help="the float network, of `model import --float`")
     verify.set_defaults(run=_verify)

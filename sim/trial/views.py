@@ -41,7 +41,8 @@ class RoadViews:
         self._scenario, self._network = scenario, network
         self._renderer: Renderer | None = None
         keys = ("seed", "length_m", "light", "view", "direction", "drive_seed")
-        self._path = folder / ("_".join(f"{getattr(scenario, key):}" for key in keys) + ".npz")
+        known_by = [network.info.sha256[:12], *(f"{getattr(scenario, key):}" for key in keys)]
+        self._path = folder / f"{'_'.join(known_by)}.npz"
         self._known: dict[Cell, NDArray[np.float16]] = {}
         if self._path.exists():
             with np.load(self._path) as kept:

@@ -39,7 +39,8 @@ def street(write_traverse: Callable[..., Path], tmp_path_factory: pytest.TempPat
     feed = write_traverse(folder / "out", range(FRAMES))
     write_traverse(folder / "again", range(FRAMES), noise=8.0, period_ms=PERIOD_MS)
     write_traverse(folder / "last", range(BORDER, FRAMES), noise=8.0, period_ms=PERIOD_MS)
-    assert main(["map", "build", str(feed), "-o", str(folder / "map")]) == 0
+    (folder / "fc6.toml").write_text('[descriptor]\nmodel = "fc6"\n')
+    assert main(["map", "build", str(feed), "-o", str(folder / "map"), "--config", str(folder / "fc6.toml")]) == 0
     assert main(["map", "split", str(folder / "map"), "-o", str(folder / "tiles"), "--places", "50"]) == 0
     return folder
 
@@ -57,6 +58,7 @@ def damaged(street: Path, tmp_path: Path) -> Path:
 
 def write_config(folder: Path, feed: Path, path: Path, **of_map: Any) -> Path:
     config = {
+        "descriptor": {"model": "fc6"},
         "camera": {"kind": "feed", "device": str(feed)},
         "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
         "map": {"path": str(path), **of_map},

@@ -13,8 +13,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.descriptor.model_file import FC6_FILE, MAX_FILE_BYTES, SHIPPED_MODEL, ModelInfo, read_model_file
+from edge.config import DescriptorConfig
+from edge.descriptor.model_file import (
+    FC6_FILE,
+    FC6_NAME,
+    MAX_FILE_BYTES,
+    ModelInfo,
+    fc6_folder,
+    network_of_map,
+    read_model_file,
+    resolve_model,
+)
 from edge.descriptor.network import Network
+from edge.descriptor.open_network import open_network
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import GraphBuilder
 
@@ -51,6 +62,24 @@ def save(tmp_path: Path) -> Save:
     return _save
 
 
+def test_without_its_package_fc6_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("edge.descriptor.model_file.FC6_PACKAGE", "lookback_fc6_that_is_not_there")
+    with pytest.raises(ModelError, match=r'non-commercial use, .*pip install .*fc6.*; or set .*model = "grid"'):
+        resolve_model(None)
+    assert read_model_file(resolve_model(Path("grid"))).info.license == "Apache-2.0"
+
+
+def test_a_config_that_names_no_network_goes_on_with_fc6_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    assert open_network(DescriptorConfig()).info.name == FC6_NAME
+    assert "model is not set, so it is fc6" in caplog.text
+
+
+@pytest.mark.parametrize(("name", "model"), [("grid", "grid"), (FC6_NAME, "fc6")])
+def test_the_name_in_a_map_says_which_network_made_it(name: str, model: str) -> None:
+    assert read_model_file(resolve_model(Path(model))).info.name == name
+    assert (network_of_map(name), network_of_map("of_a_friend")) == (model, "")
+
+
 def assert_refused(file: Path, reason: str) -> None:
     with pytest.raises(ModelError, match=reason) as caught:
         Network.load(file)
@@ -82,7 +111,7 @@ def test_too_large_file_is_not_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
 def test_truncated_shipped_network(share: float, save: Save) -> None:
-    data = (SHIPPED_MODEL / FC6_FILE).read_bytes()
+    data = (fc6_folder() / FC6_FILE).read_bytes()
     assert_refused(save(data[: int(len(data) * share)]), "not a whole ONNX file|no 'lookback' in its metadata")
 
 

@@ -13,7 +13,7 @@ import onnxruntime
 import pytest
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, read_model_file
+from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, fc6_folder, read_model_file
 from edge.descriptor.network import Head, Network, Regions, cut_regions
 from edge.descriptor.open_network import NSD_COSINE_MIN
 from edge.errors import ModelError
@@ -54,9 +54,9 @@ def test_shipped_network_says_what_it_is(network: Network) -> None:
     assert (info.name, info.tap, info.dimensions, info.precision) == ("alexnet_places100", "fc6", 4096, "int8")
     assert (info.input_size, info.channel_order, len(info.labels)) == (224, "BGR", 100)
     assert "non-commercial" in info.license
-    card = (SHIPPED_MODEL / "README.md").read_text(encoding="utf-8")
+    card = (fc6_folder() / "README.md").read_text(encoding="utf-8")
     for name in (FC6_FILE, HEAD_FILE):
-        assert read_model_file(SHIPPED_MODEL / name).info.sha256[:16] in card
+        assert read_model_file(fc6_folder() / name).info.sha256[:16] in card
 
 
 @pytest.mark.parametrize(("name", "kernels"), [(FC6_FILE, {"QLinearConv": 5, "QGemm": 1}), (HEAD_FILE, {"QGemm": 1})])
@@ -66,7 +66,7 @@ def test_every_large_layer_runs_in_int8(name: str, kernels: dict[str, int], tmp_
     options = onnxruntime.SessionOptions()
     options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
     options.log_severity_level = 3  # it warns that such a file is for this machine only
-    onnxruntime.InferenceSession(SHIPPED_MODEL / name, options, providers=["CPUExecutionProvider"])
+    onnxruntime.InferenceSession(fc6_folder() / name, options, providers=["CPUExecutionProvider"])
     found = Counter(node.op_type for node in onnx.load(tmp_path / "optimized.onnx").graph.node)
     assert {kernel: found[kernel] for kernel in kernels} == kernels
     assert found["Conv"] == 0
@@ -106,7 +106,7 @@ def test_head_gives_probabilities(network: Network, images: NDArray[np.uint8]) -
 
 
 def test_head_of_another_network_is_refused() -> None:
-    file = read_model_file(SHIPPED_MODEL / FC6_FILE)
+    file = read_model_file(fc6_folder() / FC6_FILE)
     other = dataclasses.replace(file, info=msgspec.structs.replace(file.info, sha256="0" * 64))
     with pytest.raises(ModelError, match=r"head_int8\.onnx: belongs to the network .*import the two again"):
         Head.load(Network(other))
@@ -114,7 +114,7 @@ def test_head_of_another_network_is_refused() -> None:
 
 def test_head_in_place_of_a_network_is_refused() -> None:
     with pytest.raises(ModelError, match=r"head_int8\.onnx: is the category head; name the network file"):
-        Network.load(SHIPPED_MODEL / HEAD_FILE)
+        Network.load(fc6_folder() / HEAD_FILE)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.config import DescriptorConfig, SamplingConfig
-from edge.descriptor.model_file import SHIPPED_MODEL, ModelFile, read_model_file
+from edge.descriptor.model_file import ModelFile, fc6_folder, read_model_file
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import check_agreement, open_network
 from edge.errors import ConfigError, ModelError
@@ -39,7 +39,7 @@ def test_a_provider_that_agrees_is_named_by_the_map(tmp_path: Path, write_traver
 def test_a_provider_that_disagrees_is_refused_in_one_line() -> None:
     """Scales of the last layer that are permuted: plausible numbers, and other descriptors."""
     onnx = pytest.importorskip("onnx", reason="needs the extra `model`")
-    file = read_model_file(SHIPPED_MODEL / "fc6_int8.onnx")
+    file = read_model_file(fc6_folder() / "fc6_int8.onnx")
     model = onnx.load_model_from_string(file.data)
     scales = next(one for one in model.graph.initializer if one.name == "classifier.1.weight_scale")
     values = onnx.numpy_helper.to_array(scales)

@@ -30,9 +30,11 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLink_heartbeat_message
 import edge
 from edge.commands.parser import build_parser
 from edge.config import SHIPPED, Config, parse_config
+from edge.descriptor.model_file import FC6_PACKAGE
 from edge.feed.format import MEASURES, SOURCE, FeedHeader
 from edge.geodesy import POSITION_SOURCES
 from edge.journal.records import KINDS, Record
+from edge.toml_file import toml_values
 from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.mapping.status import MappingChanged
 from edge_plugins.motion.camera_motion import MotionMeasured
@@ -321,12 +323,13 @@ def test_the_examples_of_good_code_are_code_of_this_repository() -> None:
         assert code in (ROOT / file).read_text(encoding="utf-8"), file
 
 
-def test_the_package_and_the_readme_name_the_license_of_the_network_too() -> None:
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    (license_line,) = re.findall(r'^license = "(.*?)"', text, re.MULTILINE)
-    (files,) = re.findall(r"^license-files = \[(.*)\]", text, re.MULTILINE)
-    card = "edge/descriptor/models/alexnet_places100/README.md"
-    assert license_line == "Apache-2.0 AND LicenseRef-Places-CNN-non-commercial"
-    assert f'"{card}"' in files and (ROOT / card).is_file()
+def test_each_package_names_the_license_of_its_network() -> None:
+    for folder, license_name, card in (
+        (ROOT, "Apache-2.0", "edge/descriptor/models/grid/README.md"),
+        (ROOT / FC6_PACKAGE, "LicenseRef-Places-CNN-non-commercial", "README.md"),
+    ):
+        project = toml_values((folder / "pyproject.toml").read_text(encoding="utf-8"), folder)["project"]
+        assert project["license"] == license_name
+        assert card in project["license-files"] and (folder / card).is_file()
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert card in readme and "non-commercial" in readme
+    assert f"{FC6_PACKAGE}/README.md" in readme and "non-commercial" in readme

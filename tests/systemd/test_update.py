@@ -81,11 +81,23 @@ def wheel(folder: Path, version: str, *marks: str) -> Path:
             "edge/__main__.py": MAIN,
             "edge/start.toml": "",
             **{f"edge/{mark}": "" for mark in marks},
-            f"{info}/METADATA": f"Metadata-Version: 2.1\nName: lookback-nav\nVersion: {version}\nProvides-Extra: oak\n",
+            f"{info}/METADATA": f"Metadata-Version: 2.1\nName: lookback-nav\nVersion: {version}\nProvides-Extra: oak\n"
+            "Provides-Extra: fc6\nRequires-Dist: lookback-fc6; extra == 'fc6'\n",
             f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: tests\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
             f"{info}/RECORD": "",
         }.items():
             archive.writestr(name, text)
+    return path
+
+
+def fc6_wheel(folder: Path) -> Path:
+    """The network that was a part of Lookback, as a package of its own."""
+    path, info = folder / "lookback_fc6-1.0-py3-none-any.whl", "lookback_fc6-1.0.dist-info"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("lookback_fc6/__init__.py", "")
+        archive.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: lookback-fc6\nVersion: 1.0\n")
+        archive.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr(f"{info}/RECORD", "")
     return path
 
 
@@ -175,3 +187,15 @@ def test_a_package_that_was_removed_can_be_installed_again(
     unit.touch()
     refused = system(SYSTEMD / "deb/preinst", "install")
     assert (refused.returncode, "install.sh has installed it here already" in refused.stderr) == (1, True)
+
+
+def test_an_update_keeps_the_network_that_was_a_part_of_lookback(
+    system: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    install(system, wheel(tmp_path, "1.0", "descriptor/models/alexnet_places100/fc6_int8.onnx"))
+    assert "copy lookback_fc6-*.whl beside" in install(system, wheel(tmp_path, "2.0"))
+    assert version_of(tmp_path) == "1.0"
+    fc6_wheel(tmp_path)
+    assert "Lookback is updated, with the extras oak,fc6." in install(system, wheel(tmp_path, "2.0"))
+    assert list(tmp_path.glob("opt/lookback/lib/*/site-packages/lookback_fc6/__init__.py"))
+    assert "Lookback is updated, with the extras oak,fc6." in install(system, wheel(tmp_path, "3.0")), "and again"

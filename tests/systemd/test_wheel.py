@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from edge.descriptor.model_file import FC6_PACKAGE, GRID
 from edge.extras import DISTRIBUTION
 
 README = Path(__file__).parents[2] / "README.md"
@@ -69,7 +70,16 @@ def readme_commands() -> list[list[str]]:
 def test_no_research_is_in_the_wheel(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert "sim/trial/run.py" in names and "sim/evaluation/report.html.j2" in names
-    assert not [name for name in names if name.startswith("sim/research") or name.startswith("tests")]
+    assert not [name for name in names if name.startswith(("sim/research", "tests", FC6_PACKAGE))]
+
+
+def test_the_wheel_is_small_and_under_one_license(wheel: Path) -> None:
+    """Without the network, which the fixture spares itself; its own file does not shrink."""
+    size = wheel.stat().st_size + GRID.stat().st_size
+    assert size < 10e6
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        assert "License-Expression: Apache-2.0\n" in archive.read(metadata).decode()
 
 
 def test_every_command_of_the_readme_is_one(python: Path) -> None:

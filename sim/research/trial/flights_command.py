@@ -61,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=output)
     views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
+    parser.add_argument("--model", type=Path, help="the network of the maps and the daemon (default fc6, as recorded)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
     parser.add_argument("--summary", type=Path, metavar="FILE", help="a page of docs, to write its last lines into")
     parser.set_defaults(run=_run)
@@ -73,7 +74,7 @@ def _run(args: argparse.Namespace) -> int:
     if not folders:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
-    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs)
+    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model)
     (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
     given = " ".join(path.name for path in args.flights)
@@ -88,15 +89,17 @@ def _inside(folder: Path) -> list[Path]:
     return sorted(path.parent for path in folder.glob(f"*/{LINK}"))
 
 
-def replay_all(folders: Sequence[Path], output: Path, views: Path, jobs: int) -> list[Flight | Failed]:
-    """Replay drives, those on one road one after the other."""
+def replay_all(
+    folders: Sequence[Path], output: Path, views: Path, jobs: int, model: Path | None = None
+) -> list[Flight | Failed]:
+    """Replay drives, those on one road one after the other. model: as `resolve_model` has it."""
     by_road: dict[int | None, list[Path]] = {}
     for folder in folders:
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
     # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
     with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
-        done = pool.map(partial(replay_group, output=output, views=views), groups, chunksize=1)
+        done = pool.map(partial(replay_group, output=output, views=views, model=model), groups, chunksize=1)
     found = {folder: one for group in done for folder, one in group}
     return [found[folder] for folder in folders]
 
@@ -108,10 +111,12 @@ def _road(folder: Path) -> int | None:
         return None
 
 
-def replay_group(folders: Sequence[Path], output: Path, views: Path) -> list[tuple[Path, Flight | Failed]]:
+def replay_group(
+    folders: Sequence[Path], output: Path, views: Path, model: Path | None = None
+) -> list[tuple[Path, Flight | Failed]]:
     """Replay drives on one road, in one process; each prints its rows."""
     logging.getLogger("edge").setLevel(logging.ERROR)
-    library, drives = RoadLibrary(Network.load(), views), {}
+    library, drives = RoadLibrary(Network.load(model), views), {}
     found: list[tuple[Path, Flight | Failed]] = []
     try:
         for folder in folders:

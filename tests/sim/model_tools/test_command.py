@@ -18,8 +18,10 @@ def lookback_model(*argv: object) -> int:
     return int(args.run(args))
 
 
-def test_info_of_the_shipped_network(capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_of_the_networks_that_have_a_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert lookback_model("info") == 0
+    assert "name            grid" in capsys.readouterr().out.splitlines()
+    assert lookback_model("info", "fc6") == 0
     assert "name            alexnet_places100" in capsys.readouterr().out.splitlines()
 
 

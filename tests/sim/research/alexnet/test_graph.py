@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, SHIPPED_MODEL, ModelInfo, read_model_file
+from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelInfo, fc6_folder, read_model_file
 from edge.descriptor.network import Head, Network
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import Weights
@@ -94,9 +94,9 @@ def test_int8_network_and_head_are_close_to_alexnet(
 
 
 def test_shipped_network_is_what_its_weights_and_ranges_make(shared: Path) -> None:
-    shipped = onnx.load(SHIPPED_MODEL / FC6_FILE)
+    shipped = onnx.load(fc6_folder() / FC6_FILE)
     weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
-    info = read_model_file(SHIPPED_MODEL / FC6_FILE).info
+    info = read_model_file(fc6_folder() / FC6_FILE).info
     made = as_int8(build_float(weights, info), read_layer_ranges(shared / "model" / "activation_ranges.json"), info)
     kinds = [Counter(node.op_type for node in one.graph.node) for one in (made, shipped)]
     constants = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in made.graph.initializer}
