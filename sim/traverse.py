@@ -19,6 +19,7 @@ from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
 from edge.reference_map import MapHeader
 
+USUAL_MOST = 90.0  # percent of the steps of a drive that are not faster
 log = logging.getLogger(__name__)
 
 
@@ -75,6 +76,18 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
 def has_odometer(feed: Feed) -> bool:
     """Whether `driven_m` was measured: where a row lacks its distance, it is summed up between positions."""
     return feed.header.odometer and all(row.distance_m is not None for row in feed.rows)
+
+
+def whole_sigma_m(feed: Feed) -> float | None:
+    """What all positions are off by together along the drive, by the times of its pictures; None where not known.
+
+    One standard deviation, at the speed that is exceeded in a tenth of the steps.
+    """
+    sigma_s, distances_m = feed.header.time_sigma_s, driven_m(feed)
+    if not sigma_s or distances_m is None or len(feed.rows) < 2:
+        return sigma_s
+    steps_s = np.diff([row.stamp_ns for row in feed.rows]) / 1e9
+    return round(sigma_s * float(np.percentile(np.diff(distances_m) / steps_s, USUAL_MOST)), 2)
 
 
 def driven_m(feed: Feed) -> list[float] | None:

@@ -156,8 +156,8 @@ def compare(
         heading_rad=heading_rad,
         off_along_m=off_along_m,
         off_left_m=off_left_m,
-        along_sigma_m=math.hypot(match_m, map_m, gps_m, undated_m),
-        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m),
+        along_sigma_m=math.hypot(match_m, map_m, gps_m, undated_m, drive.whole_sigma_m[0]),
+        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m, drive.whole_sigma_m[1]),
     )
 
 

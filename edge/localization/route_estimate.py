@@ -69,8 +69,8 @@ DOUBT, MATCH, LEFT, RIGHT = 4, 5, 7, 8
 class MatchErrors:
     """Standard deviations along the road of lines of both regions together, in meters.
 
-    line_m: as measured, of which a part stays for a drive. apart_m: of what stays besides, since the lines of the two
-    regions lie apart, and those of both may be either of them.
+    line_m: as measured, of which a part stays for a drive. apart_m: of what stays besides: the lines of the two regions
+    lie apart, and those of both may be either of them; and the positions of the map's drive are off together.
     """
 
     line_m: float

@@ -25,7 +25,7 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors
+from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import RecentInnovations, Track
 from edge.reference_map import Route
@@ -220,7 +220,12 @@ class RouteFilter:
         lat_deg, lon_deg = moved(*origin, float(estimate.position_m[0]), float(estimate.position_m[1]))
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        covariance = self._innovations.factor**2 * estimate.covariance[:2, :2] + map_error_m(found) ** 2 * np.eye(2)
+        covariance = self._innovations.factor**2 * estimate.covariance[:2, :2]
+        # No number of a drive's own places shows by how much all of them are off.
+        for direction, whole_m in zip((along, left_of(along)), newest.whole_sigma_m, strict=True):
+            lacks = max(0.0, whole_m**2 - float(direction @ covariance @ direction))
+            covariance += lacks * np.outer(direction, direction)
+        covariance += map_error_m(found) ** 2 * np.eye(2)
         covariance += (_line_variance(estimate, newest) + newest.undated_m**2) * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(

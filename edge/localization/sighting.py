@@ -61,17 +61,18 @@ class OnDrive(NamedTuple):
 class Sighting:
     """A match in local meters.
 
-    checked_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the vehicle now, along
-    the drive. shows_parallax: whether lines of this kind have one that was calibrated: where they say nothing, the
-    vehicle may be off its lane. regions: the lines of its two regions; None where the match has none. faint: times by
-    which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation along the road by
-    that of the time of exposure.
+    checked_m, whole_sigma_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
+    vehicle now, along the drive. shows_parallax: whether lines of this kind have one that was calibrated: where they
+    say nothing, the vehicle may be off its lane. regions: the lines of its two regions; None where the match has none.
+    faint: times by which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation
+    along the road by that of the time of exposure.
     """
 
     match: PlaceMatch
     segment: int
     recording: str
     checked_m: float
+    whole_sigma_m: tuple[float, float]
     passed: Passed
     along_m: float
     sigma_m: float
@@ -132,15 +133,17 @@ class Sightings:
         faint = max(1.0, SHARP / match.sharpness)
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
+        drive = self._route.drive(match.place_index)
         return Sighting(
             match=match,
             segment=line.segment,
             recording=line.recording,
-            checked_m=self._route.drive(match.place_index).checked_m,
+            checked_m=drive.checked_m,
+            whole_sigma_m=drive.whole_sigma_m,
             passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
-            errors=self._errors(match),
+            errors=self._errors(match, drive.whole_sigma_m[0]),
             map_sigma_m=middle.map_sigma_m,
             shows_parallax=match.order == "same" and self._rig.parallax > 0,
             regions=self._regions(match, line, estimate, scale_sigma, faint),
@@ -148,9 +151,9 @@ class Sightings:
             undated_m=undated_m,
         )
 
-    def _errors(self, match: PlaceMatch) -> MatchErrors:
+    def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:
         apart_m = abs(self._rig.parallax * self._left_m(match)) if match.order == "same" else 0.0
-        return MatchErrors(self._rig.sigma_m(match.direction, match.order), apart_m / 2)
+        return MatchErrors(self._rig.sigma_m(match.direction, match.order), math.hypot(apart_m / 2, whole_m))
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self._rig.left_reverse_m if match.direction == "reverse" else self._rig.left_forward_m

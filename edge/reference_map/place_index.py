@@ -29,7 +29,7 @@ class PlaceIndex:
         """Places [start, end) of each map."""
         follows = [False, *(_follows(before, after) for before, after in pairwise(headers))]
         self._breaks = [start for start, is_next in zip(self.starts, [*follows, False], strict=True) if not is_next]
-        begins, self._views, self._sources, self._moved = [], [], [], []
+        begins, self._views, self._sources, self._moved, self._whole = [], [], [], [], []
         for header, start, is_next in zip(headers, self.starts, follows, strict=False):
             for number, segment in enumerate(header.segments):
                 if number or not (is_next and header.tile and header.tile.continues):
@@ -37,6 +37,7 @@ class PlaceIndex:
                     self._views.append(segment.view)
                     self._sources.append(segment.source)
                     self._moved.append(segment.moved_as_driven)
+                    self._whole.append(segment.whole_sigma_m)
                 else:
                     self._moved[-1] &= segment.moved_as_driven
         self._segments = [*begins, self.places]
@@ -69,6 +70,10 @@ class PlaceIndex:
     def moved_as_driven(self, segment: int) -> bool:
         """Whether its positions are known to have moved as its vehicle did, see `Segment`."""
         return self._moved[segment]
+
+    def whole_sigma_m(self, segment: int) -> float | None:
+        """What all its positions are off by together, see `Segment`."""
+        return self._whole[segment]
 
     def by_map(self, ranges: Ranges) -> Iterator[tuple[int, int, int]]:
         """The ranges in pieces that lie in one map each: its number, and rows [start, end) of it."""

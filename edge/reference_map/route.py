@@ -20,6 +20,10 @@ BEYOND = 1024
 KEPT_DRIVES = 16
 GAP = 2.0
 """Steps of more than so many times the median are gaps: places that were not mapped, for want of a picture."""
+UNKNOWN_WHOLE_M = 8.0, 4.5
+"""One standard deviation, along a drive and across it, of what all its positions are off by together where nothing says
+how well pictures and positions were laid over each other: a video that is 2 s off at 15 m/s is 30 m off, four of them.
+With more, positions would not be certain enough (10 m) for an autopilot that drifts."""
 NO_LAP_M = 1e12
 """Meters after which a drive that is not closed would go on at its beginning: never."""
 
@@ -43,14 +47,15 @@ class Drive:
     """What is known of a segment around a place: how far it goes along its route_m, and how far places are apart.
 
     NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. checked_m:
-    how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. Arrays: of the places
-    with a position, in their order; lon_deg has no jump at 180 degrees, and heading_deg is the course where the map has
-    none.
+    how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. whole_sigma_m: along
+    and across, of what all its positions are off by together. Arrays: of the places with a position, in their order;
+    lon_deg has no jump at 180 degrees, and heading_deg is the course where the map has none.
     """
 
     segment: int
     recording: str
     checked_m: float
+    whole_sigma_m: tuple[float, float]
     places: int
     from_m: float
     to_m: float
@@ -156,8 +161,11 @@ class Route:
         checked_m = 0.0
         if self._index.moved_as_driven(segment):
             checked_m = float(np.hypot(*east_north(lat_deg, lon_deg).T).max(initial=0.0))
-        recording = self._index.recording(segment)
-        return Drive(segment, recording, checked_m, len(records), *extent_m, spacing_m, *lines)
+        whole_m, is_checked = self._index.whole_sigma_m(segment), self._index.moved_as_driven(segment)
+        known_m = 0.0 if whole_m is None and is_checked else whole_m
+        whole_sigma_m = UNKNOWN_WHOLE_M if known_m is None else (known_m, 0.0)
+        about = segment, self._index.recording(segment), checked_m, whole_sigma_m, len(records)
+        return Drive(*about, *extent_m, spacing_m, *lines)
 
 
 def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:

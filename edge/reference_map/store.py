@@ -21,7 +21,7 @@ import mmap
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -33,7 +33,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import FileKey, check_files
-from edge.reference_map.place_records import PLACE, PLACE_OF_FORMAT_3, read_places
+from edge.reference_map.place_records import MAX_SIGMA_M, PLACE, PLACE_OF_FORMAT_3, read_places
 from edge.reference_map.spatial_index import Bounds
 from edge.toml_file import Line
 
@@ -95,7 +95,9 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Places [start, end) of one drive, and where its camera looked; no trajectory crosses into the next segment.
 
-    moved_as_driven: whether all its positions moved as an odometer and the heading said (`gps_motion`).
+    moved_as_driven: whether all its positions moved as an odometer and the heading said (`gps_motion`). whole_sigma_m:
+    one standard deviation along the drive of what all its positions are off by together, beside their own, as by the
+    times of a video that was laid over a track; None where nobody knows.
     """
 
     start: int
@@ -103,6 +105,7 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     view: Literal["front", "rear"]
     source: Line
     moved_as_driven: bool = False
+    whole_sigma_m: Annotated[float, msgspec.Meta(ge=0, le=MAX_SIGMA_M)] | None = None
 
 
 class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -144,12 +147,19 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         version = FORMAT, VERSION, edge.__version__
         return cls(*version, model, regions, model.dimensions, sampling, places=0, segments=(), bounds=None, files={})
 
-    def with_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> MapHeader:
+    def with_segment(
+        self,
+        source: str,
+        view: Literal["front", "rear"],
+        *,
+        has_odometer: bool = False,
+        whole_sigma_m: float | None = None,
+    ) -> MapHeader:
         """With a further drive, to which the next places belong; sequences are never searched across its beginning.
 
         has_odometer: whether its route_m was measured, and not computed from its positions; see `checked`.
         """
-        begun = Segment(self.places, self.places, view, source, has_odometer)
+        begun = Segment(self.places, self.places, view, source, has_odometer, whole_sigma_m)
         return replace(self, segments=(*self.first(self.places).segments, begun))
 
     def with_places(self, places: int) -> MapHeader:

@@ -98,9 +98,16 @@ class MapBuilder:
         self._raw = (self._folder / store.RAW).open("wb")
         self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
 
-    def begin_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> None:
+    def begin_segment(
+        self,
+        source: str,
+        view: Literal["front", "rear"],
+        *,
+        has_odometer: bool = False,
+        whole_sigma_m: float | None = None,
+    ) -> None:
         """Start a further drive, see `MapHeader.with_segment`."""
-        self._header = self._header.with_segment(source, view, has_odometer=has_odometer)
+        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.

@@ -74,9 +74,16 @@ class GrowingMap:
         """Records of PLACE of all places (N,)."""
         return self._places[: self.count]
 
-    def begin_segment(self, source: str, view: Literal["front", "rear"], *, has_odometer: bool = False) -> None:
+    def begin_segment(
+        self,
+        source: str,
+        view: Literal["front", "rear"],
+        *,
+        has_odometer: bool = False,
+        whole_sigma_m: float | None = None,
+    ) -> None:
         """Start a further drive, see `MapHeader.with_segment`."""
-        self._header = self._header.with_segment(source, view, has_odometer=has_odometer)
+        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment, and renew some of the others."""

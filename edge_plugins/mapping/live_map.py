@@ -277,7 +277,7 @@ class LiveMap:
         self._last = None
         begun = self._log.begin_drive(DriveBegun(self._view))
         if begun:
-            self._growing.begin_segment(source_of(self._path), self._view, has_odometer=True)
+            self._growing.begin_segment(source_of(self._path), self._view, has_odometer=True, whole_sigma_m=0.0)
         return begun
 
     def _add(self, new: MappedPlace) -> None:
@@ -353,7 +353,7 @@ class LiveMap:
         self._log = PlaceLog(found, self._config.min_free_mb * 1e6, self._retry_s)
         self._growing = self._new_map()
         for first, end, drive in found.segments():
-            self._growing.begin_segment(source_of(self._path), drive.view, has_odometer=True)
+            self._growing.begin_segment(source_of(self._path), drive.view, has_odometer=True, whole_sigma_m=0.0)
             for row in range(first, end, RESUMED_AT_ONCE):
                 records = [found.place(one) for one in range(row, min(row + RESUMED_AT_ONCE, end))]
                 self._growing.add_all(np.stack([found.raw_of(one) for one in records]), [one.place for one in records])

@@ -320,7 +320,7 @@ def _build(file: OpenLog, path: Path) -> None:
     header = file.header
     with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
         for first, end, drive in file.segments():
-            builder.begin_segment(source_of(path), drive.view, has_odometer=True)
+            builder.begin_segment(source_of(path), drive.view, has_odometer=True, whole_sigma_m=0.0)
             for row in range(first, end):
                 try:
                     passed = file.place(row)

@@ -126,6 +126,6 @@ def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") 
     height, width = frame.image.shape[:2]
     processed = camera.preprocessing
     about = path.name, camera.view, width, height, camera.source, notes
-    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, odometer=True))
+    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, odometer=True, time_sigma_s=0.0))
     log.info("recording: %s", path)
     return writer

@@ -26,6 +26,10 @@ from sim.output import needing
 TruthKind = Literal["positions", "rows", "route_m"]
 
 
+ONE_CLOCK_S = 0.1
+"""Of stamps that one computer gave to pictures and positions: exposure, and the receiver's own delay."""
+
+
 @dataclass(frozen=True)
 class Traverse:
     """One drive of a data set: rows as a feed has them, one for every picture, and the pictures.
@@ -43,6 +47,8 @@ class Traverse:
     notes: str = ""
     alignment: Alignment | None = None
     """Of a video over its track, where the two have clocks of their own."""
+    time_sigma_s: float | None = None
+    """See `FeedHeader`, where there is no alignment."""
 
 
 @dataclass(frozen=True)

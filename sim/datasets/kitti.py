@@ -17,7 +17,7 @@ import numpy as np
 
 from edge.errors import FeedError
 from edge.feed import FeedRow
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers
 from sim.datasets.track import from_local
@@ -55,4 +55,5 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=tuple(rows),
         pictures=PictureFiles([path / camera / name for name in names]),
         notes="local_x_m right and local_y_m ahead of the first picture",
+        time_sigma_s=ONE_CLOCK_S,
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pyproj import Geod, Transformer
 
 from edge.errors import FeedError, FrameError
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.track import Fix, Track
 
 SOURCE = "NSAVP"
@@ -81,6 +81,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=_track(poses).rows(str(file), files, stamps_ns),
         pictures=H5Pictures(file, encoding, rows - crop_bottom),
         notes=f"TAI stamps, positions of the rear axle; {encoding}, lowest {crop_bottom} rows cut off",
+        time_sigma_s=ONE_CLOCK_S,
     )
 
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError
 from edge.feed import View
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles
 from sim.datasets.tables import Record, read_numbers, read_records
 from sim.datasets.track import Fix, Track
@@ -83,6 +83,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=_track(path, options.positions or "ins").rows(str(path / name), files, [us * 1000 for us in stamps_us]),
         pictures=PictureFiles([path / file for file in files], develop, cv2.IMREAD_UNCHANGED),
         notes=f"demosaicked, lowest {crop_bottom} rows cut off",
+        time_sigma_s=ONE_CLOCK_S,
     )
 
 

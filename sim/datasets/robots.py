@@ -29,7 +29,7 @@ from pathlib import Path
 from edge.errors import FeedError
 from edge.feed import View
 from edge.geodesy import east_north_of
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import JoinedPictures, PictureFiles, list_pictures, natural_key, open_video
 from sim.datasets.tables import read_numbers, read_records
 from sim.datasets.track import Fix, Track, from_local
@@ -53,7 +53,9 @@ def _fred(path: Path, view: View) -> Traverse:
     fixes = list(_fred_fixes(path))
     rows = Track(str(path / "utm"), fixes).rows(str(folder), names, [_stamp_ns(folder / name) for name in names])
     pictures = PictureFiles([folder / name for name in names])
-    return Traverse(f"{path.name}-{view}", f"FRED {path.name} {folder.name}", rows, pictures, view)
+    return Traverse(
+        f"{path.name}-{view}", f"FRED {path.name} {folder.name}", rows, pictures, view, time_sigma_s=ONE_CLOCK_S
+    )
 
 
 def _fred_fixes(path: Path) -> Iterator[Fix]:
@@ -92,6 +94,7 @@ def _frodobots(path: Path, view: View) -> Traverse:
         pictures=pictures,
         view=view,
         notes=f"{len(names)} pictures and {len(stamps_ns)} times of them",
+        time_sigma_s=ONE_CLOCK_S,
     )
 
 

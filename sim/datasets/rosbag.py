@@ -23,7 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from edge.errors import FeedError, FrameError
 from edge.feed import decode_picture
-from sim.datasets import ReadOptions, Traverse
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import PicturesInOrder
 from sim.datasets.track import Fix, Track
 
@@ -59,6 +59,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=track.rows(f"{path}: {camera}", [f"{camera}#{index}" for index in range(len(stamps_ns))], stamps_ns),
         pictures=PicturesInOrder(f"{path}: {camera}", partial(_messages, path, camera), to_bgr),
         notes=f"positions from {receiver}",
+        time_sigma_s=ONE_CLOCK_S,
     )
 
 

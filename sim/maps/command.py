@@ -136,7 +136,8 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
     """Add all places of a map of the same model and regions, with segments and raw descriptors, as if driven again."""
     raw, records = other.raw(), other.places
     for segment in other.header.segments:
-        builder.begin_segment(segment.source, segment.view, has_odometer=segment.moved_as_driven)
+        moved, whole_m = segment.moved_as_driven, segment.whole_sigma_m
+        builder.begin_segment(segment.source, segment.view, has_odometer=moved, whole_sigma_m=whole_m)
         for index in range(segment.start, segment.end):
             known = {name: records[name][index].item() for name in ("row", "route_m", *MEASURED)}
             source = POSITION_SOURCES[records["position_source"][index]]

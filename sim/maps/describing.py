@@ -32,7 +32,7 @@ from edge.extras import import_extra
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
-from sim.traverse import TraverseFrame, has_odometer, traverse
+from sim.traverse import TraverseFrame, has_odometer, traverse, whole_sigma_m
 
 MEASURED = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "position_sigma_m")
 """What places have as rows of a feed have it."""
@@ -53,6 +53,7 @@ class Described:
     name: str
     view: Literal["front", "rear"]
     has_odometer: bool
+    whole_sigma_m: float | None
     raw: NDArray[np.float16]
     places: tuple[Place, ...]
     made_by: str
@@ -78,7 +79,8 @@ def add_feed(
     must_have_distance: bool = False,
 ) -> None:
     """Describe a recording here, and add it as a segment."""
-    builder.begin_segment(feed.header.name, feed.header.view, has_odometer=has_odometer(feed))
+    made = feed.header
+    builder.begin_segment(made.name, made.view, has_odometer=has_odometer(feed), whole_sigma_m=whole_sigma_m(feed))
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for index, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
@@ -115,7 +117,8 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                         f"--cluster: a worker described the test picture of {drive.name} otherwise than this computer:"
                         f" {drive.made_by} there, {here} here; use workers of one version on one kind of processor"
                     )
-                builder.begin_segment(drive.name, drive.view, has_odometer=drive.has_odometer)
+                known = drive.has_odometer, drive.whole_sigma_m
+                builder.begin_segment(drive.name, drive.view, has_odometer=known[0], whole_sigma_m=known[1])
                 for raw, place in zip(drive.raw, drive.places, strict=True):
                     builder.add(raw.astype(np.float32), place)
                 progress.update()
@@ -129,7 +132,8 @@ def describe(path: Path, work: Work) -> Described:
     found = list(_described(feed, network, regions, work.sampling, work.must_have_distance))
     raw = np.array([one for _, one, _ in found], dtype="<f2")
     made, places = feed.header, tuple(place for *_, place in found)
-    return Described(made.name, made.view, has_odometer(feed), raw, places, fingerprint(network))
+    known = has_odometer(feed), whole_sigma_m(feed)
+    return Described(made.name, made.view, *known, raw, places, fingerprint(network))
 
 
 def fingerprint(network: Network) -> str:

@@ -25,7 +25,8 @@ class Stretch:
     """Meters of the road that a segment of the map covers, by how much its positions are wrong, and what it states.
 
     continues: it is no segment of its own, but of one with the stretch before, which ends where it begins. recording:
-    that it comes from, by default one of its own. has_odometer: whether its meters were measured.
+    that it comes from, by default one of its own. has_odometer: whether its meters were measured. whole_sigma_m: see
+    `Segment`. late_m: by how much its positions are further along the road than its pictures.
     """
 
     begins_m: float
@@ -36,6 +37,8 @@ class Stretch:
     continues: bool = False
     recording: str = ""
     has_odometer: bool = False
+    whole_sigma_m: float | None = 0.0
+    late_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,10 +99,11 @@ def build_maps(
             before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
             if not stretch.continues:
                 recording = stretch.recording or f"stretch {number}"
-                builder.begin_segment(recording, "rear", has_odometer=stretch.has_odometer)
+                whole_m = stretch.whole_sigma_m
+                builder.begin_segment(recording, "rear", has_odometer=stretch.has_odometer, whole_sigma_m=whole_m)
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
             for row, s in enumerate(at_m):
-                east_m, north_m = line[int(s)] + [stretch.east_m, stretch.north_m]
+                east_m, north_m = line[min(int(s + stretch.late_m), len(line) - 1)] + [stretch.east_m, stretch.north_m]
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
                 known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, route_m

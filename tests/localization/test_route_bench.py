@@ -104,6 +104,12 @@ FALSE: dict[str, Callable[[np.random.Generator], Course]] = {
 }
 
 
+def unaligned(begins_m: float, late_m: float, gps: bool = True) -> Course:
+    """A recording whose pictures are late as a whole; nobody knows how well they were laid over its positions."""
+    stretch = Stretch(begins_m, 1160.0, whole_sigma_m=None, late_m=late_m)
+    return Course(stretches=(stretch,), gps=gps)
+
+
 def drives(course: Callable[[np.random.Generator], Course], count: int, folder: Path) -> list[Result]:
     return [Bench(course(np.random.default_rng([seed, 9])), seed, folder).run() for seed in range(count)]
 
@@ -128,6 +134,16 @@ def check_odd(results: list[Result]) -> None:
 
 def check_false(results: list[Result]) -> None:
     assert not any(result.sigmas for result in results)
+
+
+@pytest.mark.parametrize(("begins_m", "gps"), [(520.0, True), (0.0, False)], ids=["after 450 m", "no GPS from boot"])
+def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_off(
+    begins_m: float, gps: bool, tmp_path: Path
+) -> None:
+    """It confirms itself over hundreds of meters; with the sigma of a known one positions are 7 of them off."""
+    result = Bench(unaligned(begins_m, 30.0, gps), 0, tmp_path).run()
+    assert result.sigmas and max(result.sigmas) <= 4.0
+    assert result.bounded and not any(one.is_exceeded for one in result.bounded)
 
 
 @pytest.mark.parametrize("name", [name for name in RIGHT if name != "false stretch of 140 m"])

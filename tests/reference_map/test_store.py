@@ -111,10 +111,12 @@ def place(row: int, **known: Any) -> Place:
     return Place(row, -27.0 + row * 2 / 110_800, 153.0, heading_deg=0.0, route_m=row * 2.0, **known)
 
 
-def build_of(path: Path, places: list[Place], *, has_odometer: bool = False) -> MapBuilder:
+def build_of(
+    path: Path, places: list[Place], *, has_odometer: bool = False, whole_sigma_m: float | None = None
+) -> MapBuilder:
     raw = raw_descriptors(len(places))
     with MapBuilder(path, MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
-        builder.begin_segment("drive", "rear", has_odometer=has_odometer)
+        builder.begin_segment("drive", "rear", has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
         for descriptor, one in zip(raw, places, strict=True):
             builder.add(descriptor, one)
         builder.finish()
@@ -134,6 +136,20 @@ def test_a_drive_is_known_to_have_moved_as_its_vehicle_only_if_an_odometer_says_
         for path in (tmp_path / "map", tmp_path / "again"):
             assert [one.moved_as_driven for one in read_header(path).segments] == [moved]
             assert ("moved_as_driven" in (path / "map.json").read_text()) == moved
+
+
+def test_what_a_drive_is_off_by_as_a_whole_is_kept(tmp_path: Path) -> None:
+    """Tight where it is known or an odometer agrees, wide where neither is; also in a map that is added to another."""
+    right = [place(row) for row in range(40)]
+    cases = ((2.5, False, (2.5, 0.0)), (0.0, False, (0.0, 0.0)), (None, True, (0.0, 0.0)), (None, False, (8.0, 4.5)))
+    for known_m, has_odometer, counts_m in cases:
+        build_of(tmp_path / "map", right, has_odometer=has_odometer, whole_sigma_m=known_m)
+        with MapBuilder(tmp_path / "again", MODEL, REGIONS, SamplingConfig(), replace=True) as builder:
+            add_map(builder, open_map(tmp_path / "map"))
+            builder.finish()
+        for path in (tmp_path / "map", tmp_path / "again"):
+            assert [one.whole_sigma_m for one in read_header(path).segments] == [known_m]
+            assert Route(MapSet.of(open_map(path))).drive(0).whole_sigma_m == counts_m
 
 
 def test_the_accuracy_and_source_of_each_position_are_kept(tmp_path: Path) -> None:

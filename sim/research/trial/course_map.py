@@ -56,7 +56,7 @@ def _drive_stretch(
     """rngs: of the places, and of GPS."""
     stretch = draft.map[number]
     out = map_scenario(draft.home, stretch.camera)
-    builder.begin_segment(stretch.recording or f"stretch {number}", out.view, has_odometer=True)
+    builder.begin_segment(stretch.recording or f"stretch {number}", out.view, has_odometer=True, whole_sigma_m=0.0)
     seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
     places_m = _places_m(stretch, rngs[0])
     from_m, to_m = stretch.off_within_m

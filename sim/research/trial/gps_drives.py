@@ -103,7 +103,7 @@ def build_map(world: int, seed: int, folder: Path, library: RoadLibrary, network
     places_m = np.arange(0.0, LENGTH_M + 1, 2.0)
     errors_m = MAP_SIGMA_M / math.sqrt(2) * receiver_errors(len(places_m), 2.0, WANDERS_AT_M, rng)
     with open_builder(path, network, replace=True) as builder:
-        builder.begin_segment("out", "rear")
+        builder.begin_segment("out", "rear", whole_sigma_m=0.0)
         for row, (route_m, error_m) in enumerate(zip(places_m, errors_m, strict=True)):
             pose = views.drive.route.at(route_m, out.lane_m)
             builder.add(views.raw(route_m), place_at(row, route_m, pose, error_m, MAP_SIGMA_M))

@@ -171,7 +171,11 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path) -> Con
     """As recorded, but for the places of files and devices."""
     replaced = msgspec.structs.replace
     telemetry = replaced(
-        config.telemetry, connection=f"serial:{link.device}:921600", journal=str(journal), signing_clock=""
+        config.telemetry,
+        connection=f"serial:{link.device}:921600",
+        journal=str(journal),
+        drive=str(journal.with_suffix(".drive")),
+        signing_clock="",
     )
     plugins = {**config.plugins, "page": PageConfig(port=0), "home": replaced(config.of(HomeConfig), socket="")}
     if config.of(MappingConfig).folder:
@@ -208,7 +212,7 @@ def _build_map(
     with open_builder(path, library.network) as builder:
         for place in places:
             if place in first_rows:
-                builder.begin_segment(f"segment from place {place}", out.view, has_odometer=True)
+                builder.begin_segment(f"segment from place {place}", out.view, has_odometer=True, whole_sigma_m=0.0)
                 row = 0
             route_m = float(place * spacing_m)
             builder.add(library[out].raw(route_m), place_at(row, route_m, true[place], off_m[place]))

@@ -24,6 +24,7 @@ from edge.geodesy import east_north_of, moved
 from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.alignment import Alignment
 from sim.datasets.commands import add_arguments
+from sim.traverse import driven_m, whole_sigma_m
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
@@ -161,6 +162,8 @@ def test_a_creation_time_alone_is_as_good_as_its_clock(drive_path: Path, tmp_pat
     assert args.run(args) == 0
     feed = read_feed(tmp_path / "feed")
     assert feed.header.time_sigma_s == pytest.approx(1.0, abs=0.1)
+    length_m, seconds = (driven_m(feed) or [])[-1], (feed.rows[-1].stamp_ns - feed.rows[0].stamp_ns) / 1e9
+    assert length_m / seconds < (whole_sigma_m(feed) or 0.0) < 2 * length_m / seconds
     assert "by its creation time alone" in feed.header.notes
     assert 'alt="the video began' in (tmp_path / "feed/sheet.html").read_text()
 
