@@ -38,6 +38,7 @@ COMMANDS = {
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
 ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
+    "ablate": "sim.research.trial.ablate_command",
     "alexnet": "sim.research.alexnet.command",
     "bench": "sim.bench.board",
     "drive": "sim.trial.drive_command",

@@ -16,7 +16,7 @@ Pure: no link, no clock, no file. Daemon, trial and the replays of recorded driv
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -32,7 +32,7 @@ from edge.localization.events import BOUND_WRONG, Break, Event, Fix, Frame, Limi
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import ONE_MORE, Facts
-from edge.localization.refusals import Refusal, refusal
+from edge.localization.refusals import RULES, Refusal, Rule, refusal
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
 
@@ -62,8 +62,9 @@ class Known:
 class PositionEstimator:
     """Follows one vehicle, one event after another."""
 
-    def __init__(self, config: Config) -> None:
-        self._config = config
+    def __init__(self, config: Config, rules: Sequence[Rule] = RULES) -> None:
+        """rules: fewer only where they are compared, as by `lookback dev ablate`."""
+        self._config, self._rules = config, rules
         self.route: Route | None = None
         """The drives of the maps that are searched."""
         self._filter: RouteFilter | None = None
@@ -99,7 +100,7 @@ class PositionEstimator:
         """A position that may be published at a moment, or why none may."""
         place, motion = self._position(t_ns, limits)
         facts = self._facts(t_ns, place, motion, limits)
-        refused = refusal(facts)
+        refused = refusal(facts, self._rules)
         if refused is not None:
             return refused
         return Fix(facts.place, facts.level, min(BOUND_WRONG, ONE_MORE * facts.place_wrong), motion)

@@ -7,7 +7,7 @@ none is asked after one that holds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from msgspec import Struct
@@ -159,9 +159,9 @@ class Refusal(Struct, frozen=True, tag=True):
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
 
 
-def refusal(facts: Facts) -> Refusal | None:
+def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:
     """The first reason that holds, None where a position may be published."""
-    rule = next((one for one in RULES if one.holds(facts)), None)
+    rule = next((one for one in rules if one.holds(facts)), None)
     if rule is None:
         return None
     level = facts.level if rule.is_certain else None

@@ -29,8 +29,6 @@ from edge_plugins.home.way_home import MissionItem, Start, WayHome, mission_item
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
 ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS."""
-OLD_COMMAND = mavlink.MAV_CMD_USER_1
-"""Before: a script that still sends it is answered that it is not supported."""
 MISSION_MESSAGES = (
     mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
     mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
@@ -144,7 +142,7 @@ class HomeRequests:
         is_for_us: addressed to this very component, since a broadcast replaces no mission.
         """
         kind = message.get_msgId()
-        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command in (HOME_COMMAND, OLD_COMMAND):
+        if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command == HOME_COMMAND:
             return self._command(message, now_ns) if is_for_us else []
         if kind not in MISSION_MESSAGES or self._upload is None:
             return []
@@ -172,9 +170,6 @@ class HomeRequests:
 
     def _command(self, message: Message, now_ns: int) -> list[Message]:
         sender = message.get_srcSystem(), message.get_srcComponent()
-        if message.command == OLD_COMMAND:
-            unsupported = mavlink.MAV_RESULT_UNSUPPORTED
-            return [encoders.acknowledgement(OLD_COMMAND, unsupported, 0, *sender)]
         if self._upload is not None and sender == self._upload.asker:
             return self._reply(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""), now_ns)
         if message.confirmation and self._last is not None:

@@ -48,7 +48,22 @@ class PlacedNetwork(Network):
         return self.library[self.seen.scenario].raw(*self.seen[1:])
 
 
-class TrialCamera:
+class SimulatedCamera:
+    """What all cameras have in common that are no devices; see `NewestFrame`."""
+
+    _delivered = 0
+    ended = False
+
+    @property
+    def health(self) -> CameraHealth:
+        """See NewestFrame."""
+        return CameraHealth("running", "", 0, delivered=self._delivered)
+
+    def close(self) -> None:
+        """See NewestFrame."""
+
+
+class TrialCamera(SimulatedCamera):
     """One camera in simulated time: `expose` when it is due, `take` what has arrived."""
 
     def __init__(
@@ -66,7 +81,6 @@ class TrialCamera:
         self.network: PlacedNetwork | None = None
         """Describes the frames; without it none is delivered."""
         self._now_ns, self._rng = now_ns, rng
-        self._delivered = 0
         self._hole_until_s = 0.0
         self._waiting: deque[tuple[float, int, View, int]] = deque()
         self._buffered: deque[tuple[View, int]] = deque(maxlen=late_frames + 1)
@@ -84,16 +98,6 @@ class TrialCamera:
         if now_s >= self._hole_until_s:
             self._waiting.append((now_s + latency_s, self._now_ns(), view, picture))
 
-    @property
-    def health(self) -> CameraHealth:
-        """See NewestFrame."""
-        return CameraHealth("running", "", 0, delivered=self._delivered)
-
-    @property
-    def ended(self) -> bool:
-        """See NewestFrame."""
-        return False
-
     def take(self, timeout_s: float) -> Frame | None:
         """The newest frame that has arrived since the last call; does not wait."""
         arrived = None
@@ -109,6 +113,3 @@ class TrialCamera:
             scenario, route_m, *aside = arrived[2]
             picture = self.network.library[scenario].picture(self._shown_m(route_m), *aside)
         return Frame(picture, arrived[1], self._delivered)
-
-    def close(self) -> None:
-        """See NewestFrame."""

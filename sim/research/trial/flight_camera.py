@@ -13,8 +13,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.camera import CameraHealth, Frame
+from edge.camera import Frame
 from sim import Pose
+from sim.trial.cameras import SimulatedCamera
 from sim.trial.records import Array
 from sim.world.camera import open_renderer
 from sim.world.light import LIGHTS
@@ -67,7 +68,7 @@ class Scenes:
             renderer.close()
 
 
-class FlightCamera:
+class FlightCamera(SimulatedCamera):
     """One camera of a recorded drive, the daemon's `Frames`: each exposure arrives when it did, rendered when taken."""
 
     def __init__(
@@ -77,17 +78,6 @@ class FlightCamera:
         self._drive, self._view, self._scenes, self._now_ns = drive, view, scenes, now_ns
         self._exposures_s = deque(enumerate(exposures_s.tolist()))
         self._sensors: dict[Scenario, Sensor] = {}
-        self._delivered = 0
-
-    @property
-    def health(self) -> CameraHealth:
-        """See NewestFrame."""
-        return CameraHealth("running", "", 0, delivered=self._delivered)
-
-    @property
-    def ended(self) -> bool:
-        """See NewestFrame."""
-        return False
 
     def take(self, timeout_s: float) -> Frame | None:
         """The newest frame that has arrived since the last call; does not wait."""
@@ -109,6 +99,3 @@ class FlightCamera:
         east_m, north_m = drive.true_m(time_s).tolist()
         pose = Pose(east_m, north_m, drive.heading_deg(time_s), 0.0, 0.0)
         return self._sensors[scenario].develop(self._scenes.scene(scenario, pose), time_s)
-
-    def close(self) -> None:
-        """See NewestFrame."""

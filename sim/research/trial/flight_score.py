@@ -116,17 +116,20 @@ def _position(
     *here_m, _, age_s = position
     is_command = message.get_type() == "COMMAND_INT"
     fix = known.get((message.x, message.y) if is_command else (message.lat, message.lon))
-    off_m = np.array(here_m) - drive.true_m(sent_s - age_s)
-    heading_rad = math.radians(drive.heading_deg(sent_s - age_s))
-    ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-    right = np.array([ahead[1], -ahead[0]])
     return SentPosition(
         round(sent_s - drive.gps_lost_s, 3),
         round(drive.driven_m(sent_s) - drive.driven_m(drive.gps_lost_s), 2),
         message.command if is_command else message.get_msgId(),
-        *(round(float(one), 3) for one in (math.hypot(*off_m), off_m @ ahead, off_m @ right)),
+        *(round(one, 3) for one in off_truth(drive, here_m, sent_s - age_s)),
         *(() if fix is None else (fix.sigma_m, fix.level_along_m, fix.level_across_m)),
     )
+
+
+def off_truth(drive: RecordedDrive, here_m: Sequence[float], time_s: float) -> tuple[float, float, float]:
+    """How far a position, meters (2,) east and north, is from the truth: in all, ahead, and to the right."""
+    off_m, heading_rad = np.array(here_m) - drive.true_m(time_s), math.radians(drive.heading_deg(time_s))
+    ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
+    return math.hypot(*off_m), float(off_m @ ahead), float(off_m @ [ahead[1], -ahead[0]])
 
 
 def autopilot_errors(drive: RecordedDrive) -> Array:

@@ -55,22 +55,22 @@ LAYERS: tuple[tuple[View, LightName, int], ...] = (DAY, ("front", "dusk", 3))
 def replay(
     drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary
 ) -> list[tuple[float, Message]]:
-    """Run the daemon on a recorded drive; what it sent, and when. The journal stays in `folder`.
+    """Run the daemon on a recorded drive; what it sent, and when. Journal and lists, one of each run, stay in `folder`.
 
     matched: what was recognized on the drive's map, by whichever drive. RuntimeError where a plug-in failed.
     """
     received: list[tuple[float, Message]] = []
     journal = (folder / JOURNAL).resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    for left in folder.glob(f"{journal.stem}.*"):
+    for left in (*folder.glob(f"{journal.stem}.*"), *folder.glob("*.drive")):
         left.unlink()
     with TemporaryDirectory() as scratch, closing(Scenes(library.folder / f"{drive.name}.sqlite")) as scenes:
         map_path = Path(scratch) / "map"
         _build_maps(drive, matched, map_path, library)
-        for run in drive.runs:
+        for number, run in enumerate(drive.runs):
             with closing(Cable()) as link, ExitStack() as parts:
                 playback = Playback(drive, run, link, scenes)
-                settings = _settings(drive.config, link, map_path, journal)
+                settings = _settings(drive.config, link, map_path, journal, journal.with_name(f"{number:02}.drive"))
                 opened = OpenedParts(
                     settings,
                     parts,
@@ -167,16 +167,10 @@ def _is_answer(message: Message) -> bool:
     return message.get_type() == "COMMAND_ACK" and message.command in ANSWERED
 
 
-def _settings(config: Config, link: Cable, map_path: Path, journal: Path) -> Config:
-    """As recorded, but for the places of files and devices."""
-    replaced = msgspec.structs.replace
-    telemetry = replaced(
-        config.telemetry,
-        connection=f"serial:{link.device}:921600",
-        journal=str(journal),
-        drive=str(journal.with_suffix(".drive")),
-        signing_clock="",
-    )
+def _settings(config: Config, link: Cable, map_path: Path, journal: Path, events: Path) -> Config:
+    """As recorded, but for the places of files and devices. events: gets the list of the run."""
+    replaced, port = msgspec.structs.replace, f"serial:{link.device}:921600"
+    telemetry = replaced(config.telemetry, connection=port, journal=str(journal), signing_clock="", drive=str(events))
     plugins = {**config.plugins, "page": PageConfig(port=0), "home": replaced(config.of(HomeConfig), socket="")}
     if config.of(MappingConfig).folder:
         plugins["mapping"] = replaced(config.of(MappingConfig), folder=str(map_path))

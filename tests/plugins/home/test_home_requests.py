@@ -162,14 +162,6 @@ def test_other_parameters_are_denied(home: Rig, params: tuple[float, float]) -> 
     assert not home.received("MISSION_COUNT")
 
 
-def test_a_script_of_before_is_answered(home: Rig) -> None:
-    home.autopilot.send(command(params=(1.0, 0.0), number=mavlink.MAV_CMD_USER_1))
-    home.run(2.0)
-    (ack,) = [one for one in home.received("COMMAND_ACK") if one.command == mavlink.MAV_CMD_USER_1]
-    assert ack.result == mavlink.MAV_RESULT_UNSUPPORTED
-    assert not home.received("MISSION_COUNT")
-
-
 def test_a_repeated_command_starts_nothing_twice(home: Rig) -> None:
     home.autopilot.send(command())
     home.run(0.05)

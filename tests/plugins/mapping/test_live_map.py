@@ -292,20 +292,24 @@ def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path
     mapped.close()
 
 
-def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
-    """The largest file allowed stands in for the disk: the same call fails."""
-    mapped = live(tmp_path)
-    drive(mapped, range(40))
+def hold_up(mapped: LiveMap, folder: Path) -> None:
+    """Map until the disk takes no more: the largest file allowed stands in for it, where the same call fails."""
     while mapped.waiting:
         os.sched_yield()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    (file,) = logs_in(tmp_path)
+    (file,) = logs_in(folder)
     resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
     try:
         while not mapped.status.why:
             drive(mapped, range(40, 41))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
+    mapped = live(tmp_path)
+    drive(mapped, range(40))
+    hold_up(mapped, tmp_path)
     assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
     drive(mapped, range(41, 50))
     newest = mapped.newly_searchable(1000.0)
@@ -321,16 +325,7 @@ def test_mapping_goes_on_when_there_is_room_again(tmp_path: Path) -> None:
     header = LogHeader(MODEL, REGIONS, SamplingConfig())
     mapped = LiveMap(MappingConfig(folder=str(tmp_path)), header, "rear", lambda: START_S, retry_s=0.01)
     drive(mapped, range(40))
-    while mapped.waiting:
-        os.sched_yield()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    (file,) = logs_in(tmp_path)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
-    try:
-        while not mapped.status.why:
-            drive(mapped, range(40, 41))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    hold_up(mapped, tmp_path)
     while mapped.status.why:
         drive(mapped, range(45, 46))
     drive(mapped, range(46, 70))

@@ -1,0 +1,47 @@
+"""`lookback dev ablate` on the list of a drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from edge.commands.parser import build_parser
+from edge.errors import FeedError
+from edge.localization import route_filter
+from edge.localization.drive_file import DriveFile
+from tests.golden.harness import HERE
+from tests.localization.route_bench import Bench
+from tests.localization.route_course import Course, Stretch
+
+EXCERPT = HERE / "drives" / "ardupilot_night"
+GATE, LEAVES = "less accurate than the autopilot", "route_filter.STOOD_NS"
+
+
+def run(*words: str) -> int:
+    parsed = build_parser(["dev", "ablate", *words]).parse_args(["dev", "ablate", *words])
+    return int(parsed.run(parsed))
+
+
+def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(Course(stretches=(Stretch(0.0, 300.0),), road_m=300.0), 1, tmp_path)
+    bench.run()
+    (tmp_path / EXCERPT.name).mkdir()
+    file = DriveFile(tmp_path / EXCERPT.name / "00.drive", bench.config)
+    for t_ns, entry in bench.events:
+        file.write(t_ns, entry)
+    file.close()
+    before = route_filter.STOOD_NS
+    without = [word for name in (GATE, "too old", LEAVES) for word in ("--without", name)]
+    assert run(str(tmp_path), str(EXCERPT.parent), *without) == 0
+    assert before == route_filter.STOOD_NS
+    lines = capsys.readouterr().out.splitlines()
+    counts = {row[1].strip(): int(row[2]) for row in (line.split("|") for line in lines[4:-2])}
+    assert lines[0] == "1 drives:" and lines[-1] == f"The same without: too old; {LEAVES}."
+    assert set(counts) == {"nothing", GATE}
+    assert counts[GATE] > counts["nothing"] > 0
+
+
+def test_without_lists_it_says_what_makes_them(tmp_path: Path) -> None:
+    with pytest.raises(FeedError, match="`lookback dev flights FOLDER -o"):
+        run(str(tmp_path), str(EXCERPT.parent))
