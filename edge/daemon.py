@@ -275,8 +275,7 @@ class Daemon:
         limits = self._autopilot.position_due()
         if limits is None:
             return
-        able, now_ns = self.parts.monitor.health.able, self._clock_ns()
-        unable = self.parts.pictures.why_no_position if able == "on the map" else able
+        now_ns, unable = self._clock_ns(), self.parts.monitor.health.unable(self.parts.pictures.why_no_position)
         self._autopilot.report_own()
         if limits.at == "now":
             self._drive.update(now_ns, Moved(self._autopilot.vehicle.motion.displacement(now_ns)))

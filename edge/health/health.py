@@ -50,6 +50,10 @@ class Health:
     def __str__(self) -> str:
         return f"{self.state}: {self.why}" if self.why else self.state
 
+    def unable(self, undated: str) -> str:
+        """Why nothing is recognized at this moment, "" while it is; undated: why it is not known when pictures were."""
+        return undated if self.able == "on the map" else self.able
+
     @property
     def mav_state(self) -> int:
         """MAV_STATE for the heartbeat."""

@@ -23,11 +23,11 @@ from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import PlaceFix
 from edge.localization.bound import Reckoned
-from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims, alike_m
+from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Limits, Own, ProtectionLevel
-from edge.localization.protection_level import Unnoticed, Wrong, protection_level
-from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
+from edge.localization.protection_level import UNNOTICED_M, Wrong, protection_level
+from edge.localization.route_estimate import AGREE_SIGMAS
 
 ONE_MORE = 20.0
 """What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
@@ -39,9 +39,6 @@ GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
 another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
 BOUND times as uncertain, since its uncertainty by the distance driven is a bound, not what is expected; where nothing
 measures its velocity, none is sent. Messages that are weighed need none of this."""
-UNNOTICED = Unnoticed(STRETCH_WRONG, alike_m(CORRELATION_M, 0.0))
-"""Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
-velocity's error besides, that error needs itself."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +139,7 @@ class Facts:
         one of its observations on: then that before it bounds the position.
         """
         fix, reckoned, count = self.place, self.reckoned, len(self.claims.stretches(self.claim.observations))
-        alike = 2 * UNNOTICED.most_m / SPREAD_M
+        alike = 2 * UNNOTICED_M / SPREAD_M
         shifted = MAP_SHIFTED
         if reckoned is not None:
             shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
@@ -157,7 +154,7 @@ class Facts:
     def _level(self, wrong: Wrong, reckoned: Reckoned | None) -> ProtectionLevel:
         gates, speed_mps = self.gates, self.own.speed_mps or 0.0
         stretch_m = SAME_RECORDING * gates.confirm_m
-        return protection_level(self.place, wrong, UNNOTICED, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
+        return protection_level(self.place, wrong, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
 
     @property
     def most_sigma_m(self) -> float:

@@ -21,6 +21,7 @@ from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
 from edge.localization.bound import Reckoned
+from edge.localization.claims import STRETCH_WRONG, alike_m
 from edge.localization.events import ProtectionLevel
 from edge.localization.route_estimate import CORRELATION_M
 
@@ -31,6 +32,9 @@ OF_PLACE, OF_MAP, OF_ERRORS, OF_SHIFT = 0.375, 0.125, 0.125, 0.125
 and on a shifted one."""
 LEAST_MPS = 1.0
 """A slower vehicle counts as driving at this speed."""
+UNNOTICED_M = alike_m(CORRELATION_M, 0.0)
+"""Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
+velocity's error besides, that error needs itself."""
 NEVER = 1e-300
 """A probability that rounding cannot make 0."""
 
@@ -46,18 +50,9 @@ class Wrong:
     bound: float
 
 
-@dataclass(frozen=True)
-class Unnoticed:
-    """How often a stretch of the map is shifted, and by how many meters at most without a disagreement."""
-
-    probability: float
-    most_m: float
-
-
 def protection_level(
     fix: PlaceFix,
     wrong: Wrong,
-    unnoticed: Unnoticed,
     reckoned: Reckoned | None,
     speed_mps: float,
     risk_per_hour: float,
@@ -71,9 +66,9 @@ def protection_level(
     driven_m = 3600 * max(speed_mps, LEAST_MPS)
     by_errors = MODEL_ERROR * _sigmas(OF_ERRORS * risk_per_hour * CORRELATION_M / driven_m)
     of_a_stretch = risk_per_hour * stretch_m / driven_m
-    by_shift = MODEL_ERROR * _sigmas(OF_SHIFT * of_a_stretch / unnoticed.probability)
+    by_shift = MODEL_ERROR * _sigmas(OF_SHIFT * of_a_stretch / STRETCH_WRONG)
     along_m, across_m = (
-        max(by_errors * sigma_m, unnoticed.most_m + by_shift * sigma_m)
+        max(by_errors * sigma_m, UNNOTICED_M + by_shift * sigma_m)
         for sigma_m in (fix.sigma_along_m, fix.sigma_across_m)
     )
     # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.

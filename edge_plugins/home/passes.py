@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.reference_map.gps_motion import MOST_BIAS
 from edge_plugins.home.drive_line import DriveLine, nearest_on
 
 SAME_PASS_M, SIGMAS = 5.0, 3.0
@@ -29,8 +30,6 @@ LEVEL_M, LEVEL_SHARE, LEVEL_MOST_M = 0.5, 0.01, 4.0
 """By how much the heights of two passes of one road may differ, besides that share of the way between them, and at
 most. A recorded PX4 rover's height wandered by 0.4 m in 5 s, 0.9 m in 20 s and 1.5 m in 60 s, ArduPilot's by 0.3 m in
 60 s; a ramp rises by 0.05 to 0.15 of its length, and a bridge is 4.5 m higher."""
-ODOMETER_SHARE = 0.2
-"""By how much more may have been driven than the odometer says."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def _can_be_at(line: DriveLine, one: Pass, route_m: float | None, reach_m: float
     """Whether the vehicle can have driven back along the drive from its last place to a pass, or not left it."""
     if route_m is None:
         return True
-    since_m = max(0.0, route_m - line.driven_m[-1]) * (1 + ODOMETER_SHARE)
+    since_m = max(0.0, route_m - line.driven_m[-1]) * (1 + MOST_BIAS)
     back_m = line.driven_m[-1] - line.driven_m[one.row]
     return not bool(back_m > since_m + reach_m)  # NaN, where not known, may be
 

@@ -5,7 +5,7 @@ would cost the way home more than those meters: places are recognized anew only 
 reckoned from the last good position to the next one by odometer and heading, and the error at its end is distributed:
 
     place = begin + moved + share * (end - begin - moved to the end)    share: of the way driven, 0 to 1
-    sigma^2 = (that of begin and end, by share)^2 + (DRIFT * way * share * (1 - share))^2
+    sigma^2 = (that of begin and end, by share)^2 + (OFF_SHARE * way * share * (1 - share))^2
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import WORST_FIRST, VehiclePosition, east_north_of, moved
-from edge.reference_map.gps_motion import GpsMotion, Moved
+from edge.reference_map.gps_motion import OFF_SHARE, GpsMotion, Moved
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace
 
-DRIFT = 0.05
-"""Of the way, by which it may be reckoned wrong: what `GpsMotion` lets two positions differ by."""
 MOST_PLACES = 200
 """That wait to be placed: 32 kB each. On a map of 2 m they are as long as `max_sigma_m` of 5 m allows."""
 
@@ -63,7 +61,7 @@ class Outage:
         self._waiting.append(Waiting(raw, place, at, missed + self._missed))
         self._missed = 0
         way_m = at.way_m - self._begin[1].way_m
-        if DRIFT * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_PLACES:
+        if OFF_SHARE * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_PLACES:
             self.reset()
 
     def miss(self, places: int) -> None:
@@ -95,7 +93,7 @@ class Outage:
             share = (one.at.way_m - then.way_m) / way_m
             point_m = motion.truly(then, one.at) + share * off_m
             ends_m = (1 - share) * begin.position_sigma_m + share * end.position_sigma_m
-            sigma_m = math.hypot(ends_m, DRIFT * way_m * share * (1 - share))
+            sigma_m = math.hypot(ends_m, OFF_SHARE * way_m * share * (1 - share))
             if sigma_m > self._most_sigma_m:
                 return None
             lat_deg, lon_deg = moved(*origin, point_m.real, point_m.imag)

@@ -1,6 +1,6 @@
 """The live page: `server` is its thread, `snapshot` what it shows, `metrics` the same for Prometheus.
 
-`coverage_job` computes where a map works, and `plugin` is the daemon's side of all this.
+`plugin` is the daemon's side of all this.
 """
 
 from __future__ import annotations

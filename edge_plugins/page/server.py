@@ -5,10 +5,10 @@ requests within FRESH_S share it. What goes out is drawn here, in this thread, o
 takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
 
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
-so that no foreign web site can read the page by a name that it points here; nor may one have a job begun. What changes
-something is POST with [page] token in a header of its own, which a browser sends to the page's own site only.
-Who has not sent a request after HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most, of
-one address CONNECTIONS_OF_ONE, so that no address locks out another.
+so that no foreign web site can read the page by a name that it points here. What changes something is POST with [page]
+token in a header of its own, which a browser sends to the page's own site only. Who has not sent a request after
+HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most, of one address CONNECTIONS_OF_ONE,
+so that no address locks out another.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import cv2
-import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -44,7 +43,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import edge
 from edge_plugins.page import PageConfig
-from edge_plugins.page.coverage_job import CoverageJob
 from edge_plugins.page.metrics import as_metrics
 from edge_plugins.page.snapshot import MapView, Snapshot
 
@@ -66,8 +64,6 @@ SERVICE = {
     "avoid_iframes": True,  # no other site may show this page in a frame
 }
 """What BlueOS, a companion computer's system, asks of an extension's web server at /register_service."""
-WAYS, LIGHTS, VIEWS = ("home", "again"), ("day", "dusk", "night", "rain", "snow"), ("front", "rear")
-"""Of `lookback map coverage`, whose modules a vehicle need not load."""
 PageRequest: TypeAlias = Literal["home", "restore", "pause", "map"]
 """The way home, the mission before it, and live mapping that pauses or goes on."""
 NOT_READY = ("starting", "degraded", "failed")
@@ -88,7 +84,6 @@ class StatusPage:
         self.wanted = False
         """Whether somebody waits for a snapshot."""
         self._map = map_view
-        self._coverage = CoverageJob()
         self._token = config.token
         self._guessing: set[str] = set()  # addresses that are being kept waiting
         self._requests: deque[PageRequest] = deque(maxlen=1)
@@ -141,7 +136,6 @@ class StatusPage:
         except Exception:
             log.exception("the live page has stopped")  # and nothing else has
         finally:
-            self._loop.run_until_complete(self._coverage.close())
             self._loop.close()
 
     def _receive(self, snapshot: Snapshot) -> None:
@@ -203,16 +197,6 @@ class StatusPage:
         async def route(request: Request) -> Response:
             return Response(self._map.as_json(), media_type="application/json")
 
-        async def coverage(request: Request) -> Response:
-            if _is_foreign(request):
-                return PlainTextResponse("only for this page itself\n", 403)
-            asked = {name: request.query_params.get(name, "") for name in ("for", "light", "view")}
-            for name, allowed in (("for", WAYS), ("light", LIGHTS), ("view", VIEWS)):
-                if asked[name] not in allowed:
-                    return PlainTextResponse(f"{name}: not one of {', '.join(allowed)}\n", 400)
-            found = self._coverage.answer(self._map.path, asked["for"], asked["light"], asked["view"])
-            return Response(msgspec.json.encode(found), media_type="application/json")
-
         async def write(what: PageRequest, request: Request) -> Response:
             if _is_foreign(request) or not self._token:
                 return PlainTextResponse("only for this page itself, with [page] token\n", 403)
@@ -241,7 +225,6 @@ class StatusPage:
                 Route("/frame.jpg", self._with_snapshot(frame)),
                 Route("/thumbnail/{place_index}.jpg", thumbnail),
                 Route("/route.json", route),
-                Route("/coverage.json", coverage),
                 *(Route(f"/{what}", partial(write, what), methods=["POST"]) for what in get_args(PageRequest)),
                 Route("/register_service", service),
             ]

@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -185,15 +184,13 @@ class MapView:
 
     places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
     drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none. path: of the map, or of the folder. stale: stretches that
-    are no longer there, as drives.
+    all maps (any thread may ask); b"" where there is none. stale: stretches that are no longer there, as drives.
     """
 
     places: int
     starts: dict[str, int]
     drives: tuple[Line, ...]
     thumbnail: Callable[[int], bytes]
-    path: Path
     stale: tuple[Line, ...] = ()
 
     def as_json(self) -> bytes:
@@ -206,7 +203,7 @@ def map_view(maps: MapSet) -> MapView:
     """What is shown of these maps."""
     starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
     stale = tuple(_line(maps.places[start:end]) for start, end in maps.stale)
-    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, maps.path, stale)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, stale)
 
 
 def _outline(maps: MapSet) -> tuple[Line, ...]:

@@ -43,7 +43,7 @@ class Ros2Plugin(Plugin):
         ros2.judged_ns, now_ns = position.stamp_ns, parts.clock_ns()
         if ros2.published_ns is not None and now_ns - ros2.published_ns < parts.config.gates.min_interval_s * 1e9:
             return
-        unable = parts.pictures.why_no_position if health.able == "on the map" else health.able
+        unable = health.unable(parts.pictures.why_no_position)
         answer = parts.drive.fix(now_ns, Limits(oldest_s=OLDEST_S, moves_autopilot=False, unable=unable))
         if isinstance(answer, Fix):
             ros2.publish_position(answer.place)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -114,8 +113,6 @@ def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
     rehearsal = Rehearsal(maps, config_for_map(maps.headers[0]), Conditions(args.way, args.light, args.view))
     for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=args.json or None):
         yield rehearsal.drive(seed)
-        if args.json:  # for the live page
-            print(f"done {(seed + 1) / args.rehearsals:.3f}", file=sys.stderr, flush=True)
 
 
 def _frames(path: Path) -> list[FrameUsed]:

@@ -19,7 +19,8 @@ from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization import Break, Fix, Limits, Refusal
-from edge.localization.integrity import UNNOTICED, distance_from, wrong_probability
+from edge.localization.integrity import distance_from, wrong_probability
+from edge.localization.protection_level import UNNOTICED_M
 from edge.localization.refusals import RULES, as_table
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
@@ -350,7 +351,7 @@ def test_stretches_that_agree_make_a_level_of_the_errors_alone(long_road: Road) 
     assert None not in one.go(600)
     newest = one.answers(790)[-1]
     assert isinstance(newest, Fix)
-    along_m, across_m = (of_m - UNNOTICED.most_m for of_m in (newest.level.along_m, newest.level.across_m))
+    along_m, across_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_m, newest.level.across_m))
     assert along_m / newest.place.sigma_along_m == pytest.approx(across_m / newest.place.sigma_across_m)
 
 

@@ -13,8 +13,7 @@ import pytest
 from edge.journal.records import PlaceFix
 from edge.localization import Displacement
 from edge.localization.bound import Anchor, Reckoned
-from edge.localization.integrity import UNNOTICED
-from edge.localization.protection_level import MODEL_ERROR, Wrong, protection_level
+from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, Wrong, protection_level
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 
@@ -61,20 +60,20 @@ def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(
 
 
 def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tuple[float, float]:
-    level = protection_level(FIX, Wrong(place, 0.0, bound), UNNOTICED, reckoned, 8.0, 1e-3, 500.0)
+    level = protection_level(FIX, Wrong(place, 0.0, bound), reckoned, 8.0, 1e-3, 500.0)
     return level.along_m, level.across_m
 
 
 def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notices() -> None:
     along_m, across_m = level_of(1e-9, None)
-    shift_m = UNNOTICED.most_m
+    shift_m = UNNOTICED_M
     assert along_m - shift_m == pytest.approx(2 * (across_m - shift_m))
     assert 3.4 * MODEL_ERROR < across_m - shift_m < 3.6 * MODEL_ERROR  # 58 stretches in an hour, of which 1 in 200
 
 
 def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
     uncertain = msgspec.structs.replace(FIX, sigma_along_m=10.0)
-    level = protection_level(uncertain, Wrong(1e-9, 0.0, 0.1), UNNOTICED, None, 8.0, 1e-3, 500.0)
+    level = protection_level(uncertain, Wrong(1e-9, 0.0, 0.1), None, 8.0, 1e-3, 500.0)
     assert 5 * MODEL_ERROR < level.along_m / 10 < 5.3 * MODEL_ERROR  # 480 errors in an hour
 
 
@@ -88,7 +87,7 @@ def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -
 def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:
     """North-east of a vehicle that heads north-east, it is off along the road alone."""
     northeast = msgspec.structs.replace(FIX, heading_deg=45.0)
-    level = protection_level(northeast, Wrong(2e-5, 0.0, 0.1), UNNOTICED, Reckoned(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0)
+    level = protection_level(northeast, Wrong(2e-5, 0.0, 0.1), Reckoned(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0)
     assert level.along_m > math.hypot(30.0, 30.0)
     assert level.across_m < 30.0
 
@@ -103,7 +102,7 @@ def test_what_nothing_bounds_has_no_level(place: float, reckoned: Reckoned | Non
 
 
 def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
-    level = protection_level(FIX, Wrong(1e-9, 1e-3, 0.1), UNNOTICED, Reckoned(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0)
+    level = protection_level(FIX, Wrong(1e-9, 1e-3, 0.1), Reckoned(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0)
     assert level.across_m > 60.0
 
 

@@ -306,15 +306,6 @@ def test_every_button_does_what_it_says(tmp_path: Path) -> None:
             assert wait.until(lambda _: page.requested()) == request
         until(driver, "document.getElementById('said').textContent.startsWith('requested')")
 
-        driver.find_element("id", "coverage-light").send_keys("day")
-        driver.find_element("id", "coverage-for").send_keys("the")
-        click(driver, "#coverage-ask")
-        assert driver.find_element("id", "coverage-ask").get_attribute("disabled")
-        until(driver, "!document.getElementById('coverage-bar').hidden")
-        until(driver, "document.getElementById('coverage-state').textContent.startsWith('done in ')")
-        assert text(driver, "coverage-state").endswith(" s: again by day")
-        assert not driver.find_element("id", "coverage-bar").is_displayed()
-        assert "drive 1, 0 to 100 m" in text(driver, "coverage")
         click(driver, "#details summary")
         assert until(driver, DRAWN)
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 390

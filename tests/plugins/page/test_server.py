@@ -43,7 +43,6 @@ MAP = MapView(
     {"north": 0, "south": 300},
     (((1.0, 2.0), (1.001, 2.0)), ()),
     lambda place: THUMBNAIL if place < 400 else b"",
-    Path("/none.map"),
 )
 
 
@@ -381,13 +380,6 @@ def test_half_sent_requests_keep_nobody_out_for_long() -> None:
             with closing(connection):
                 wait_for_end(connection)
         assert get(page, "/")[0] == 200
-
-
-def test_a_foreign_site_begins_no_job(page: StatusPage) -> None:
-    path = "/coverage.json?for=home&light=day&view=front"
-    for site in ("cross-site", "same-site"):
-        assert get(page, path, **{"Sec-Fetch-Site": site})[0] == 403
-    assert get(page, path, **{"Sec-Fetch-Site": "same-origin"})[0] == 200
 
 
 TOKEN = "twelve-letters"

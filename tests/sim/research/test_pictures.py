@@ -31,9 +31,7 @@ from tests.udp_port import free_port
 
 @pytest.mark.skipif(not shutil.which("chromium"), reason="needs Chromium: apt-get install chromium")
 def test_the_page_is_photographed_at_the_width_that_is_asked_for(tmp_path: Path) -> None:
-    with closing(
-        StatusPage(PageConfig(port=0), MapView(2, {}, (), lambda place: b"", Path("none")), answer_s=0.1)
-    ) as page:
+    with closing(StatusPage(PageConfig(port=0), MapView(2, {}, (), lambda place: b""), answer_s=0.1)) as page:
         assert photograph_page(f"http://127.0.0.1:{page.port}/", tmp_path / "pictures/page.png", 700, 500)
     picture: Any = cv2.imread(str(tmp_path / "pictures/page.png"))
     assert picture.shape == (500, 700, 3)
