@@ -37,6 +37,10 @@ IN_CACHE = 1 << 13
 several places, each of which reads the row once, are faster (0.75 times as long at 32,768 dimensions, 0.85 at 16,384).
 """
 
+FEW = 3
+"""Rows that are shrunk one by one, as those of a frame: two take 0.55 to 0.7 times as long as in one product, which is
+quicker from 4 rows on."""
+
 NOTHING = 1e-36
 """A row with no larger value is all zero: 127 over less would overflow float32."""
 
@@ -184,6 +188,7 @@ def project(rows: NDArray[np.float32], projection: NDArray[np.float32]) -> NDArr
     NaN and infinity count as 0, since here one of them would reach every dimension.
     """
     sound = np.nan_to_num(rows, nan=0.0, posinf=0.0, neginf=0.0)
-    # As one product: NumPy multiplies a stack row by row, which reads the directions again for each of its rows.
-    shrunk: NDArray[np.float32] = sound.reshape(-1, sound.shape[-1]) @ projection.T
+    flat = sound.reshape(-1, sound.shape[-1])
+    # Many as one product: NumPy multiplies a stack row by row, which reads the directions again for each of its rows.
+    shrunk = np.stack([projection @ row for row in flat]) if len(flat) <= FEW else flat @ projection.T
     return shrunk.reshape(*rows.shape[:-1], len(projection))

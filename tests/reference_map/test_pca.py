@@ -60,6 +60,14 @@ def test_a_bad_number_does_not_reach_other_dimensions() -> None:
     np.testing.assert_array_equal(project(spoiled, directions), project(without, directions))
 
 
+@pytest.mark.parametrize("count", [1, 2, 40])
+def test_a_frame_and_a_whole_ring_are_shrunk_alike(count: int) -> None:
+    directions = principal_directions(lambda: [street(100, carriers=6)], DIMENSIONS, 8)
+    rows = street(count, carriers=6)
+    exact = np.einsum("nrd,kd->nrk", rows.astype(np.float64), directions)
+    np.testing.assert_allclose(project(rows, directions), exact, rtol=1e-5, atol=1e-5)
+
+
 def test_a_shrunk_map_gives_nearly_the_costs_of_the_whole_one_in_both_orders(tmp_path: Path) -> None:
     raw = street(300, carriers=10)
     whole, shrunk = build(tmp_path / "whole", raw, None), build(tmp_path / "shrunk", raw, 12)
