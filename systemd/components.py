@@ -36,12 +36,17 @@ COMMON = {"Apache-2.0": "Apache-2.0", "BSD-3-Clause": "BSD"}
 
 def license_of(one: Distribution) -> str:
     """An SPDX expression where the package says one, or else what it says in its own words."""
-    about = one.metadata
-    said = about.get("License-Expression", "")
-    kinds = [line.rpartition(" :: ")[2] for line in about.get_all("Classifier") or () if line.startswith("License ::")]
+    said = _field(one, "License-Expression")
+    classes = one.metadata.get_all("Classifier") or ()
+    kinds = [line.rpartition(" :: ")[2] for line in classes if line.startswith("License ::")]
     known = [LICENSES[kind] for kind in kinds if kind in LICENSES]
-    words = (about.get("License") or "").strip().splitlines()
+    words = _field(one, "License").strip().splitlines()
     return said or " AND ".join(known) or (LICENSES.get(words[0], words[0]) if words else "see its .dist-info folder")
+
+
+def _field(one: Distribution, name: str) -> str:
+    """Of its metadata; "" where it is not there."""
+    return str((one.metadata.get_all(name) or [""])[0])
 
 
 def licensed_files(one: Distribution) -> list[str]:
@@ -106,7 +111,7 @@ def copyright_of(packages: Sequence[Distribution]) -> Iterator[str]:
             continue
         parts = {str(file).partition("/")[0] + "/*" * ("/" in str(file)) for file in one.files or ()}
         tops = sorted(parts - {"../*", "__pycache__/*"})
-        author = one.metadata.get("Author") or one.metadata.get("Author-email") or f"the authors of {one.name}"
+        author = _field(one, "Author") or _field(one, "Author-email") or f"the authors of {one.name}"
         said = license_of(one)
         short = re.sub(r"[^\w.+() -]", "-", said).replace(" AND ", " and ").replace(" OR ", " or ")
         common = [f"/usr/share/common-licenses/{COMMON[name]}" for name in (said,) if name in COMMON]
