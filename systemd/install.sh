@@ -123,36 +123,7 @@ install_fc6() { # before the extra that asks for it
 
 installed_extras() { # prints those of the installed version whose packages are all there, with commas
     # By the new Python: after an upgrade of the system, the old environment's own finds none of its packages.
-    PYTHONPATH=$(echo "$root$prefix"/lib/python3*/site-packages) "$python" - <<'PYTHON'
-import os
-from importlib.metadata import Distribution, DistributionFinder, MetadataPathFinder
-
-from pip._vendor.packaging.requirements import Requirement
-
-INSTALLED = [os.environ["PYTHONPATH"]]  # and not what the new Python itself has
-
-
-def find(name: str) -> "Distribution | None":
-    return next(iter(MetadataPathFinder.find_distributions(DistributionFinder.Context(name=name, path=INSTALLED))), None)
-
-
-def has(lookback: Distribution, extra: str) -> bool:
-    for line in lookback.requires or ():
-        needed = Requirement(line)
-        if not needed.marker or needed.marker.evaluate({"extra": ""}) or not needed.marker.evaluate({"extra": extra}):
-            continue
-        found = find(needed.name)
-        if found is None or not needed.specifier.contains(found.version, prereleases=True):
-            return False
-        if needed.name == lookback.metadata["Name"] and not all(has(lookback, one) for one in needed.extras):
-            return False
-    return True
-
-
-lookback = find("lookback-nav") or find("lookback")  # its name before it was on PyPI
-extras = lookback.metadata.get_all("Provides-Extra") or []
-print(",".join(one for one in extras if has(lookback, one)))
-PYTHON
+    "$python" "$here/installed_extras.py" "$root$prefix"/lib/python3*/site-packages
 }
 
 choose_extras() {

@@ -24,7 +24,8 @@ def main(folder: Path) -> None:
     files = [row.file for row in read_feed(folder / "feed").rows]
     rows = [f"{files[second % 8]},{1_000_000_000 * (second + 1)}" for second in range(4 * 3600)]
     (folder / "feed/frames.csv").write_text("\n".join(["file,stamp_ns", *rows, ""]))
-    build_map([read_feed(folder / "beginning")], folder / "map", DescriptorConfig(), SamplingConfig(by="frames"))
+    grid = DescriptorConfig(model="grid")  # the only network in the package
+    build_map([read_feed(folder / "beginning")], folder / "map", grid, SamplingConfig(by="frames"))
 
 
 if __name__ == "__main__":
