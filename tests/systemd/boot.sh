@@ -269,7 +269,7 @@ try_package() {
 
 make_root
 rm -rf "$root/srv/lookback" && mkdir -p "$root/srv/lookback"
-tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins sim systemd | tar -C "$root/srv/lookback" -x
+tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins lookback sim systemd | tar -C "$root/srv/lookback" -x
 boot
 step "booted: $(inside systemctl --version | head -n 1)"
 make_data

@@ -34,6 +34,28 @@ def test_labels_are_json_and_name_this_version_and_port() -> None:
     assert f"127.0.0.1:{PageConfig().port}/healthz" in DOCKERFILE
 
 
+def test_what_is_copied_is_sent_to_the_builder_and_is_there() -> None:
+    """The list of .dockerignore, which excludes all else."""
+    root = CONTAINER.parent
+    sent = set((root / ".dockerignore").read_text().split())
+    lines = re.findall(r"^COPY (?!--from)(.*) \S+$", DOCKERFILE, re.MULTILINE)
+    copied = {name for line in lines for name in line.split()}
+    assert len(copied) > 8
+    for name in copied:
+        assert (root / name).exists()
+        assert f"!{name.partition('/')[0]}" in sent
+
+
+def test_every_package_of_the_wheel_is_installed_from_a_checkout() -> None:
+    root = CONTAINER.parent
+    (patterns,) = re.findall(r'packages.find\]\ninclude = \["(.*)"\]', (root / "pyproject.toml").read_text())
+    names = [path.parent.name for one in patterns.split('", "') for path in root.glob(f"{one}/__init__.py")]
+    assert {"edge", "edge_plugins", "lookback", "sim"} <= set(names)
+    for file in ("systemd/install.sh", "tests/systemd/boot.sh", "container/Dockerfile"):
+        words = (root / file).read_text().replace(";", " ").split()
+        assert set(names) <= set(words), file
+
+
 def test_the_environment_is_that_of_the_service() -> None:
     for word in re.findall(r"^Environment=(.*)$", UNIT, re.MULTILINE):
         assert set(word.split()) <= set(DOCKERFILE.split())
@@ -44,12 +66,13 @@ def test_the_generated_config_is_valid_and_reaches_the_host(tmp_path: Path) -> N
     start = (CONTAINER / "start").read_text()
     assert (CONTAINER / "start").stat().st_mode & stat.S_IXUSR
     script = re.findall(r"-e ('.*')", start)
-    assert len(script) == 3
+    assert len(script) == 4
     command = f"sed {' '.join('-e ' + one for one in script)} {DEFAULT_TOML}"
     text = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True).stdout
     (tmp_path / "lookback.toml").write_text(text)
     config = load_config(tmp_path / "lookback.toml")
     assert config.of(PageConfig).bind == "0.0.0.0"
+    assert config.descriptor.model == "grid"
     assert "blueos.local" in config.of(PageConfig).hosts
     assert config.telemetry.connection.startswith("udp:host.docker.internal:")
     assert config.telemetry.journal == TelemetryConfig().journal
