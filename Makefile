@@ -19,7 +19,7 @@ WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.p
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
 .PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
-.PHONY: clean
+.PHONY: clean docs notebook
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -86,6 +86,14 @@ lint: $(VENV)/.dev
 
 smoke: $(VENV)/.dev
 	$(BIN)/lookback demo -o demo --require-good
+
+# The pages as a site in build/docs, with the page of `import lookback` from its docstrings.
+docs: $(VENV)/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
+notebook: $(VENV)/.dev
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "from tests.docs.test_notebook import RUN; exec(RUN)" \
+		docs/notebook.ipynb docs/notebook.ipynb
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m sim.research.bench -o docs/bench.md

@@ -1,0 +1,50 @@
+"""The notebook runs as it is, and prints what is printed in it; CITATION.cff names the version."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import edge
+
+ROOT = Path(__file__).parents[2]
+NOTEBOOK = ROOT / "docs/notebook.ipynb"
+RUN = (
+    "import nbformat, nbclient, sys; book = nbformat.read(sys.argv[1], 4);"
+    "nbclient.NotebookClient(book, timeout=300, kernel_name='python3', record_timing=False).execute();"
+    "nbformat.write(book, sys.argv[2])"
+)
+
+
+def shown(path: Path) -> list[str]:
+    """What each cell of code printed, or the kinds of what it showed."""
+    cells: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    found = [out for cell in cells if cell["cell_type"] == "code" for out in cell["outputs"]]
+    return ["".join(out["text"]) if "text" in out else " ".join(sorted(out["data"])) for out in found]
+
+
+def test_the_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
+    """If this fails for what is printed: make notebook"""
+    for package in ("nbclient", "ipykernel", "panda3d"):
+        pytest.importorskip(package, reason="the extras `docs` and `sim`")
+    made = tmp_path / "made.ipynb"
+    found = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    subprocess.run([sys.executable, "-c", RUN, str(NOTEBOOK), str(made)], env=found, check=True)
+    number = r"\d+(?:\.\d+)?"
+    before, now = "\n".join(shown(NOTEBOOK)), "\n".join(shown(made))
+    assert re.sub(number, "#", now) == re.sub(number, "#", before)
+    # Processors round otherwise.
+    numbers = [[float(one) for one in re.findall(number, text)] for text in (now, before)]
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=0.05)
+    assert len(shown(NOTEBOOK)) >= 10
+
+
+def test_the_citation_names_this_version() -> None:
+    assert f"\nversion: {edge.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
