@@ -19,7 +19,7 @@ WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.p
 NOT_CORE := sim docs faults firmware_config hardware systemd
 
 .PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
-.PHONY: clean docs notebook
+.PHONY: benchmark clean docs notebook
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -94,6 +94,10 @@ docs: $(VENV)/.dev
 notebook: $(VENV)/.dev
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "from tests.docs.test_notebook import RUN; exec(RUN)" \
 		docs/notebook.ipynb docs/notebook.ipynb
+
+benchmark: $(VENV)/.dev
+	$(BIN)/lookback compare benchmark -o build/benchmark
+	$(BIN)/python -m sim.research.evaluation.tables benchmark build/benchmark/means.md docs/benchmark.md
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m sim.research.bench -o docs/bench.md

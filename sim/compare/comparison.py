@@ -94,6 +94,27 @@ def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome)
     return [pair, method, first, *others, *curve, outcome.median_error(), outcome.frame_ms]
 
 
+MEANS_NOTE = (
+    "Accuracy: mean R@1 over all pairs. Honesty: mean R@P100, the share of the frames on the map that can be used"
+    " without a single wrong place among them."
+)
+
+
+def means(runner: MethodRunner, results: Results) -> Table:
+    """A row for every method: accuracy and honesty over all pairs, and both on each."""
+    pairs = [pair.name for pair in runner.plan.pairs]
+    rows: list[list[Cell]] = []
+    for text in runner.plan.methods:
+        outcomes = [results[pair, text] for pair in pairs]
+        each = [(recall_at_1(one.answers), recall_at_100(one.answers)) for one in outcomes]
+        accuracy, honesty = np.mean(each, axis=0).tolist()
+        time_ms = float(np.median([one.frame_ms for one in outcomes]))
+        rows.append([text, accuracy, honesty, *(f"{first:.2f}, {sure:.2f}" for first, sure in each), f"{time_ms:.1f}"])
+    return Table(
+        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *pairs, "ms a frame"), rows, MEANS_NOTE
+    )
+
+
 def as_short(cell: Cell) -> str:
     """A cell on the terminal: of an interval its value."""
     return format_cell(cell.value if isinstance(cell, Interval) else cell)
@@ -134,7 +155,7 @@ def overview(runner: MethodRunner, results: Results) -> Section:
     table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
     plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
     text = f"{_methods_text(runner)} {SUMMARY_NOTE}"
-    return Section("Overview", text, [summary(runner, results), table], [plot])
+    return Section("Overview", text, [summary(runner, results), means(runner, results), table], [plot])
 
 
 def sweep_pairs(plan: Plan) -> list[Pair]:

@@ -11,7 +11,7 @@ import msgspec
 from edge.config import NETWORKS
 from edge.errors import ConfigError
 from sim.compare.methods import SEQUENCES
-from sim.compare.plan import TRUTHS, NetworkPlan, Plan, checked_plan
+from sim.compare.plan import NetworkPlan, Plan, checked_plan
 from sim.datasets.pictures import read_drive
 from sim.evaluation.metrics import TOLERANCE_M
 from sim.traverse import driven_m
@@ -34,7 +34,7 @@ def plan_of(args: argparse.Namespace) -> Plan:
         "name": f"{query.stem} on {reference.stem}",
         "reference": "reference",
         "query": "query",
-        "truth": truth if truth in TRUTHS else str(Path(truth).resolve()),
+        "truth": str(Path(truth).resolve()) if truth.endswith(".npy") else truth,
         "soft": str(args.soft.resolve()) if args.soft else "",
         "transposed": args.transposed,
         "tolerance": tolerance if args.tolerance is None else args.tolerance,
@@ -62,7 +62,7 @@ def with_options(plan: Plan, args: argparse.Namespace) -> Plan:
         if given["model"] not in NETWORKS:
             given["model"] = str(Path(str(given["model"])).resolve())
         networks[name] = msgspec.convert(given, NetworkPlan)
-        rows += [f"{row}@{name}" for row in ("Raw-single", "NSD-single", "NSD-CR")]
+        rows += [f"{row}@{name}" for row in ("Raw-single", "NSD-single", "NSD-CR", "Lookback")]
     for text in args.descriptors:
         name, files = _named("--descriptors", text)
         both = [str(Path(file).resolve()) for file in files.split(",")]

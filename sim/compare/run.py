@@ -34,7 +34,7 @@ from sim.compare.method_runner import MethodRunner
 from sim.compare.options import plan_of, with_options
 from sim.compare.plan import Plan, TraversePlan, load_plan
 from sim.compare.traverses import Traverse, load_traverse
-from sim.evaluation.report import Section, Table, write_report
+from sim.evaluation.report import Section, Table, as_markdown, write_report
 from sim.output import needing
 
 SHIPPED = Path(__file__).with_name("plans")
@@ -98,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
         runner.method(text)
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(source, plan, runner), sections)
-    print_table(sections[0].tables[0])
+    scores, means = sections[0].tables[:2]
+    (args.output / "means.md").write_text(as_markdown(means) + "\n", encoding="utf-8")
+    print_table(scores)
     print(page)
     return 0
 

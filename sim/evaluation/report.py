@@ -58,6 +58,15 @@ def format_cell(cell: Cell) -> str:
     return str(cell)
 
 
+def as_markdown(table: Table) -> str:
+    """The table as the docs have it."""
+
+    def cells(row: Sequence[Cell]) -> str:
+        return "| " + " | ".join(f"{cell:.2f}" if isinstance(cell, float) else format_cell(cell) for cell in row) + " |"
+
+    return "\n".join([cells(table.columns), "|" + "---|" * len(table.columns), *map(cells, table.rows)])
+
+
 def _write_files(folder: Path, section: Section) -> None:
     for table in section.tables:
         with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as stream:

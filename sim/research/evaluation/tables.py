@@ -1,8 +1,12 @@
-"""What all scripts that write a table of the docs share: options, and where the table goes."""
+"""What all scripts that write a table of the docs share: options, and where the table goes.
+
+`python -m sim.research.evaluation.tables NAME FILE PAGE` writes a file between the marks of that name on a page.
+"""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -33,3 +37,8 @@ def publish(name: str, rows: Iterable[str], page: Path | None) -> None:
         known.append(row)
     if page:
         put_between(name, page, "\n".join(known))
+
+
+if __name__ == "__main__":
+    name, made, page = sys.argv[1:]
+    put_between(name, Path(page), Path(made).read_text(encoding="utf-8").strip())

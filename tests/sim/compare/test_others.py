@@ -1,0 +1,179 @@
+"""`lookback compare` on two folders of pictures, with what others made: networks, descriptors, similarities, truth."""
+
+from __future__ import annotations
+
+import csv
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnxruntime
+import pytest
+
+from edge.__main__ import main
+from edge.errors import ConfigError, ModelError
+from sim.compare.foreign import ForeignNetwork, open_file
+from sim.compare.matching import judge, match_alone
+from sim.compare.method_runner import Outcome
+from sim.compare.plan import Pair
+from sim.compare.truth import matrix_errors, read_array
+from sim.model_tools.onnx_graph import GraphBuilder
+
+HERE, THERE = 12, 16
+Compare = Callable[..., tuple[int, dict[str, dict[str, str]]]]
+
+
+def network_file(path: Path, *, size: int = 16, rank: int = 2) -> Path:
+    """A network of others: one convolution with random weights, its averages as the descriptor."""
+    pytest.importorskip("onnx", reason="graphs are built with the extra `model`")
+    graph, random = GraphBuilder(), np.random.default_rng(0)
+    kernel = graph.constant("kernel", random.normal(size=(32, 3, 4, 4)).astype(np.float32))
+    graph.add("Conv", ["x", kernel], kernel_shape=[4, 4], strides=[4, 4])
+    graph.add("Relu", [graph.last])
+    graph.add("Flatten", [graph.last], output="out", axis=1)
+    path.write_bytes(
+        graph.model("theirs", [("x", np.float32, [3, size, size])], 32 * (size // 4) ** 2).SerializeToString()
+    )
+    return path
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> tuple[Path, Path]:
+    """Pictures of a wall of random stripes: THERE places, and from the third on HERE of them in another light."""
+    wall = np.random.default_rng(7).integers(0, 255, (6, 120, 3)).astype(np.float64)
+    for name, first, count, light in (("there", 0, THERE, 1.0), ("here", 2, HERE, 0.6)):
+        (tmp_path / name).mkdir()
+        for number in range(count):
+            at = 4 * (first + number)
+            seen = wall[:, at : at + 16].repeat(8, axis=0).repeat(4, axis=1) * light
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), seen.astype(np.uint8))
+    return tmp_path / "there", tmp_path / "here"
+
+
+@pytest.fixture
+def compare(folders: tuple[Path, Path], tmp_path: Path) -> Compare:
+    """compare(options...) runs the command on the two folders: its exit code, and the rows of its table by method."""
+
+    def run(*options: str) -> tuple[int, dict[str, dict[str, str]]]:
+        np.save(tmp_path / "gt.npy", np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)) <= 1)
+        what = [
+            *map(str, folders),
+            "-o",
+            str(tmp_path / "report"),
+            "--length",
+            "3",
+            "--truth",
+            str(tmp_path / "gt.npy"),
+        ]
+        code = main(["compare", *what, *options])
+        if code:
+            return code, {}
+        with (tmp_path / "report/scores.csv").open(encoding="utf-8", newline="") as stream:
+            return code, {row["method"]: row for row in csv.DictReader(stream)}
+
+    return run
+
+
+def first(row: dict[str, str], column: str) -> float:
+    return float(row[column].split()[0])
+
+
+def test_methods_of_ours_and_of_others_in_one_table(compare: Compare, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    place = rng.normal(size=(THERE, 8))
+    np.save(tmp_path / "reference.npy", place)
+    np.save(tmp_path / "query.npy", place[2 : 2 + HERE] + rng.normal(scale=0.01, size=(HERE, 8)))
+    code, rows = compare(
+        "--network", f"theirs={network_file(tmp_path / 'theirs.onnx')}",
+        "--descriptors", f"vlad={tmp_path / 'reference.npy'},{tmp_path / 'query.npy'}",
+    )  # fmt: skip
+    assert code == 0
+    assert set(rows) >= {"Raw-single", "NSD-CR", "Lookback", "SeqSLAM", "NSD-single@theirs", "Raw-single@vlad"}
+    assert first(rows["Raw-single@vlad"], "R@1") == 1.0 and rows["Raw-single@vlad"]["ms a frame"] == "nan"
+    assert first(rows["NSD-single@theirs"], "R@1") > 0.8 and first(rows["NSD-single@theirs"], "ms a frame") > 0
+    page = (tmp_path / "report/report.html").read_text()
+    assert "query, frame" in page and "theirs.onnx" not in page  # a path says nothing to others
+
+
+def test_similarities_of_others_alone_and_with_sequences(compare: Compare, tmp_path: Path) -> None:
+    similarity = np.exp(-np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)))
+    similarity[4] = similarity[4][::-1]  # one frame that is wrong alone
+    np.save(tmp_path / "s.npy", similarity)
+    only = ("--method", "S", "--method", "S/sequences")
+    code, rows = compare("--similarity", f"S={tmp_path / 's.npy'}", *only)
+    assert code == 0 and list(rows) == ["S", "S/sequences"]
+    assert first(rows["S"], "R@1") == pytest.approx(0.9) and first(rows["S/sequences"], "R@1") == 1.0
+    assert first(rows["S"], "R@1") <= float(rows["S"]["R@5"]) <= float(rows["S"]["R@10"])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--similarity", "S=none.npy", "--method", "S"), "none.npy: cannot read it"),
+        (("--similarity", "S"), "--similarity: 'S' is not NAME=FILE"),
+        (("--descriptors", "d=one.npy"), "is not NAME=REFERENCE.npy,QUERY.npy"),
+        (("--network", "n=none.onnx"), "none.onnx: no such network"),
+        (("--method", "NetVLAD"), "'NetVLAD': no such row"),
+        (("--truth", "gps"), "'gps' is none of positions"),
+        (("--transposed",), "queries and 16 places"),
+    ],
+)
+def test_what_is_wrong_is_one_line(
+    compare: Compare, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], says: str
+) -> None:
+    assert compare(*options)[0] == 78
+    assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_network_of_others_gets_rgb_as_imagenet_has_it(tmp_path: Path) -> None:
+    theirs = open_file(network_file(tmp_path / "theirs.onnx"))
+    assert isinstance(theirs, ForeignNetwork) and theirs.size == (16, 16) and theirs.info.dimensions == 512
+    image = np.random.default_rng(1).integers(0, 255, (2, 16, 16, 3), dtype=np.uint8)
+    session = onnxruntime.InferenceSession(str(theirs.path))
+    scaled = (image[..., ::-1] / 255 - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    expected = session.run(None, {"x": scaled.transpose(0, 3, 1, 2).astype(np.float32)})[0]
+    np.testing.assert_allclose(theirs.describe(image), expected, rtol=1e-3, atol=1e-4)
+    (tmp_path / "broken.onnx").write_bytes(b"no network")
+    with pytest.raises(ModelError, match=r"broken\.onnx: ONNX Runtime rejects it"):
+        open_file(tmp_path / "broken.onnx")
+
+
+def test_what_is_neither_right_nor_wrong_does_not_count(tmp_path: Path) -> None:
+    np.save(tmp_path / "hard.npy", np.eye(3, dtype=bool))
+    np.save(tmp_path / "soft.npy", np.eye(3, k=1, dtype=bool) | np.eye(3, dtype=bool))
+    pair = Pair("p", "r", "q", "hard.npy", soft="soft.npy", length=1)
+    errors = matrix_errors(pair, (3, 3), tmp_path)
+    assert np.isnan(errors).sum() == 2 and (errors == 0).sum() == 3
+    answers = judge(match_alone(np.eye(3, k=1) + 0.1), errors, 1.0, np.arange(3))
+    assert answers.correct.tolist() == [False]  # the first two found their soft neighbor; the third one is wrong
+    assert answers.has_truth.tolist() == [True]
+
+
+def test_truth_as_vpr_bench_has_it_and_nothing_that_a_file_could_run(tmp_path: Path) -> None:
+    lists = np.array([[0, [1, 2]], [1, []], [2, [0]]], dtype=object)
+    np.save(tmp_path / "ground_truth_new.npy", lists)
+    errors = matrix_errors(Pair("p", "r", "q", "ground_truth_new.npy", length=1), (3, 3), tmp_path)
+    assert np.argwhere(errors == 0).tolist() == [[0, 1], [0, 2], [2, 0]]
+
+    class Evil:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (tmp_path / "ran",)
+
+    with (tmp_path / "evil.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "|O", "fortran_order": False, "shape": (1,)})
+        pickle.dump(Evil(), file)
+    with pytest.raises(ConfigError, match=r"evil\.npy: cannot read it as an array: it asks for"):
+        read_array(tmp_path / "evil.npy")
+    assert not (tmp_path / "ran").exists()
+
+
+def test_recall_counts_places_among_the_best() -> None:
+    similarity = np.array([[0.9, 0.8, 0.1], [0.1, 0.9, 0.8], [0.9, 0.2, 0.1]])
+    errors = np.array([[9.0, 0.0, 9.0], [9.0, 9.0, 0.0], [9.0, 9.0, 0.0]])
+    pair: Any = Pair("p", "r", "q", "rows", tolerance=1.0, length=1)
+    nothing: Any = None
+    outcome = Outcome(pair, nothing, 1, nothing, nothing, match_alone(similarity), 0.0, errors, np.arange(3), nothing)
+    assert [round(outcome.recall_within(count), 2) for count in (1, 2, 3)] == [0.0, 0.67, 1.0]
