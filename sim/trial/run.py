@@ -148,15 +148,17 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             at_s = simulation.time_s(item.time_s) - age_s
-            true_m = [np.interp(at_s, rows[:, 0], rows[:, column]) for column in (3, 4)]
-            error_m = math.hypot(east_m - true_m[0], north_m - true_m[1])
+            way_m, *true_m = (float(np.interp(at_s, rows[:, 0], rows[:, column])) for column in (1, 3, 4))
+            off_m, heading_rad = (east_m - true_m[0], north_m - true_m[1]), draft.way.at(way_m)[2]
+            sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+            along_m, across_m = off_m[0] * sin + off_m[1] * cos, off_m[0] * cos - off_m[1] * sin
             arrived_s = simulation.time_s(item.time_s)
             last = int(np.searchsorted(known_s, arrived_s + STEP_S, side="right")) - 1
             if last >= 0 and arrived_s - known_s[last] <= RECORDED_EVERY_S:
                 sigma_m = min(sigma_m, known_m[last])
-            found.append((arrived_s, error_m, sigma_m))
-    columns: Array = np.array(found).reshape(-1, 3).T
-    return Sent(columns[0], columns[1], columns[2])
+            found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, across_m))
+    columns: Array = np.array(found).reshape(-1, 5).T
+    return Sent(columns[0], columns[1], columns[2], columns[3:].T)
 
 
 def _known_sigmas(journal: Path, simulation: Simulation) -> Array:

@@ -73,12 +73,12 @@ def within_sigmas(run: CourseRun) -> str:
 
 
 def within_protection_level(run: CourseRun) -> str:
-    """No position is further off than its protection levels."""
+    """No position is further off along the way, or across it, than its protection level there."""
     row = np.searchsorted(run.levels[:, 0], run.sent.time_s)  # they follow the position
     has_one = row < len(run.levels)
-    at_s, along_m, across_m = run.levels[row[has_one]].T
+    at_s, *levels_m = run.levels[row[has_one]].T
     is_its_own = at_s - run.sent.time_s[has_one] < LEVEL_FOLLOWS_S
-    beyond = (run.sent.error_m[has_one] > np.hypot(along_m, across_m)) & is_its_own
+    beyond = (np.abs(run.sent.off_m[has_one]) > np.transpose(levels_m)).any(axis=1) & is_its_own
     return f"{beyond.sum()} positions" if beyond.any() else ""
 
 

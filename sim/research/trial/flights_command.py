@@ -35,13 +35,17 @@ SECTION = "flights"
 
 
 class Flight(msgspec.Struct, frozen=True):
-    """A drive as it was recorded, and as the daemon of today does; recorded: of the autopilot and of the vehicle."""
+    """A drive as it was recorded, and as the daemon of today does; recorded: of the autopilot and of the vehicle.
+
+    lost_m: driven since GPS was lost.
+    """
 
     name: str
     then: Score
     now: Score
     autopilot_m: list[float]
     lane_m: list[float]
+    lost_m: float
 
 
 class Failed(msgspec.Struct, frozen=True):
@@ -143,6 +147,7 @@ def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, librar
         score(drive, then, drive.sent, drive.used),
         score(drive, sent, list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))),
         *(_three(errors_m) for errors_m in (autopilot_errors(drive), lane_errors(drive))),
+        round(drive.lost_m, 1),
     )
 
 
@@ -185,7 +190,8 @@ def summary(flights: Sequence[Flight | Failed]) -> str:
     """What all drives say together."""
     replayed = [one for one in flights if isinstance(one, Flight)]
     together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
-    return "\n".join([f"All {len(replayed)} drives together:\n", *together])
+    lost_km = sum(one.lost_m for one in replayed) / 1000
+    return "\n".join([f"All {len(replayed)} drives together, {lost_km:.1f} km since GPS was lost:\n", *together])
 
 
 def _together(scores: Sequence[Score]) -> str:

@@ -90,6 +90,11 @@ class RecordedDrive:
         return float(np.interp(time_s, self.truth["mono_s"], np.r_[0.0, np.cumsum(steps_m)]))
 
     @property
+    def lost_m(self) -> float:
+        """Driven since GPS was lost, see `gps_lost_s`."""
+        return self.driven_m(self.moves_s[1]) - self.driven_m(self.gps_lost_s)
+
+    @property
     def scenario(self) -> Scenario:
         """Of its road, in the light and the direction of its last part."""
         return self.scenarios[-1][1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -133,12 +134,20 @@ DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45
 NOTHING = Sent(np.array([]), np.array([]), np.array([]))
 
 
+def with_levels(along_m: float, across_m: float) -> CourseRun:
+    """One position that is 1 m off along the way and 8 m across it, with these levels."""
+    sent = Sent(*np.array([[10.0], [math.hypot(1.0, 8.0)], [3.0]]), np.array([[1.0, -8.0]]))
+    return run_of(sent=sent, levels=np.array([[10.01, along_m, across_m]]))
+
+
 @pytest.mark.parametrize(
     ("rule", "run", "found"),
     [
         (course_rules.within_sigmas, run_of(), ""),
         (course_rules.within_sigmas, run_of(error_m=13.0), "4.3 sigma"),
         (course_rules.no_false_place, run_of(error_m=41.0), "50 false, up to 41 m"),
+        (course_rules.within_protection_level, with_levels(2.0, 9.0), ""),
+        (course_rules.within_protection_level, with_levels(12.0, 7.0), "1 positions"),
         (course_rules.not_worse, run_of(), ""),
         (
             course_rules.not_worse,
