@@ -3,7 +3,7 @@
 `map_set`  a map, or a folder of them, as plain arrays; `map_folder` opens it, `place_index` counts its places through
 `store`    the folder of one map: JSON header, int8 descriptors (memory-mapped), places, segments, thumbnails
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order; PCA
-`self_similarity`  which drives are closed laps, and which places resemble each other
+`self_similarity`  which drives are closed laps
 `spatial_index`  which places a known position allows; `route` positions along the drives
 `learned`  which maps are not searched, what is gone, newer positions; `checksums` a piece at a time, between frames
 `gps_motion`  whether positions move as the vehicle does
@@ -17,13 +17,11 @@ from edge.reference_map.map_so_far import MapSoFar
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import sigmas_m
 from edge.reference_map.route import NO_LAP_M, Drive, Drives, Mapped, Position, Route
-from edge.reference_map.self_similarity import NEIGHBOR_PLACES, Rival, rival
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
 
 __all__ = [
     "COST_ONE",
-    "NEIGHBOR_PLACES",
     "NO_LAP_M",
     "Bounds",
     "Drive",
@@ -39,13 +37,11 @@ __all__ = [
     "Ranges",
     "ReferenceMap",
     "RegionsKey",
-    "Rival",
     "Route",
     "is_signed",
     "maps_in",
     "open_map",
     "open_map_set",
     "read_header",
-    "rival",
     "sigmas_m",
 ]

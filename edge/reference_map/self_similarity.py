@@ -1,4 +1,4 @@
-"""What a map's own descriptors say of it: which drives are closed, and which places are mistaken for others.
+"""Which drives of a map are closed, by its own descriptors.
 
 A drive is closed if its last places show what comes just before its first ones. Places near each other look alike: how
 much, the drive itself says. At the number of places to a lap that fits the ends best, a drive is closed if these are
@@ -9,7 +9,6 @@ track has 0.51 of it; of 90 simulated roads, the closest has 0.35.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,34 +67,3 @@ def _are_together(ends: NDArray[np.void]) -> bool:
     """Whether two places are near each other, or one of them is not known."""
     apart_m = float(np.hypot(*np.diff(east_north(ends["lat_deg"], ends["lon_deg"]), axis=0)[0]))
     return not apart_m > TOGETHER_M
-
-
-NEIGHBOR_PLACES = 4
-"""A place elsewhere is mistaken for a place if it is more similar to it than the places so many before and after."""
-ELSEWHERE_M = 80.0
-"""From this distance on, over the ground and along the drive, another place is elsewhere."""
-
-
-@dataclass(frozen=True)
-class Rival:
-    """The most similar place elsewhere. is_mistaken: whether it is more similar than a place's own neighbors are."""
-
-    row: int
-    is_mistaken: bool
-
-
-def rival(matcher: CostMatcher, descriptors: NDArray[np.int8], places: NDArray[np.void], row: int) -> Rival | None:
-    """Of the place in a row, with NEIGHBOR_PLACES places before and after it; None where the map has nothing elsewhere.
-
-    descriptors (R, N, K) int8 and places (N,) of one map. Costs as much as matching one frame.
-    """
-    costs = matcher.costs_of_encoded(descriptors[:, row : row + 1])[0, 0]
-    origin = float(places["lat_deg"][row]), float(places["lon_deg"][row])
-    away_m = np.hypot(*east_north(places["lat_deg"], places["lon_deg"], origin).T)
-    along_m = np.abs(places["route_m"] - places["route_m"][row])
-    elsewhere = np.flatnonzero(np.fmin(away_m, along_m) > ELSEWHERE_M)
-    if not elsewhere.size:
-        return None
-    found = int(elsewhere[costs[elsewhere].argmin()])
-    beside = max(int(costs[row - NEIGHBOR_PLACES]), int(costs[row + NEIGHBOR_PLACES]))
-    return Rival(found, bool(costs[found] <= beside))

@@ -7,8 +7,8 @@ autopilot is a `Session`, which another one replaces. `position_history` has its
 
 Out: `link_protocol` requests what is read, and says what measures the velocity without GPS. `position_sender` sends
 positions by the messages of `position_messages`; `acknowledgements` says what an answer means and follows what the
-autopilot makes of each position, `own_bound` says what bounds the autopilot's own, and
-`source_selection` selects ArduPilot's sources. `people` is for people, and `encoders` writes all that is sent.
+autopilot makes of each position, and `source_selection` selects ArduPilot's sources. `kept_bound` keeps over a restart
+what bounds the autopilot's own position. `people` is for people, and `encoders` writes all that is sent.
 `autopilot` joins all into the one object that the daemon polls.
 """
 

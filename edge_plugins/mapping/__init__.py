@@ -6,7 +6,7 @@
 `live_map`   which frames become places; the file and the map in memory (`growing_map`) together
 `outage`     places that were passed while GPS was lost: where they are, once it is back
 `missed_places`  places that were passed without a frame
-`status`     what people are shown of all this, and what to expect if GPS were lost now
+`status`     what people are shown of all this
 `plugin`     which frames of which camera are mapped, for the daemon
 """
 

@@ -28,7 +28,7 @@ from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
 from edge_plugins.mapping.place_log import RETRY_S, OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace
-from edge_plugins.mapping.status import MappingStatus, MappingView, SelfComparison
+from edge_plugins.mapping.status import MappingStatus, MappingView
 
 STEP_PLACES = 16
 """Places that become searchable at once: a larger map is made of the map so far, which costs some milliseconds."""
@@ -76,7 +76,6 @@ class LiveMap:
         self._motion = GpsMotion()
         self._outage, self._trail = Outage(config.max_sigma_m), Trail()
         self._origin: Origin | None = None  # of its meters
-        self._comparison = SelfComparison()
         self.searchable = 0
         """How many of the places are searched."""
         self._path = named_by_time(self._folder, unix_time_s(), lambda path: path.exists() or log_of(path).exists())
@@ -190,19 +189,15 @@ class LiveMap:
         if ready < self.searchable + STEP_PLACES and not (self._why and ready > self.searchable):
             return None
         self.searchable = ready
-        so_far = self.so_far()
-        self._comparison.add(so_far)
-        return so_far
+        return self.so_far()
 
-    def view(self, line_m: float, drift: float) -> MappingView:
-        """What people are shown. line_m: length of a sequence. drift: of the autopilot without GPS, as a share."""
+    def view(self) -> MappingView:
+        """What people are shown."""
         places = self._growing.places
         step = max(1, -(-len(places) // LINE_POINTS))
         shown = places[::step]
         line = tuple(zip(shown["lat_deg"].tolist(), shown["lon_deg"].tolist(), strict=True))
-        driven_m = self._base_m + self._driven_m
-        way_home = self._comparison.way_home(driven_m, self._config.behind_m, line_m, drift)
-        return MappingView(self.status, line, -(-self.searchable // step), way_home)
+        return MappingView(self.status, line, -(-self.searchable // step))
 
     def so_far(self) -> MapSoFar:
         """The part of the map that is searched."""

@@ -122,10 +122,8 @@ class Mapping(Plugin):
         return status
 
     def view(self) -> MappingView:
-        """The map of this drive, and what to expect of it, for people."""
-        config = self._parts.config
-        line_m, drift = config.sequence_frames * config.sampling.spacing_m, config.gates.drift_percent / 100
-        return replace(self.live.view(line_m, drift), status=self.status)
+        """The map of this drive, for people."""
+        return replace(self.live.view(), status=self.status)
 
     def driven_m(self) -> float | None:
         """How far the vehicle has driven by the odometer of the map of this drive; None where that is not known."""

@@ -6,12 +6,19 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from edge.reference_map import NEIGHBOR_PLACES, Drives, MapSet, rival
+import numpy as np
+
+from edge.geodesy import east_north
+from edge.reference_map import Drives, MapSet
 
 EVERY_M = 10.0
 """Distance between the places of a stretch that are compared."""
 MOST_LIKELY = 0.5
 """Share of them that must be mistaken for places of the same other stretch."""
+NEIGHBOR_PLACES = 4
+"""A place elsewhere is mistaken for a place if it is more similar to it than the places so many before and after."""
+ELSEWHERE_M = 80.0
+"""From this distance on, over the ground and along the drive, another place is elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +58,25 @@ def _rivals(maps: MapSet, drives: Drives, span: Span) -> list[int | None]:
     """For some places of a stretch, the place that each is mistaken for, numbered through all maps."""
     start, end = maps.index.segment(span.segment)
     number = maps.index.map_of(start)
-    own, offset = maps.maps[number], maps.index.starts[number]
+    offset = maps.index.starts[number]
     inside = [row for row in range(start, end) if span.from_m <= drives.along_m(row) < span.to_m]
-    found: list[int | None] = []
-    for row in inside[:: max(1, round(EVERY_M / drives.spacing_m))]:
-        if start + NEIGHBOR_PLACES <= row < end - NEIGHBOR_PLACES:
-            one = rival(maps.matchers[number], own.descriptors, own.places, row - offset)
-            found.append(one.row + offset if one is not None and one.is_mistaken else None)
-    return found
+    steps = inside[:: max(1, round(EVERY_M / drives.spacing_m))]
+    rows = [row - offset for row in steps if start + NEIGHBOR_PLACES <= row < end - NEIGHBOR_PLACES]
+    found = (_mistaken_for(maps, number, row) for row in rows)
+    return [None if row is None else row + offset for row in found]
+
+
+def _mistaken_for(maps: MapSet, number: int, row: int) -> int | None:
+    """The row of a map that is elsewhere, and more similar to one of its rows than the neighbors of that are."""
+    own = maps.maps[number]
+    costs, places = maps.matchers[number].costs_of_encoded(own.descriptors[:, row : row + 1])[0, 0], own.places
+    origin = float(places["lat_deg"][row]), float(places["lon_deg"][row])
+    away_m = np.hypot(*east_north(places["lat_deg"], places["lon_deg"], origin).T)
+    along_m = np.abs(places["route_m"] - places["route_m"][row])
+    elsewhere = np.flatnonzero(np.fmin(away_m, along_m) > ELSEWHERE_M)
+    beside = max(int(costs[row - NEIGHBOR_PLACES]), int(costs[row + NEIGHBOR_PLACES]))
+    nearest = int(elsewhere[costs[elsewhere].argmin()]) if elsewhere.size else row
+    return nearest if elsewhere.size and costs[nearest] <= beside else None
 
 
 def _span_of(maps: MapSet, drives: Drives, row: int, spans: Sequence[Span]) -> Span | None:

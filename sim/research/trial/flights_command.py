@@ -146,7 +146,8 @@ def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, librar
         drive.name,
         score(drive, then, drive.sent, drive.used),
         score(drive, sent, list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))),
-        *(_three(errors_m) for errors_m in (autopilot_errors(drive), lane_errors(drive))),
+        _three(autopilot_errors(drive)),
+        _three(lane_errors(drive)),
         round(drive.lost_m, 1),
     )
 

@@ -220,7 +220,7 @@ def on_the_road(number: int) -> Snapshot:
     """A vehicle 200 m along a road that leads north, whose drive is mapped."""
     at = 200 / 110_574, 0.0
     link = LinkStatus("up", "udpin:127.0.0.1:1", "report", *at, heading_deg=0.0)
-    mapping = MappingView(MappingStatus("mapping", "", "drive", 40, 20, 80.0), ((0.0018, 0.0), at), 1, None)
+    mapping = MappingView(MappingStatus("mapping", "", "drive", 40, 20, 80.0), ((0.0018, 0.0), at), 1)
     shown = snapshot(number)
     status = shown.status
     newest = replace(status.newest, lat_deg=at[0], lon_deg=at[1], map=msgspec.UNSET) if status.newest else None

@@ -24,7 +24,7 @@ from edge.localization.place_fix import frame_used
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import COST_ONE, MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
-from edge_plugins.mapping.status import MappingStatus, MappingView, WayHome
+from edge_plugins.mapping.status import MappingStatus, MappingView
 from edge_plugins.page import PageConfig
 from edge_plugins.page.plugin import open_page
 from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, Snapshot, map_view
@@ -33,7 +33,6 @@ from sim.traverse import traverse
 FRAMES, LENGTH = 30, 10
 MAPPING = MappingView(
     MappingStatus("waiting", "no GPS", "20260101T120000Z", 40, 32, 80.0), ((47.0, 8.0), (47.1, 8.0)), 1,
-    WayHome(0.75, 155.0, 240.0, 12.0),
 )  # fmt: skip
 
 
@@ -116,7 +115,6 @@ def test_a_snapshot_has_the_map_of_this_drive(watched: LiveStatus, recognizer: P
     shown = json.loads(snapshot(watched, recognizer).as_json(0))["mapping"]
     assert shown["status"]["why"] == "no GPS"
     assert shown["line"] == [[47.0, 8.0], [47.1, 8.0]]
-    assert shown["way_home"] == {"share": 0.75, "first_m": 155.0, "longest_m": 240.0, "drift_m": 12.0}
 
 
 def test_a_snapshot_is_not_changed_by_later_frames(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +135,8 @@ NOTHING = Sent(np.array([]), np.array([]), np.array([]))
 
 def with_levels(along_m: float, across_m: float) -> CourseRun:
     """One position that is 1 m off along the way and 8 m across it, with these levels."""
-    sent = Sent(*np.array([[10.0], [math.hypot(1.0, 8.0)], [3.0]]), np.array([[1.0, -8.0]]))
+    off_m = np.array([[1.0, -8.0]])
+    sent = Sent(np.array([10.0]), np.hypot(*off_m.T), np.array([3.0]), off_m)
     return run_of(sent=sent, levels=np.array([[10.01, along_m, across_m]]))
 
 
