@@ -1,4 +1,4 @@
-"""DepthAI without a device."""
+"""DepthAI without a device, and streams on a busy machine."""
 
 from __future__ import annotations
 
@@ -11,11 +11,23 @@ from numpy.typing import NDArray
 
 from edge.config import CameraConfig
 from edge.errors import ConfigError
+from edge_plugins.cameras import stream
 from edge_plugins.cameras.oak import OakSource, import_depthai
 
 
 def index_of(image: NDArray[np.uint8]) -> int:
     return round((float(image.mean()) - 20) / 16)
+
+
+BUSY_S = 60.0
+
+
+@pytest.fixture
+def busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lets a stream be late: beside other work, its images come faster than they are decoded for seconds."""
+    pytest.importorskip("av")
+    monkeypatch.setattr(stream, "BEHIND_NS", round(BUSY_S * 1e9))
+    monkeypatch.setattr(stream, "FIRST_FRAME_S", BUSY_S)
 
 
 @pytest.fixture

@@ -26,11 +26,13 @@ from edge.camera import Frame, open_camera
 from edge.camera.newest import NewestFrame
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError, FrameError
+from edge_plugins.cameras import stream
 from edge_plugins.cameras.command_output import CommandOutput
-from edge_plugins.cameras.stream import StreamCamera, StreamClock, open_source, size_difference
+from edge_plugins.cameras.stream import BEHIND_NS, StreamCamera, StreamClock, open_source, size_difference
 from tests.camera.conftest import index_of
 
 pytest.importorskip("av")
+pytestmark = pytest.mark.usefixtures("busy")
 
 PATIENCE_S = 60.0
 PERIOD_S = 0.02
@@ -91,6 +93,7 @@ class MjpegServer:
 
     def config(self, user: str = "", **keys: float) -> CameraConfig:
         address = f"http://{user}127.0.0.1:{self.port}/video"
+        keys = {"stall_timeout_s": PATIENCE_S, **keys}
         return CameraConfig(kind="stream", device=address, width=WIDTH, height=HEIGHT, **keys)  # type: ignore[arg-type]
 
     def close(self) -> None:
@@ -150,8 +153,10 @@ def test_mjpeg_over_http(serve: Callable[..., MjpegServer]) -> None:
 )
 def test_the_output_of_a_command(name: str, codec: str) -> None:
     command = shlex.join([sys.executable, str(WRITER), name, codec, "100000"])
-    config = CameraConfig(kind="stream", device=f"exec:{command}", width=WIDTH, height=HEIGHT)
-    assert_is_a_camera(StreamCamera(config))
+    config = CameraConfig(
+        kind="stream", device=f"exec:{command}", width=WIDTH, height=HEIGHT, stall_timeout_s=PATIENCE_S
+    )
+    assert_is_a_camera(StreamCamera(config, PATIENCE_S))
 
 
 def test_images_are_scaled_to_the_configured_size(serve: Callable[..., MjpegServer]) -> None:
@@ -277,7 +282,10 @@ def test_what_is_wrong_with_a_server_is_said_in_one_line(serve: Callable[..., Mj
         assert "secret" not in str(raised.value)
 
 
-def test_images_that_come_faster_than_they_are_decoded_are_not_used_late(serve: Callable[..., MjpegServer]) -> None:
+def test_images_that_come_faster_than_they_are_decoded_are_not_used_late(
+    serve: Callable[..., MjpegServer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "BEHIND_NS", BEHIND_NS)
     noise = np.random.default_rng(11).integers(0, 255, (480, 640, 3), np.uint8)  # slow to decode
     piece = part(cv2.imencode(".jpg", noise)[1].tobytes()) * 20
     config = serve(lambda: itertools.repeat(piece)).config()

@@ -20,6 +20,7 @@ from edge.errors import CameraLost
 from edge_plugins.cameras.stream import StreamCamera
 
 pytest.importorskip("av")
+pytestmark = pytest.mark.usefixtures("busy")
 
 HERE = Path(__file__).parent
 PATIENCE_S = 60.0
@@ -38,6 +39,7 @@ def need(program: str) -> str:
 
 
 def config(device: str, **keys: float) -> CameraConfig:
+    keys = {"stall_timeout_s": PATIENCE_S, **keys}
     return CameraConfig(kind="stream", device=device, width=320, height=240, **keys)  # type: ignore[arg-type]
 
 

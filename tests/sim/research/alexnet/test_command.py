@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def feed(tmp_path: Path) -> Path:
 
 
 def test_import_calibrated_on_a_feed_then_info_and_verify(
-    weights: Path, feed: Path, shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    weights: Path, feed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "model"
     assert lookback("dev", "alexnet", weights, "-o", folder, "--calibrate", feed, "--license", "CC0", "--float") == 0
@@ -62,20 +63,19 @@ def test_import_calibrated_on_a_feed_then_info_and_verify(
     said = capsys.readouterr().out.splitlines()
     assert said[-1] == "passed"
 
-    # `model verify` fails where the ranges are wrong.
-    ranges, narrow = tmp_path / "ranges.json", tmp_path / "narrow"
-    text = (shared / "model" / "activation_ranges.json").read_text()
-    ranges.write_text(text.replace('"max": 21.4581', '"max": 2.0'))
-    assert lookback("dev", "alexnet", weights, "-o", narrow, "--ranges", ranges) == 0
-    assert lookback("model", "verify", narrow, feed, "--weights", folder / "fc6_float32.onnx") == 1
-    assert "FAILED: mean cosine after NSD below 0.995" in capsys.readouterr().out
 
-
-def test_import_to_a_file_at_conv3(weights: Path, shared: Path, tmp_path: Path) -> None:
-    file, ranges = tmp_path / "conv3.onnx", shared / "model" / "activation_ranges.json"
-    assert lookback("dev", "alexnet", weights, "-o", file, "--ranges", ranges, "--tap", "conv3") == 0
+def test_import_at_conv3_with_wrong_ranges_fails_to_verify(
+    weights: Path, feed: Path, shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, ranges = tmp_path / "model", tmp_path / "ranges.json"
+    right = json.loads((shared / "model" / "activation_ranges.json").read_text())
+    ranges.write_text(json.dumps(right | {"features.3": {"min": -1.0, "max": right["features.3"]["max"] / 20}}))
+    file = folder / "conv3.onnx"
+    assert lookback("dev", "alexnet", weights, "-o", file, "--ranges", ranges, "--tap", "conv3", "--float") == 0
     assert Network.load(file).describe(np.zeros((1, 224, 224, 3), np.uint8)).shape == (1, 384 * 13 * 13)
-    assert [path.name for path in tmp_path.iterdir()] == ["conv3.onnx"]  # no head understands conv3
+    assert sorted(path.name for path in folder.iterdir()) == ["conv3.onnx", "conv3_float32.onnx"], "no head knows conv3"
+    assert lookback("model", "verify", file, feed, "--weights", folder / "conv3_float32.onnx") == 1
+    assert "FAILED: mean cosine after NSD below 0.995" in capsys.readouterr().out
 
 
 def test_import_with_an_unreadable_picture(weights: Path, feed: Path, tmp_path: Path) -> None:
