@@ -56,7 +56,7 @@ def _run(args: argparse.Namespace) -> int:
         run = measure(Path(folder), args.places, args.seconds)
     print(
         f"{len(run.frames)} frames of {SIZE_PX[0]}x{SIZE_PX[1]}, {args.places:,} places, Lookback"
-        f" {version('lookback-nav')}",
+        f" {version('lookback-nav')}. Please paste the table into an issue, for docs/boards.md.",
         file=sys.stderr,
     )
     print(HEADER)
