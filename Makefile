@@ -109,6 +109,7 @@ bench-quick: $(VENV)/.dev
 RECORDED := ../shared/flights_eca2e43 ../shared/flights_b06f79e
 flights: $(VENV)/.dev
 	$(BIN)/lookback dev flights $(RECORDED) -o .flights --jobs 2 --page docs/flights.md --summary docs/integrity.md
+	$(BIN)/lookback dev ablate .flights $(RECORDED) --jobs 2 --page docs/integrity.md
 
 # What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
 dist: $(VENV)/.dev

@@ -174,15 +174,10 @@ def table(drives: Sequence[dict[str, Answers]]) -> str:
     """One row for each rule and constant; only its name where nothing changes."""
     names = {"": "nothing"} | {name: name for name in drives[0] if name}
     rows = {name: _row([one[name] for one in drives]) for name in names}
-    lines = [
-        f"| {words if words not in CONSTANTS else f'`{words}`'} | {rows[name]} |"
-        for name, words in names.items()
-        if not name or rows[name] != rows[""]
-    ]
-    same = [name for name in names if name and rows[name] == rows[""]]
-    return "\n".join(
-        [f"{len(drives)} drives:\n", HEADER, *lines, "", f"The same without: {'; '.join(same) or 'none'}."]
-    )
+    spelled = {name: f"`{name}`" if name in CONSTANTS else words for name, words in names.items()}
+    lines = [f"| {spelled[name]} | {rows[name]} |" for name in names if not name or rows[name] != rows[""]]
+    same = "; ".join(spelled[name] for name in names if name and rows[name] == rows[""])
+    return "\n".join([f"{len(drives)} drives:\n", HEADER, *lines, "", f"The same without: {same or 'none'}."])
 
 
 def _row(drives: Sequence[Answers]) -> str:

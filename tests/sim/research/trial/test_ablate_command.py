@@ -37,7 +37,7 @@ def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: py
     assert before == route_filter.STOOD_NS
     lines = capsys.readouterr().out.splitlines()
     counts = {row[1].strip(): int(row[2]) for row in (line.split("|") for line in lines[4:-2])}
-    assert lines[0] == "1 drives:" and lines[-1] == f"The same without: too old; {LEAVES}."
+    assert lines[0] == "1 drives:" and lines[-1] == f"The same without: too old; `{LEAVES}`."
     assert set(counts) == {"nothing", GATE}
     assert counts[GATE] > counts["nothing"] > 0
 
