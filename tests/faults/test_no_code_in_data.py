@@ -26,20 +26,35 @@ def words(node: ast.AST) -> set[str]:
     return {"allow_pickle"} if given.get("allow_pickle", "False") != "False" else set()
 
 
+def words_in(text: str) -> set[str]:
+    """All of a program; a class that says itself which names a pickle may ask for (find_class) runs no others."""
+    nodes = list(ast.walk(ast.parse(text)))
+    says_which = [node for node in nodes if isinstance(node, ast.ClassDef) and "find_class" in map(name_of, node.body)]
+    bases = [base for node in says_which for base in node.bases]
+    return set().union(*(words(node) for node in nodes if node not in bases))
+
+
+def name_of(node: ast.stmt) -> str:
+    return node.name if isinstance(node, ast.FunctionDef) else ""
+
+
 def test_nothing_runs_what_it_reads() -> None:
     files = sorted(file for part in ("edge", "edge_plugins", "sim") for file in (ROOT / part).rglob("*.py"))
     assert len(files) > 300
     for file in files:
-        found = set().union(*(words(node) for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))))
+        found = words_in(file.read_text(encoding="utf-8"))
         assert not found, f"{file.relative_to(ROOT)}: {found}"
 
 
 def test_the_search_finds_what_it_looks_for() -> None:
     for text in (
         "pickle.load(f)",
+        "pickle.Unpickler(f).load()",
+        "class Any(pickle.Unpickler): pass",
         "from yaml import load",
         "eval(x)",
         "np.load(f, allow_pickle=True)",
         "torch.load(f)",
     ):
-        assert set().union(*(words(node) for node in ast.walk(ast.parse(text)))), text
+        assert words_in(text), text
+    assert not words_in("class Arrays(pickle.Unpickler):\n    def find_class(self, module, name):\n        return None")
