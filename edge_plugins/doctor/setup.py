@@ -166,7 +166,9 @@ def check_motion(examined: Examined) -> Iterator[Found]:
     camera, height = config.camera, CameraMotion(config).height
     view = GroundView(motion.fov_deg, camera.width, camera.height, math.radians(motion.pitch_deg))
     between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
-    words = f"{view.ground_share:.0%} of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
+    words = (
+        f"{100 * view.ground_share:.0f} % of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
+    )
     words += (
         f" speeds up to {view.most_ahead * (height.height_m or 1.0) / between_s:.0f} m/s, within 3 to 5 % by simulation"
     )

@@ -178,9 +178,11 @@ def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
     if not strangers.answers:
         return
     rejected, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
-    line = f"off the map, estimated from the map alone, {threshold:.6f} rejects {rejected:.1%} of the matches"
+    line = f"off the map, estimated from the map alone, {threshold:.6f} rejects {100 * rejected:.1f} % of the matches"
     if rejected < share:
-        line += f", and {needed:.6f} rejects {share:.1%}: if the vehicle may leave the map, choose between the two"
+        line += (
+            f", and {needed:.6f} rejects {100 * share:.1f} %: if the vehicle may leave the map, choose between the two"
+        )
     print(line)
 
 

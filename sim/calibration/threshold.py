@@ -50,7 +50,8 @@ class Curve:
         good = np.flatnonzero(self.precision >= precision)
         if not good.size:
             raise LookbackError(
-                f"no threshold reaches a precision of {precision:.1%}: the best is {self.precision.max(initial=0):.1%};"
+                f"no threshold reaches a precision of {100 * precision:.1f} %: the best is"
+                f" {100 * self.precision.max(initial=0):.1f} %;"
                 " record a drive more like that of the map, use longer sequences, or choose a lower precision"
             )
         last = good[-1]

@@ -204,7 +204,7 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
         f"{pair.query} against {pair.reference}: {len(outcome.query.rows)} frames and {len(outcome.reference.rows)}"
         f" places, sequences of {outcome.length} frames, tolerance {pair.tolerance:g} {unit}."
         f" {len(outcome.judged)} frames are judged: those with a known position, from the first whole sequence on."
-        f" {on_map} of them have a true place in the map. A guess is right in {guess:.1%} of them."
+        f" {on_map} of them have a true place in the map. A guess is right in {100 * guess:.1f} % of them."
     )
 
 

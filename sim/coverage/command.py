@@ -130,7 +130,7 @@ def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], perce
         gone = "; no longer there" if one.is_stale else ""
         print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{gone}{_alias(resembles.get(one.span))}")
     print(gap_in_words(sheet.gap, percent))
-    print(f"drift always within {args.within_m:g} m: {sheet.completed:.0%} of the drives")
+    print(f"drift always within {args.within_m:g} m: {100 * sheet.completed:.0f} % of the drives")
 
 
 def _basis(args: argparse.Namespace) -> str:
@@ -147,7 +147,7 @@ def _expected(one: Stretch) -> str:
     if one.share is None or one.soon is None:
         return "not driven"
     mean = " (mean of all so far from the start)" if one.is_mean else ""
-    return f"{one.share:4.0%} of the frames; within {SOON_M:.0f} m {one.soon:4.0%}{mean}"
+    return f"{100 * one.share:3.0f} % of the frames; within {SOON_M:.0f} m {100 * one.soon:3.0f} %{mean}"
 
 
 def _drives(one: Stretch) -> str:

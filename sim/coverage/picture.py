@@ -37,8 +37,8 @@ def verdict(sheet: Sheet, conditions: str, within_m: float) -> str:
     lengths_m = [one.span.to_m - one.span.from_m for one in known]
     share = np.average([one.share or 0.0 for one in known], weights=lengths_m) if known else 0.0
     return (
-        f"{what}: {conditions}, {share:.0%} of the frames are expected to be recognized, and on"
-        f" {sheet.completed:.0%} of the drives the drift stays within {within_m:g}\u00a0m."
+        f"{what}: {conditions}, {100 * share:.0f} % of the frames are expected to be recognized, and on"
+        f" {100 * sheet.completed:.0f} % of the drives the drift stays within {within_m:g}\u00a0m."
     )
 
 

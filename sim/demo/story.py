@@ -106,7 +106,7 @@ def sections_of(run: Run) -> list[report.Section]:
         ["their error, median / 95 %", median_95(errors_m), "–"],
         ["largest standard deviation sent", f"{sigma_m.max(initial=0.0):.1f} m", "–"],
         ["largest error, in standard deviations", f"{run.sent.sigmas.max(initial=0.0):.1f}", "–"],
-        [f"protection level below {LIMIT_M:.0f} m", f"{run.available:.0%} of the way home", "never"],
+        [f"protection level below {LIMIT_M:.0f} m", f"{100 * run.available:.0f} % of the way home", "never"],
         ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
         ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
     ]

@@ -49,7 +49,7 @@ def _run(args: argparse.Namespace) -> int:
     seen = (recognize(maps, read_feed(path), config) for path in args.feeds)
     judged = [judge(maps, one, args.tolerance_m) for one in seen]
     rows = [one.row() for one in judged]
-    cells = [COLUMNS, *([f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows)]
+    cells = [COLUMNS, *(list(map(_cell, row, COLUMNS)) for row in rows)]
     widths = [max(len(line[column]) for line in cells) for column in range(len(COLUMNS))]
     for line in cells:
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))
@@ -70,6 +70,10 @@ def _run(args: argparse.Namespace) -> int:
         }
         print(_write(args.output, about, args.map, judged, rows), file=sys.stderr)
     return 0
+
+
+def _cell(value: Value, column: str) -> str:
+    return f"{value:.{1 if column.endswith(', m') else 3}f}" if isinstance(value, float) else str(value)
 
 
 def _write(

@@ -49,12 +49,13 @@ def as_words(text: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
-def format_cell(cell: Cell) -> str:
-    """A cell as people read it."""
+def format_cell(cell: Cell, column: str = "") -> str:
+    """A cell as people read it: meters to a tenth, shares to a thousandth."""
     if isinstance(cell, Interval):
-        return f"{format_cell(cell.value)} ({format_cell(cell.low)} to {format_cell(cell.high)})"
+        value, low, high = (format_cell(one, column) for one in (cell.value, cell.low, cell.high))
+        return f"{value} ({low} to {high})"
     if isinstance(cell, float):
-        return "–" if math.isnan(cell) else f"{cell:.3f}"
+        return "–" if math.isnan(cell) else f"{cell:.{1 if column.endswith(', m') else 3}f}"
     return str(cell)
 
 

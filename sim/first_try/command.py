@@ -152,7 +152,7 @@ def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[li
     try:
         return measure_rig(open_map(map_path), [query], network=network)[0], "too few places are believed"
     except (FeedError, MapError) as error:
-        return [], str(error)
+        return [], str(error).replace(f"{map_path.parent}/", "")  # which is written under another name, see `replacing`
 
 
 @dataclass

@@ -44,7 +44,7 @@ def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Align
     if rig:
         text = "Measured on this query, and in the config beside this page. Lines for another config:"
         table = report.Table(
-            "rig", "", ("key", "m"), [[f"[{section}] {key}", value] for (section, key), value in rig.items()]
+            "rig", "", ("key", "m"), [[f"[{section}] {key}", f"{value:.1f}"] for (section, key), value in rig.items()]
         )
         sections.append(report.Section("The camera's offset", text, tables=[table]))
     for role, feed in ("reference", tried.reference), ("query", tried.query):

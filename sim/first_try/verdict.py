@@ -104,12 +104,12 @@ def verdict(tried: Tried) -> Verdict:
     """What follows from all that is known."""
     believed, could = tried.seen.believed, tried.could_be_believed
     share = float(believed[could].mean()) if could.any() else 0.0
-    facts = [f"{share:.0%} of the {int(could.sum())} frames that could be recognized are believed"]
+    facts = [f"{100 * share:.0f} % of the {int(could.sum())} frames that could be recognized are believed"]
     if tried.judged is None:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
         facts += _judged_facts(tried.judged, tried.tolerance_m)
-    found = ", ".join(f"{one.ahead_m:.1f} m ahead ({one.direction}, {one.order})" for one in tried.offsets)
+    found = ", ".join(f"{_ahead(one.ahead_m)} ({one.direction}, {one.order})" for one in tried.offsets)
     facts.append(
         f"the matched place lies {found}: measured on this query, and used"
         if found
@@ -127,8 +127,8 @@ def _headline(tried: Tried, share: float) -> str:
     if not tried.could_be_believed.any():
         return "Nothing could be recognized"
     if share >= GOOD:
-        return f"Recognized: {share:.0%} of the frames"
-    return f"Recognized in part: {share:.0%} of the frames" if share >= FAIR else "Not recognized"
+        return f"Recognized: {100 * share:.0f} % of the frames"
+    return f"Recognized in part: {100 * share:.0f} % of the frames" if share >= FAIR else "Not recognized"
 
 
 def _judged_facts(judged: Judged, tolerance_m: float) -> list[str]:
@@ -139,9 +139,14 @@ def _judged_facts(judged: Judged, tolerance_m: float) -> list[str]:
     return [
         f"precision {judged.precision:.3f} of {believed} believed places (within {tolerance_m:g} m); recall"
         f" {judged.recall:.3f} of {on_map} frames on the mapped road",
-        f"recall at precision 1: {recall_at_precision(precision_recall(judged.answers), 1.0):.3f}",
+        "recall at the lowest confidence without a wrong place:"
+        f" {recall_at_precision(precision_recall(judged.answers), 1.0):.3f}",
         f"error of the believed places: median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m",
     ]
+
+
+def _ahead(ahead_m: float, digits: int = 1) -> str:
+    return f"{abs(ahead_m):.{digits}f} m {'behind' if ahead_m < 0 else 'ahead'}"
 
 
 def _stretches(tried: Tried) -> list[Stretch]:
@@ -179,7 +184,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
     for offset in tried.offsets:
         if offset.order == "same" and abs(offset.ahead_m) > MOUNTED_M:
             found.append(
-                f"the matched place lies {offset.ahead_m:.0f} m ahead though both cameras see the same scene: the times"
+                f"the matched place lies {_ahead(offset.ahead_m, 0)} though both cameras see the same scene: the times"
                 f" of videos and tracks differ{_seconds(tried.query, offset.ahead_m)}; set --reference-offset-s and"
                 " --query-offset-s"
             )
@@ -199,7 +204,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
             )
         off_share = 1 - float(judged.answers.has_truth.mean())
         if off_share > 0.2:
-            found.append(f"{off_share:.0%} of the query is not on the mapped road: map that road as well")
+            found.append(f"{100 * off_share:.0f} % of the query is not on the mapped road: map that road as well")
     else:
         missing = [feed.header.name for feed in (tried.reference, tried.query) if not _is_placed(feed)]
         found.append(

@@ -99,7 +99,7 @@ def _train(output: Path, images: LabeledImages, held_out: LabeledImages, recipe:
         raise ConfigError(f"--batch: {recipe.batch} do not fit into the GPU's memory; try half of it") from None
     net = training.averaged()
     first, fifth = top_shares(net, held_out, device)
-    print(f"{len(held_out.labels)} held-out pictures: top-1 {first:.1%}, top-5 {fifth:.1%}")
+    print(f"{len(held_out.labels)} held-out pictures: top-1 {100 * first:.1f} %, top-5 {100 * fifth:.1f} %")
     output.with_suffix(".labels.txt").write_text("".join(f"{name}\n" for name in images.classes), encoding="utf-8")
     ranges = msgspec.json.encode(layer_ranges(net, held_out, device, recipe.seed))
     output.with_suffix(".ranges.json").write_bytes(msgspec.json.format(ranges))

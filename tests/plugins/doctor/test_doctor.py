@@ -102,7 +102,7 @@ def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path],
     assert "80 places, all checksums match" in told(findings, "map", "good")
     assert "160 x 120 pixels" in told(findings, "camera", "good")
     assert "two regions take" in told(findings, "model", "good")
-    assert "30% of the picture are ground" in told(findings, "motion", "good")
+    assert "30 % of the picture are ground" in told(findings, "motion", "good")
     assert "speeds up to 36 m/s" in told(findings, "motion", "good")
     assert "height is not known yet -> drive 40 m with GPS" in told(findings, "motion", "note")
 

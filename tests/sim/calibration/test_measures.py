@@ -92,7 +92,7 @@ def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_bel
 
 def test_a_precision_that_nothing_reaches_is_one_line() -> None:
     curve = curve_of_drive([sighting(200), sighting(20, 0.2)], RigConfig(), tolerance_m=40, length=2)
-    with pytest.raises(LookbackError, match=r"no threshold reaches a precision of 99\.0%: the best is 50\.0%"):
+    with pytest.raises(LookbackError, match=r"no threshold reaches a precision of 99\.0 %: the best is 50\.0 %"):
         curve.lowest_for(0.99)
 
 

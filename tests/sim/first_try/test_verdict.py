@@ -44,7 +44,7 @@ def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: ran
 
 def test_a_good_drive_needs_no_advice() -> None:
     found = verdict(a_try(range(20, 100), range(100)))
-    assert found.headline == "Recognized: 95% of the frames"
+    assert found.headline == "Recognized: 95 % of the frames"
     assert found.advice == ()
     assert found.stretches == (Stretch(0, 15, "warming up: a place is searched from 16 frames on"),)
 
@@ -67,7 +67,7 @@ def test_each_reason_is_named_where_it_holds() -> None:
         (75, "not believed: confidence below 0.92, and the picture is dark"),
         (80, "not on the mapped road: no place of the map within 40 m"),
     ]
-    assert "20% of the query is not on the mapped road" not in " ".join(found.advice)
+    assert "20 % of the query is not on the mapped road" not in " ".join(found.advice)
 
 
 @pytest.mark.parametrize(("view", "is_advised"), [("front", True), ("rear", False)])
@@ -91,7 +91,7 @@ def test_without_positions_the_recordings_that_lack_them_are_named() -> None:
     nowhere = tuple(FeedRow("", row.stamp_ns) for row in a_feed("query").rows)
     tried = replace(a_try(range(20, 100), range(100)), judged=None, query=replace(a_feed("query"), rows=nowhere))
     found = verdict(tried)
-    assert found.headline == "Recognized: 95% of the frames"
+    assert found.headline == "Recognized: 95 % of the frames"
     assert "whether they are right is not known" in found.facts[1]
     assert found.advice[0].startswith("no positions in query:")
 
