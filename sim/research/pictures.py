@@ -24,16 +24,16 @@ from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 FILM = "take_me_home.webp"
-PAGE = "page_again_dusk.png"
+PAGE = "page_home_night.png"
 PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 670), 8699, 14597
 UNDER_WAY_S = 40.0
 """After the daemon's start, at 10 m/s: well beyond the first 100 m, which are never recognized."""
 OUT = Scenario(seed=7, length_m=400.0, view="rear")
-AGAIN = Scenario(seed=7, length_m=400.0, light="dusk", drive_seed=2)
+HOME = Scenario(seed=7, length_m=400.0, direction="reverse", light="night", drive_seed=2, camera_ahead_m=6.0)
 CONFIG = f"""\
 [camera]
 kind = "feed"
-device = "again"
+device = "home"
 [map]
 path = "map"
 [gates]
@@ -41,7 +41,7 @@ risk = 1.0
 [page]
 port = {PAGE_PORT}
 [rig]
-ahead_forward_swapped_m = 32.0
+ahead_reverse_same_m = 5.9
 [telemetry]
 connection = "udpin:127.0.0.1:{LINK_PORT}"
 emit = "external_position"
@@ -75,15 +75,15 @@ def note_sources(folder: Path, name: str) -> None:
 
 
 def write_page_picture(folder: Path) -> None:
-    """Drive the road of OUT once more at dusk, and photograph the daemon's page on the way."""
+    """Drive the road of OUT home by night, and photograph the daemon's page on the way."""
     with TemporaryDirectory() as passing:
         at = Path(passing)
-        for name, scenario, fps in (("out", OUT, None), ("again", AGAIN, 10.0)):
+        for name, scenario, fps in (("out", OUT, None), ("home", HOME, 10.0)):
             record_drive(scenario, at / name, fps=fps)
         build_map([read_feed(at / "out")], at / "map", DescriptorConfig(), SamplingConfig())
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         lookback = [sys.executable, "-m", "edge"]
-        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "again", "--no-gps"]
+        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "home", "--no-gps"]
         with ExitStack() as running:
             for command in (following, ["run", "lookback.toml"]):
                 process = subprocess.Popen([*lookback, *command], cwd=at, stdout=subprocess.DEVNULL)
