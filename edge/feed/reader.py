@@ -154,9 +154,13 @@ def _frame_times_ns(path: Path, video: cv2.VideoCapture) -> list[int]:
 def _open_video(path: Path) -> cv2.VideoCapture:
     video = cv2.VideoCapture(str(path)) if path.stat().st_size else None
     if video is None or not video.isOpened():
+        if not path.stat().st_size:
+            raise FeedError(f"{path}: it is empty")
         others = "".join(sorted({f", or *.{point.name}" for point in entry_points(group="lookback.feeds")}))
-        why = "it is empty" if not path.stat().st_size else "a recording that was cut off has no index to be read by"
-        raise FeedError(f"{path}: neither a feed folder nor a video that OpenCV can read{others}: {why}")
+        raise FeedError(
+            f"{path}: neither a feed folder nor a video that OpenCV can read{others}; a video that was cut off while it"
+            " was recorded has no index: repair it (untrunc), or record it again"
+        )
     return video
 
 

@@ -3,7 +3,8 @@
 Pictures turn as the vehicle turns, and flow past as fast as it drives, whichever way the camera looks; a track says
 both. Their correlation over all possible starts is a likelihood, and the creation time says how likely each start is
 before anything was looked at. Phones with Android write the time at which a recording ended, most other cameras that at
-which it began, and some their local time as if it were UTC. In `make soak` 20 simulated videos are laid over tracks.
+which it began, and some their local time as if it were UTC. `sim.research.evaluation.alignment` lays 20 simulated
+videos over tracks.
 """
 
 from __future__ import annotations
@@ -45,6 +46,9 @@ SURE = 0.95
 NEAR_S = 3.0
 LEAST_SIGMA_S = 0.1
 """Of a start: exposure, the receiver's own delay, and whole frames."""
+LEVER_M = 1.0
+"""The antenna's track turns so much before or after the vehicle does: how far it is ahead of the axle that does not
+steer, or behind."""
 CLOCK_S = 1.0
 """One standard deviation of a creation time: it has whole seconds, and a clock that is set by a network."""
 DRIFT_S = 120.0
@@ -101,7 +105,8 @@ def creation_time(file: Path, duration_s: float) -> CreationTime | None:
         return None
     text = said.get("com.apple.quicktime.creationdate", "")  # with its zone, when the recording began
     is_start = True if text else False if "com.android.version" in said else None
-    text = re.sub(r"([+-]\d\d)(\d\d)$", r"\1:\2", (text or said.get("creation_time", "")).replace("Z", "+00:00"))
+    text = text or said.get("creation_time", "").partition(";")[0]  # of a copy it may be there twice
+    text = re.sub(r"([+-]\d\d)(\d\d)$", r"\1:\2", text.replace("Z", "+00:00"))
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
@@ -131,7 +136,7 @@ def align(name: str, rows: Sequence[FeedRow], pictures: Pictures, track: Track, 
     sure = share[near].sum() / share.sum()
     weights = share[near] / share[near].sum()
     offset_s = round(float(weights @ tried_s[near]), 3) + 0.0  # not -0.0
-    sigma_s = math.hypot(math.sqrt(weights @ (tried_s[near] - offset_s) ** 2), LEAST_SIGMA_S)
+    sigma_s = math.hypot(math.sqrt(weights @ (tried_s[near] - offset_s) ** 2), LEAST_SIGMA_S, _lever_s(driven))
     by_motion = bool(likelihood[best] >= LEAST)
     if sure < SURE or not (by_motion or near_clock[best]):
         clock = "it has no creation time" if made is None else "its creation time alone does not say"
@@ -144,6 +149,13 @@ def align(name: str, rows: Sequence[FeedRow], pictures: Pictures, track: Track, 
     words = f"the video began {offset_s:.1f} s after the track's first position, known to {sigma_s:.1f} s, {how}"
     start_ns = first_ns + round(offset_s * 1e9)
     return Alignment(start_ns, sigma_s, words, offset_s, seen, driven, tried_s, found - found[best])
+
+
+def _lever_s(driven: Motion) -> float:
+    """LEVER_M at the speed that is usual where the track moves, in seconds."""
+    speeds_mps = np.expm1(driven.speed[np.isfinite(driven.speed)])
+    moving = speeds_mps[speeds_mps > MOVING_MPS]
+    return LEVER_M / float(np.median(moving)) if moving.size else 0.0
 
 
 def picture_motion(rows: Sequence[FeedRow], pictures: Pictures) -> Motion:

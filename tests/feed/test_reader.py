@@ -247,10 +247,10 @@ def test_each_picture_of_a_video_has_its_own_time(
     images.close()
 
 
-@pytest.mark.parametrize(("kept", "why"), [(0, "it is empty"), (600, "cut off has no index")])
+@pytest.mark.parametrize(("kept", "why"), [(0, "it is empty"), (600, "neither a feed folder nor a video .*cut off")])
 def test_an_empty_and_a_cut_off_video_are_named(phone_video_path: Path, kept: int, why: str) -> None:
     phone_video_path.write_bytes(phone_video_path.read_bytes()[:kept])
-    with pytest.raises(FeedError, match=rf"phone\.mp4: neither a feed folder nor a video .*: .*{why}"):
+    with pytest.raises(FeedError, match=rf"phone\.mp4: {why}"):
         read_feed(phone_video_path)
 
 
