@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from edge.camera.picture_check import FrozenPictureDetector
-from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
+from edge.config import FIRST_NETWORK, Config, DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
-from edge.reference_map import open_map, open_map_set
+from edge.reference_map import MapSet, open_map, open_map_set
 from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
 from sim.calibration.offset import Offset, rig_config
 from sim.datasets import ReadOptions, Traverse, open_dataset
@@ -33,6 +33,10 @@ from sim.output import needing, replacing
 from sim.traverse import driven_m
 
 ROLES = ("reference", "query")
+LOOKED_AT = SamplingConfig(by="time", interval_s=0.2)
+"""Which frames of a query without meters are kept, for any pace to be chosen of: one every 2 m at 10 m/s."""
+PACES = tuple(2 ** (step / 3) for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6))
+"""Of a query, from a quarter to four times the expected one. Sequences are found at up to 1.2 times the map's pace."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Build a map of one recording, recognize its places in another, and say how well: one page, and a few lines."
         " A recording is a feed, a video with its .gpx, .tlog, .bin or .ulg of the same name, a folder of pictures"
-        " with a CSV file or EXIF positions, or another layout that `lookback import` knows. Without positions, frames"
-        " are compared at equal times, and right is not separated from wrong."
+        " with a CSV file or EXIF positions, or another layout that `lookback import` knows. Without positions the"
+        " query is compared at the pace that fits best, and right is not separated from wrong."
     )
     parser.add_argument("reference", metavar="REFERENCE", type=Path, help="the recording to map")
     parser.add_argument("query", metavar="QUERY", type=Path, help="the recording to recognize it in")
@@ -66,15 +70,22 @@ def _run(args: argparse.Namespace) -> int:
     opened = {role: _open(args, role) for role in ROLES}
     sampling = sampling_from(args, SamplingConfig())
     blind = [name for name in ROLES if not _has_meters(opened[name])]
-    if sampling.by == "distance" and blind and args.spacing_m is None:
-        sampling = msgspec.structs.replace(sampling, by="time")
-        print(
-            f"no positions in the {' and the '.join(blind)}: frames of both are compared every {sampling.interval_s} s"
-        )
+    is_fitted = sampling.by == "distance" and bool(blind) and args.spacing_m is None
+    if is_fitted:
+        if "reference" in blind:
+            sampling = msgspec.structs.replace(sampling, by="time")
+        print(f"no positions in the {' and the '.join(blind)}: the query is compared at the pace that fits best")
     with replacing(args.output, "try") as folder:
-        feeds = {role: _feed(one, folder / role, sampling) for role, one in opened.items()}
+        feeds = {
+            "reference": _feed(opened["reference"], folder / "reference", sampling),
+            "query": _feed(
+                _as_traverse(opened["query"]) if is_fitted else opened["query"],
+                folder / "query",
+                LOOKED_AT if is_fitted else sampling,
+            ),
+        }
         aligned = {role: one.alignment for role, one in opened.items() if isinstance(one, Traverse)}
-        found = _try(args, feeds, aligned, folder, sampling)
+        found = _try(args, feeds, aligned, folder, sampling, is_fitted=is_fitted)
     print("\n".join(["", found.headline, *(f"  {fact}" for fact in found.facts)]))
     for number, line in enumerate(found.advice, start=1):
         print(f"  {'to change: ' if number == 1 else '           '}{line}")
@@ -89,8 +100,10 @@ def _try(
     aligned: Mapping[str, Alignment | None],
     folder: Path,
     sampling: SamplingConfig,
+    *,
+    is_fitted: bool,
 ) -> Verdict:
-    """Make the map, recognize, and write all into the folder."""
+    """Make the map, recognize, and write all into the folder. is_fitted: at which pace the query is, is found out."""
     from sim.first_try.page import render
 
     reference, query = (feeds[role] for role in ROLES)
@@ -101,6 +114,8 @@ def _try(
     network = MemoizingNetwork.load(Path(FIRST_NETWORK))  # the frames are recognized twice: for the offset, and with it
     offsets, why = _measure(folder / "map", query, network)
     config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig_config(offsets))
+    if is_fitted:
+        config = _fitted(config, maps, query, network)
     watch = _Watch()
     seen = recognize(maps, replace(query, pictures=lambda: _Watched(FeedImages(query), watch)), config, network)
     try:
@@ -145,6 +160,28 @@ def _feed(one: Feed | Traverse, output: Path, sampling: SamplingConfig) -> Feed:
         return one
     write_feed(one, output, tqdm(choose_rows(one, sampling), unit="frame", desc=f"reading {one.name}", disable=None))
     return read_feed(output)
+
+
+def _as_traverse(one: Feed | Traverse) -> Traverse:
+    """A recording of which a part is copied, whatever it is."""
+    if isinstance(one, Traverse):
+        return one
+    return Traverse(one.header.name, one.path.name, one.rows, FeedImages(one), one.header.view)
+
+
+def _fitted(config: Config, maps: MapSet, query: Feed, network: MemoizingNetwork) -> Config:
+    """The config with frames at the interval at which most are believed: nothing says how fast the query was."""
+    places = max(maps.index.places - 1, 1)
+    lasts_s = (query.rows[-1].stamp_ns - query.rows[0].stamp_ns) / 1e9
+    step_s = lasts_s / max(len(query.rows) - 1, 1)
+    usual_s = config.sampling.interval_s if config.sampling.by == "time" else lasts_s / places
+    intervals_s = dict.fromkeys(max(usual_s * pace, step_s) for pace in PACES)
+    tried = []
+    for interval_s in intervals_s:
+        # Half a step early is on time: the frames have times of their own.
+        sampling = SamplingConfig(by="time", interval_s=max(interval_s - step_s / 2, 0.001))
+        tried.append(msgspec.structs.replace(config, sampling=sampling))
+    return max(tried, key=lambda one: recognize(maps, query, one, network).believed.mean())
 
 
 def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[list[Offset], str]:
