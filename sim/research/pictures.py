@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
 from edge.feed import read_feed
 from sim.demo.story import drive_story
 from sim.maps.command import build_map
@@ -34,6 +34,8 @@ CONFIG = f"""\
 [camera]
 kind = "feed"
 device = "home"
+[descriptor]
+model = "{FIRST_NETWORK}"
 [map]
 path = "map"
 [gates]
@@ -41,7 +43,7 @@ risk = 1.0
 [page]
 port = {PAGE_PORT}
 [rig]
-ahead_reverse_same_m = 5.9
+ahead_reverse_same_m = 7.9
 [telemetry]
 connection = "udpin:127.0.0.1:{LINK_PORT}"
 emit = "external_position"
@@ -80,7 +82,7 @@ def write_page_picture(folder: Path) -> None:
         at = Path(passing)
         for name, scenario, fps in (("out", OUT, None), ("home", HOME, 10.0)):
             record_drive(scenario, at / name, fps=fps)
-        build_map([read_feed(at / "out")], at / "map", DescriptorConfig(), SamplingConfig())
+        build_map([read_feed(at / "out")], at / "map", DescriptorConfig(model=FIRST_NETWORK), SamplingConfig())
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         lookback = [sys.executable, "-m", "edge"]
         following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "home", "--no-gps"]
