@@ -25,7 +25,7 @@ from sim.world.scenario import Scenario
 
 FILM = "take_me_home.webp"
 PAGE = "page_home_night.png"
-PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 670), 8699, 14597
+PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 560), 8699, 14597
 UNDER_WAY_S = 40.0
 """After the daemon's start, at 10 m/s: well beyond the first 100 m, which are never recognized."""
 OUT = Scenario(seed=7, length_m=400.0, view="rear")
