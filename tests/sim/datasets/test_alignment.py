@@ -57,7 +57,7 @@ ANDROID = {"com.android.version": "14"}
     [
         ({}, 0.0, "by turns and speed alone, since it has no creation time"),
         (STARTED, 0.0, "by its creation time and by turns and speed"),
-        (STARTED, 3.0, "by turns and speed turns and speed"),
+        (STARTED, 3.0, "by turns and speed"),
         (STARTED, 6.0, "by turns and speed, and not by its creation time, -6 s off"),
         (STARTED, 3600.0, r"by turns and speed, and not by its creation time, which is -1\.00 h off"),
         # Android writes when the recording ended, an iPhone when it began, with its zone.

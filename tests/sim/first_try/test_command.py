@@ -100,8 +100,9 @@ def test_without_positions_the_pace_is_found_and_nothing_is_claimed(
     write_traverse: WriteTraverse, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, is_located: bool
 ) -> None:
     """Both drives without, or the second alone, which is 3.4 times as slow."""
-    out = write_traverse(tmp_path / "out", range(45), is_located=is_located, period_ms=500)
-    again = write_traverse(tmp_path / "again", range(45), is_located=False, period_ms=1700, noise=8.0)
+    frames = range(80 if is_located else 45)
+    out = write_traverse(tmp_path / "out", frames, is_located=is_located, period_ms=500)
+    again = write_traverse(tmp_path / "again", frames, is_located=False, period_ms=1700, noise=8.0)
     assert main(["try", str(out), str(again), "-o", str(tmp_path / "tried")]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed, printed
