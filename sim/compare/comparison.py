@@ -9,10 +9,19 @@ import numpy as np
 from sim.compare import plots
 from sim.compare.method_runner import MethodRunner, Outcome
 from sim.compare.plan import Pair, Plan
-from sim.compare.scores import area, at_threshold, interval, max_f1_of_places, recall_at_1, recall_at_100, scores
+from sim.compare.scores import (
+    at_threshold,
+    interval,
+    intervals,
+    max_f1_of_places,
+    of_curve,
+    recall_at_1,
+    recall_at_100,
+    scores,
+)
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
-from sim.evaluation.metrics import OFFSET_SHARE, Answers, precision_recall, recall_at_precision
+from sim.evaluation.metrics import OFFSET_SHARE, precision_recall, recall_at_precision
 from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell
 
 Results = dict[tuple[str, str], Outcome]
@@ -84,13 +93,9 @@ def summary(runner: MethodRunner, results: Results) -> Table:
 
 
 def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome) -> list[Cell]:
-    def with_interval(statistic: Callable[[Answers], float]) -> Interval:
-        # Sequences that far apart share no frame.
-        return interval(statistic, outcome.answers, 2 * outcome.length, runner.plan.resamples)
-
-    first = with_interval(recall_at_1)
+    # Sequences that far apart share no frame.
+    first, *curve = intervals(of_curve, outcome.answers, 2 * outcome.length, runner.plan.resamples)
     others = [outcome.recall_within(count) for count in (5, 10)]
-    curve = [with_interval(one) for one in (area, recall_at_100, max_f1_of_places)]
     return [pair, method, first, *others, *curve, outcome.median_error(), outcome.frame_ms]
 
 

@@ -76,11 +76,6 @@ def recall_at_1(answers: Answers) -> float:
     return float(right.sum()) / on_map if on_map else float("nan")
 
 
-def area(answers: Answers) -> float:
-    """Area under precision over recall_of_places (average precision)."""
-    return average_precision(precision_recall(answers))
-
-
 def recall_at_100(answers: Answers) -> float:
     """Highest recall_of_places without a wrong answer."""
     return recall_at_precision(precision_recall(answers), 1.0)
@@ -111,8 +106,25 @@ def interval(
     statistic: Callable[[Answers], float], answers: Answers, block: int, resamples: int, seed: int = 0
 ) -> Interval:
     """The interval of one method's score, by resamples of blocks of so many frames."""
+    return intervals(lambda one: (statistic(one),), answers, block, resamples, seed)[0]
+
+
+def intervals(
+    statistics: Callable[[Answers], tuple[float, ...]], answers: Answers, block: int, resamples: int, seed: int = 0
+) -> list[Interval]:
+    """The same of several scores, by the same resamples: what they have in common is computed once."""
     rng, count = np.random.default_rng(seed), len(answers.confidence)
-    drawn = np.array([statistic(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
-    drawn = drawn[~np.isnan(drawn)]  # a resample with no query on the map has no recall
-    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if drawn.size else (np.nan, np.nan)
-    return Interval(statistic(answers), float(low), float(high), LEVEL)
+    drawn = np.array([statistics(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
+    found = []
+    for value, column in zip(statistics(answers), drawn.T, strict=True):
+        known = column[~np.isnan(column)]  # a resample with no query on the map has no recall
+        low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if known.size else (np.nan, np.nan)
+        found.append(Interval(value, float(low), float(high), LEVEL))
+    return found
+
+
+def of_curve(answers: Answers) -> tuple[float, float, float, float]:
+    """Recall@1, area, recall at 100 % precision, and highest F1 with recall_of_places."""
+    curve = precision_recall(answers)
+    max_f1 = _max_f1(curve.precision, curve.recall_of_places)
+    return recall_at_1(answers), average_precision(curve), recall_at_precision(curve, 1.0), max_f1
