@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from lookback.matching import nearest
 from sim.compare.matching import Matches
-from sim.compare.scores import average_precision
 from sim.compare.traverses import moved_ahead
 from sim.compare.truth import errors_between, points_of
 from sim.datasets import TruthKind
 from sim.datasets.pictures import read_drive
-from sim.evaluation.metrics import Answers, PrecisionRecall, precision_recall
+from sim.evaluation.metrics import Answers, PrecisionRecall, average_precision, precision_recall
 
 Curve: TypeAlias = PrecisionRecall
 Found: TypeAlias = "Matches | NDArray[np.floating]"

@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from sim.output import needing
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback compare`."""
@@ -44,4 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for what in ("feeds", "models"):
         where = f"folder of the plan's {what} (default: beside the plan)"
         parser.add_argument(f"--{what}", type=Path, metavar="FOLDER", help=where)
-    parser.set_defaults(run=lambda args: int(import_module("sim.compare.run").run(args)))
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    with needing("lookback compare", "sim"):
+        run = import_module("sim.compare.run").run
+    return int(run(args))

@@ -77,11 +77,11 @@ def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
 
 
-SUMMARY = ("pair", "method", "R@1", "R@5", "R@10", "AUC", "R@P100", "max-F1", "median error", "ms a frame")
+SUMMARY = ("pair", "method", "R@1", "R@5", "R@10", "AUC", "R@P100", "max-F1", "median error", "CPU ms a frame")
 SUMMARY_NOTE = (
     "R@K: share of the frames on the map that have a true place among their K best. AUC: area under precision over"
     " recall of places. R@P100: recall of places at 100 % precision. Intervals: block bootstraps at 95 %. Median error:"
-    " of right answers, in meters or frames along the road. Time: to describe and match a frame here, on one run."
+    " of right answers, in meters or frames along the road. CPU time: to describe and match a frame here, in one run."
 )
 
 
@@ -116,7 +116,7 @@ def means(runner: MethodRunner, results: Results) -> Table:
         time_ms = float(np.median([one.frame_ms for one in outcomes]))
         rows.append([text, accuracy, honesty, *(f"{first:.2f}, {sure:.2f}" for first, sure in each), f"{time_ms:.1f}"])
     return Table(
-        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *pairs, "ms a frame"), rows, MEANS_NOTE
+        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *pairs, "CPU ms a frame"), rows, MEANS_NOTE
     )
 
 

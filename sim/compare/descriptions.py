@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,9 @@ class Descriptions:
         title = f"{traverse.name}: {network.info.output} {network.info.precision}, {regions}"
         try:
             for target, row in zip(out, tqdm(traverse.rows, desc=title, unit="frame", leave=False), strict=True):
-                image, began_s = images.read(row), perf_counter()
+                image, began_s = images.read(row), process_time()
                 target[:] = network.describe(pictures_for(network.info, image, regions, width))
-                took_s += perf_counter() - began_s
+                took_s += process_time() - began_s
         except FrameError as error:
             raise ConfigError(f"traverses.{traverse.name}: {error}") from None
         finally:

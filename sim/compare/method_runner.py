@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import msgspec
 import numpy as np
@@ -50,7 +50,7 @@ class Outcome:
 
     ahead: how far ahead of the query its right place lies, see `Pair.ahead`. errors: (Q, N) distance of every query's
     right place to every place. length: frames of a sequence. judged: the queries that `answers` are about, see
-    `judged_queries`; matches and errors have all. frame_ms: what a frame of the query took to describe and to match;
+    `judged_queries`; matches and errors have all. frame_ms: CPU time of a frame of the query, described and matched;
     NaN where descriptors or similarities were made elsewhere.
     """
 
@@ -139,9 +139,9 @@ class MethodRunner:
         method = self.method(text)
         reference, query = self.traverse(pair.reference), self.traverse(pair.query)
         length = length or self.sequence_length(pair)
-        described_ms, began_s = self._described_ms(method, reference, query), perf_counter()
+        described_ms, began_s = self._described_ms(method, reference, query), process_time()
         matches = self.match(pair, method, reference, query, length)
-        matched_ms = 1e3 * (perf_counter() - began_s) / len(query.rows)
+        matched_ms = 1e3 * (process_time() - began_s) / len(query.rows)
         ahead = self.offset(pair, text)
         errors = true_errors(reference, query, pair, ahead, self._data)
         judged = judged_queries(errors, length, query.drives())

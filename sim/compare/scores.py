@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.evaluation.metrics import Answers, Floats, PrecisionRecall, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, Floats, average_precision, precision_recall, recall_at_precision
 from sim.evaluation.report import Interval
 
 LEVEL = 0.95
@@ -86,12 +86,6 @@ def _max_f1(precision: Floats, recall: Floats) -> float:
     total = precision + recall
     f1 = np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
     return float(f1.max(initial=0.0))
-
-
-def average_precision(curve: PrecisionRecall) -> float:
-    """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
-    gains = np.diff(curve.recall_of_places, prepend=0.0)
-    return float(gains @ curve.precision) if gains.size else 0.0
 
 
 def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[np.intp]:

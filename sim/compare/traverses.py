@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +91,9 @@ def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling
         for item in traverse(feed, sampling, must_have_distance=sampling.by == "distance"):
             if item.frame.index <= last:
                 items.append((before + item.frame.index, drive, item.distance_m, item.missed))
-                began_s = perf_counter()
+                began_s = process_time()
                 pixels.append(describe(item.frame.image))
-                took_s += perf_counter() - began_s
+                took_s += process_time() - began_s
         if len(items) < count + 2:
             raise FeedError(f"{path}: the sampling leaves {len(items) - count} frame(s); a traverse needs at least 2")
         before += len(feed.rows)

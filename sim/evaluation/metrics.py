@@ -98,5 +98,11 @@ def recall_at_precision(curve: PrecisionRecall, precision: float) -> float:
     return float(curve.recall_of_places[curve.precision >= precision].max(initial=0.0))
 
 
+def average_precision(curve: PrecisionRecall) -> float:
+    """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
+    gains = np.diff(curve.recall_of_places, prepend=0.0)
+    return float(gains @ curve.precision) if gains.size else 0.0
+
+
 def _share(part: Floats, whole: int) -> Floats:
     return part / whole if whole else np.full_like(part, np.nan)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -17,6 +19,8 @@ MODULES = ("description", "matching", "scoring", "plotting")
 
 @pytest.mark.parametrize("name", MODULES)
 def test_the_examples_say_what_they_print(name: str) -> None:
+    if name == "plotting":
+        pytest.importorskip("matplotlib", reason="the extra `sim`")
     module = import_module(f"lookback.{name}")
     done = doctest.testmod(module, extraglobs={"np": np}, optionflags=doctest.ELLIPSIS)
     assert done.attempted > 0 and done.failed == 0
@@ -28,6 +32,12 @@ def test_every_public_name_is_documented_and_named_in_the_page_that_help_shows()
         assert inspect.getdoc(getattr(lookback, name)), name
     functions = [name for name in lookback.__all__ if inspect.isfunction(getattr(lookback, name))]
     assert all(name in page for name in [*functions, "Map", "Recognizer", "Error"])
+
+
+def test_it_needs_none_of_the_extras() -> None:
+    program = "import sys, lookback; print({'matplotlib', 'jinja2', 'panda3d', 'onnx', 'IPython'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
 
 
 def test_it_stays_a_front_door() -> None:

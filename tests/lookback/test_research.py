@@ -49,9 +49,16 @@ def test_two_folders_to_recall_and_a_curve(folders: tuple[Path, Path]) -> None:
     curve = lookback.pr_curve(found, truth)
     assert lookback.auc(curve) == pytest.approx(26 / 30)  # all that is answered is right
     assert len(lookback.match_pairs(found)) == 26
-    assert lookback.plot(similarity, truth, found).axes and lookback.plot(curve).axes
     believed = lookback.believe(query, reference, length=5)
     assert lookback.recall_at(believed, truth) > 0.6
+
+
+def test_what_is_plotted_is_a_picture_in_a_notebook() -> None:
+    pytest.importorskip("matplotlib", reason="the extra `sim`")
+    similarity, truth = np.eye(8), np.eye(8, dtype=np.bool_)
+    found, curve = lookback.nearest(similarity), lookback.pr_curve(similarity, truth)
+    for figure in (lookback.plot(similarity, truth, found), lookback.plot(curve), lookback.plot({"a": curve})):
+        assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 
 def test_a_sequence_driven_back_is_found_by_the_swapped_regions() -> None:

@@ -55,7 +55,7 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
         rows = {row["method"]: row for row in csv.DictReader(stream)}
     for row in rows.values():
         assert float(row["R@1"].split()[0]) <= float(row["R@5"]) <= float(row["R@10"]) or row["method"] == "Lookback"
-        assert float(row["ms a frame"]) > 0
+        assert float(row["CPU ms a frame"]) > 0
     assert rows["Lookback"]["R@5"] == "nan"
     page = (out / "report.html").read_text()
     for heading in ("Overview", "Sequence length"):
