@@ -226,6 +226,7 @@ try_package() {
         inside /srv/lookback/systemd/build-deb.sh --maintainer 'Test <test@example.com>' -o /srv/deb >/dev/null 2>&1 || fail "build-deb.sh"
         mv "$root"/srv/deb/*.deb "$deb"
     }
+    [ "$(stat --format=%s "$deb")" -lt 120000000 ] || fail "the package is larger than 120 MB: $(stat --format=%s "$deb")"
     inside dpkg --install /srv/lookback.deb >"$work/beside.txt" 2>&1 && fail "the package installs beside install.sh"
     grep -q "install.sh has installed it" "$work/beside.txt" || fail "refused without a reason: $(cat "$work/beside.txt")"
     inside /srv/lookback/systemd/install.sh --uninstall --purge >/dev/null
@@ -233,13 +234,13 @@ try_package() {
     left=$(what_is_left)
     [ -z "$left" ] || fail "left after --uninstall --purge: $left"
     step "install.sh --uninstall --purge: nothing is left; the package refused beside install.sh"
-    inside dpkg --install /srv/lookback.deb >"$work/deb.txt" 2>&1 </dev/null || fail "$(tail -n 5 "$work/deb.txt")"
+    inside unshare --net dpkg --install /srv/lookback.deb >"$work/deb.txt" 2>&1 </dev/null || fail "$(tail -n 5 "$work/deb.txt")"
     [ "$(inside systemctl is-enabled lookback)" = enabled ] || fail "the package did not enable the service"
     make_data
     write_config
     inside systemctl start lookback || fail "the package's service does not start"
     inside /srv/lookback/systemd/install.sh >"$work/beside.txt" 2>&1 && fail "install.sh installs beside the package"
-    step "package: installed, started, install.sh refuses beside it"
+    step "package: installed without a network, started, install.sh refuses beside it"
     next=$work/next
     rm -rf "$next"
     dpkg-deb --raw-extract "$deb" "$next"
@@ -269,7 +270,7 @@ try_package() {
 
 make_root
 rm -rf "$root/srv/lookback" && mkdir -p "$root/srv/lookback"
-tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins lookback sim systemd | tar -C "$root/srv/lookback" -x
+tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins lookback lookback_fc6 sim systemd | tar -C "$root/srv/lookback" -x
 boot
 step "booted: $(inside systemctl --version | head -n 1)"
 make_data

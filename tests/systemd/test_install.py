@@ -282,6 +282,12 @@ def test_deb_carries_it_all(wheel: Path, checkout: Path, python: Path, tmp_path:
     assert not list((unpacked / "opt/lookback/bin").glob("pip*"))
     bill = json.loads((unpacked / "usr/share/doc/lookback/sbom.cdx.json").read_text())
     assert bill["metadata"]["component"]["purl"] == f"pkg:pypi/lookback-nav@{edge.__version__}"
+    listed = {one["name"] for one in (bill["metadata"]["component"], *bill["components"])}
+    installed = list(distributions(path=[str(site)]))
+    assert {re.sub("[-_.]+", "-", one.name).lower() for one in installed} == listed
+    owned = {str(file) for one in installed for file in one.files or ()}
+    there = {str(file.relative_to(site)) for file in site.rglob("*") if file.is_file() and file.suffix != ".pyc"}
+    assert there <= owned, "a file that is of no package in the list"
     assert (unpacked / "usr/share/doc/lookback/copyright").read_text().startswith("Format: https://www.debian.org/")
     assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
     assert not (unpacked / "DEBIAN/conffiles").exists()  # or an upgrade would ask about an edited config
