@@ -99,7 +99,8 @@ def run(args: argparse.Namespace) -> int:
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(source, plan, runner), sections)
     scores, means = sections[0].tables[:2]
-    (args.output / "means.md").write_text(as_markdown(means) + "\n", encoding="utf-8")
+    made = f"{plan.title}. Made by Lookback {edge.__version__}."
+    (args.output / "means.md").write_text(f"{as_markdown(means)}\n\n{made}\n", encoding="utf-8")
     print_table(scores)
     print(page)
     return 0
