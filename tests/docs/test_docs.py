@@ -87,7 +87,7 @@ def script_of(text: str, page: Path, folder: Path) -> str:
 
 
 PRINTS = {
-    "README": r"the matched place lies (?:[4-9]|10)\.\d m ahead \(reverse, same\)",  # the camera is 6 m ahead; grid: 10.1
+    "README": r"the matched place lies (?:[4-9]|10)\.\d m ahead \(reverse, same\)",  # the camera is 6 m ahead
     "api": r"(?m)^-27\.47\d{4} 153\.0[23]\d{4} reverse 0\.\d\d$",  # the program
 }
 """What the commands of some pages must print."""
