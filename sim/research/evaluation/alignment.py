@@ -110,7 +110,7 @@ def lay(number: int, seed: int, length_m: float, cache: Path) -> Laid | None:
         stops=number % 2,
         drive_seed=number + 1,
         light=LIGHTS[number % 4],
-        view=("front", "rear")[number // 2 % 2],  # type: ignore[arg-type]
+        view=("front", "rear")[number // 2 % 2],
         shaking=1.0,
         width=160,
         height=120,
