@@ -189,10 +189,11 @@ class RouteFilter:
         for one in tracks:
             one.estimate.begin_drive(sighting.errors)
         known = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
+        track = known or Track(estimate, sighting, stamp_ns)
         if known is not None:
             self._innovations.add(known.innovation(sighting))
-        track = known or Track(estimate, sighting, stamp_ns)
-        track.contradicts_reckoning = bool(tracks) and track is not tracks[0]
+        if tracks:
+            track.by_chance = track.agrees_by_chance(sighting) if track is tracks[0] else math.inf
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from edge.config import GatesConfig
 from edge.localization import Break, Fix, Known, Maps
 from tests.localization.events_of import LENGTH, Road, S, Vehicle, settings
+from tests.localization.route_course import SPACING_M, Stretch
 
 
 def known(one: Vehicle, **own: Any) -> Known:
@@ -140,3 +142,17 @@ def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_
     assert one.drive.known.ignores_gps is ignores
     answer = one.answers(2, gps=True)[0]
     assert isinstance(answer, Fix) is ignores
+
+
+@pytest.mark.parametrize(("confidence", "off_m", "waits_m"), [(0.93, 40.0, 60.0), (0.93, 0.0, 60.0), (0.999, 0.0, 0.0)])
+def test_after_a_long_way_without_places_a_doubtful_one_waits_for_others(
+    confidence: float, off_m: float, waits_m: float, tmp_path: Path
+) -> None:
+    """Reckoning agrees with any place within 90 m by then; one that is hardly believed waits for 60 m of others."""
+    road = Road(tmp_path, Stretch(0.0, 200.0), Stretch(700.0, 1000.0))
+    one = Vehicle(road)
+    one.go(150.0, gps=True)
+    one.go(580.0, lambda at_m: road.match(at_m) if at_m <= 190.0 else None)
+    reasons = one.go(200.0, lambda at_m: road.match(at_m + off_m, confidence=confidence))
+    assert reasons.count("the newest matches disagree") * SPACING_M == waits_m
+    assert reasons[-1] is None
