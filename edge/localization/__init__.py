@@ -31,13 +31,14 @@ from edge.localization.events import (
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.position_estimator import Drive, Known, PositionEstimator
-from edge.localization.refusals import NO_PLACES, TOO_FAR, TWO_AUTOPILOTS, Refusal
+from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, TOO_FAR, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
     "AGREE_SIGMAS",
     "BOUND_WRONG",
     "CORRELATION_M",
+    "GPS_HEALTHY",
     "GPS_SIGMA_M",
     "NO_PLACES",
     "PERIOD_NS",

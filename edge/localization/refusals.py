@@ -31,6 +31,7 @@ class Rule(NamedTuple):
     is_certain: bool = False
 
 
+GPS_HEALTHY = "GPS is healthy"
 NO_PLACES = "the places do not agree yet"
 TOO_FAR = "impossibly far"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
@@ -72,7 +73,7 @@ RULES = (
         lambda now: not 0 <= now.age_s <= now.limits.oldest_s,
     ),
     Rule(
-        "GPS is healthy",
+        GPS_HEALTHY,
         "GPS works, and `with_gps` is not set",
         "a better position is made worse",
         "test_situations_in_which_nothing_is_published",

@@ -15,6 +15,7 @@ from edge.config import Config, GatesConfig, LinkConfig, TelemetryConfig
 from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
 from edge.localization import (
+    GPS_HEALTHY,
     PERIOD_NS,
     TWO_AUTOPILOTS,
     Break,
@@ -124,11 +125,15 @@ class AutopilotConnection:
         is_new = self._gps_news.publish(verdict)
         if is_new and self.drive.known.ignores_gps and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
+        elif is_new and self.drive.known.ignores_gps and self.vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+            self._warn("Lookback: PX4 uses GPS, may ignore positions")
 
     @property
     def why_no_position(self) -> str:
         """Why no position is sent, for people; "" while one is, and without a link."""
-        return self.positions.why_none(self.clock_ns()) if self.state == "up" else ""
+        why = self.positions.why_none(self.clock_ns()) if self.state == "up" else ""
+        # By its receivers it is healthy, and "GPS is wrong" is said beside it.
+        return "the autopilot uses it" if self.gps_fault and why == GPS_HEALTHY else why
 
     @property
     def gps_fault(self) -> str:

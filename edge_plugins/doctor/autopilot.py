@@ -197,6 +197,12 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
         if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
             for name in WHEEL_PARAMETERS:
                 yield Requirement(name, "wheel encoders give no speed with 0", MEASURED).judge(vehicle)
-    if examined.settings.gates.doubted_gps != "report" and values.get(GPS_MODE) == 0:
+    doubted_gps = examined.settings.gates.doubted_gps
+    if doubted_gps != "report" and vehicle.session.autopilot == PX4:
+        words = (
+            f'[gates] doubted_gps = "{doubted_gps}": PX4 goes on using a GPS that is wrong, and rejects positions far'
+        )
+        yield note(f"{words} from it", "then set EKF2_GPS_CTRL 0 by hand")
+    if doubted_gps != "report" and values.get(GPS_MODE) == 0:
         words = f"{GPS_MODE} = 0: PX4 goes back to GPS between positions, though the places contradict it"
         yield bad(words, "set it to 1, see firmware_config/px4_velocity_aid.params")

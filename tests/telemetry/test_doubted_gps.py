@@ -79,6 +79,7 @@ def test_by_default_nothing_else_happens(open_rig: OpenRig) -> None:
     assert rig.autopilot.inputs.source_set == 1
     assert not rig.journalled(FixSent)
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is healthy"
+    assert rig.connection.why_no_position == "the autopilot uses it", "the pilot reads that GPS is wrong beside it"
 
 
 @pytest.mark.parametrize(("source", "sends"), [("velocity sensor", True), ("none", False)])
@@ -90,6 +91,7 @@ def test_without_a_velocity_aid_the_pilot_reads_that_nothing_is_sent(
     offer(rig, 5.0)
     assert bool(rig.journalled(FixSent)) == sends
     assert ("Lookback: no velocity aid, sends no position" in texts(rig)) != sends
+    assert ("Lookback: PX4 uses GPS, may ignore positions" in texts(rig)) == sends
 
 
 def test_switch_selects_the_second_set_and_positions_move_the_autopilot_back(open_rig: OpenRig) -> None:

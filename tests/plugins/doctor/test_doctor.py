@@ -172,6 +172,7 @@ def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
     findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
     assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
+    assert "PX4 goes on using a GPS that is wrong" in told(findings, "parameter", "note")
 
 
 def test_integers_of_px4_come_as_bytes(
