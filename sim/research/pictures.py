@@ -13,13 +13,19 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import cv2
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
+from edge.descriptor.model_file import ModelInfo
+from edge.descriptor.network import Network
 from edge.feed import read_feed
 from sim.demo.story import drive_story
 from sim.maps.command import build_map
 from sim.research.film import write_film
+from sim.world.camera import open_renderer
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
@@ -50,6 +56,10 @@ emit = "external_position"
 journal = "journal.jsonl"
 """
 SHOT_S = 25.0
+GRID = "grid.jpg"
+AT_M, AHEAD_M = 120.0, 32.0
+"""Where the rear camera of the grid's picture is, and how far behind it the front camera: they see the same trees."""
+LEFT_BGR, RIGHT_BGR = (80, 160, 40), (190, 110, 30)
 log = logging.getLogger(__name__)
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +84,35 @@ def note_sources(folder: Path, name: str) -> None:
     known = msgspec.json.decode(file.read_bytes(), type=dict[str, str]) if file.exists() else {}
     noted = dict(sorted({**known, name: checksum_of_sources(name)}.items()))
     file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
+
+
+def write_grid_picture(folder: Path) -> None:
+    """What a rear and a front camera see of one place, with the columns that the grid compares, in their order."""
+    info = Network.load(Path("grid")).info
+    panels = []
+    for view, route_m in (("rear", AT_M), ("front", AT_M - AHEAD_M)):
+        scenario = msgspec.structs.replace(OUT, view=view)
+        drive = scenario.drive()
+        renderer = open_renderer(scenario, drive)
+        time_s = drive.time_at_s(route_m)
+        panels.append(_with_columns(renderer.render(drive.pose(time_s, 0.0), time_s), f"{view} camera", info))
+        renderer.close()
+    cv2.imwrite(str(folder / GRID), np.hstack([panels[0], np.full((len(panels[0]), 12, 3), 255, np.uint8), panels[1]]))
+
+
+def _with_columns(picture: NDArray[np.uint8], name: str, info: ModelInfo) -> NDArray[np.uint8]:
+    rows, columns = map(int, info.pool.split("x"))
+    drawn = cv2.resize(picture, (480, 240), interpolation=cv2.INTER_AREA)
+    height, width = 240 // rows, 480 // columns
+    for region, color in zip(info.columns, (LEFT_BGR, RIGHT_BGR), strict=True):
+        for order, column in enumerate(region):
+            left = column * width
+            for row in range(rows):
+                cv2.rectangle(drawn, (left, row * height), (left + width - 1, (row + 1) * height - 1), color, 1)
+            cv2.putText(drawn, str(order), (left + 22, 36), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (255, 255, 255), 6)
+            cv2.putText(drawn, str(order), (left + 22, 36), cv2.FONT_HERSHEY_SIMPLEX, 1.0, color, 2)
+    cv2.putText(drawn, name, (6, 232), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 2)
+    return np.asarray(drawn, np.uint8)
 
 
 def write_page_picture(folder: Path) -> None:
@@ -139,4 +178,5 @@ if __name__ == "__main__":
     with TemporaryDirectory() as passing:
         write_film(pictures / FILM, drive_story(Path(passing)), Path(passing))
         note_sources(pictures, FILM)
+    write_grid_picture(pictures)
     write_page_picture(pictures)
