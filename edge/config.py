@@ -50,7 +50,7 @@ Share = Annotated[float, Meta(ge=0, le=0.9)]
 NETWORKS = ("grid", "fc6")
 """Names of those that Lookback knows: the first comes with it, the other is a package of its own."""
 FIRST_NETWORK = "grid"
-"""Of a new installation, and of commands without a config; a config that names none goes on with fc6."""
+"""Of a new installation, and of commands without a config; a config that names none goes on with that of its maps."""
 ModelPath = Annotated[str, Meta(description="of a network that Lookback knows; or a path, as FilePath")]
 FilePath = Annotated[str, Meta(description="of a file or folder, relative to the folder of the config file")]
 

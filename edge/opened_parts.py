@@ -21,7 +21,7 @@ from edge.journal.records import Record
 from edge.localization import Drive, Maps, PositionEstimator
 from edge.map_verification import MapVerification
 from edge.plugin import Parts, Plugins
-from edge.recognizer import open_recognizer
+from edge.recognizer import network_for, open_recognizer
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
 
@@ -70,7 +70,7 @@ class OpenedParts:
         self.monitor = HealthMonitor(links, self.journal, clock_ns)
         self.plugins = parts.enter_context(closing(Plugins(link)))
         with self.monitor.failures():
-            network = network or open_network(config.descriptor)
+            network = network or open_network(network_for(config))
             own = config, clock_ns, self.record, link, self.drive, network, self.times
             shared = Parts(*own, lambda: self.monitor.health, self._lost, self.plugins, mapping_frames)
             self.plugins.open(shared)

@@ -8,24 +8,30 @@ image -> regions -> descriptor -> `SequenceMatcher`: online NSD -> cost row -> l
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from msgspec.structs import replace as replace_fields
 from numpy.typing import NDArray
 
-from edge.config import Config
+from edge.config import Config, DescriptorConfig
+from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Head, Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
-from edge.reference_map import MapSet, MapSoFar, ModelKey, open_map_set
+from edge.reference_map import MapSet, MapSoFar, ModelKey, maps_in, open_map_set, read_header
 from edge.sequence import NOTHING_KNOWN, CostView, PlaceMatch, Travel
 from edge.sequence.evidence import HoldOff
 from edge.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
+
+log = logging.getLogger(__name__)
 
 STOOD_NS = 3_000_000_000
 """From so long a halt on, the next frame is compared with the last one."""
@@ -231,11 +237,26 @@ def open_recognizer(
     Maps that do not fit the network and the config are excluded with their reason in
     `PlaceRecognizer.map_set.excluded`; MapError if none fits.
     """
-    network = network or open_network(config.descriptor)
+    network = network or open_network(network_for(config))
     head = Head.load(network) if network.info.labels else None
     map_set = map_set or open_maps(config, newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
     return PlaceRecognizer(network, head, map_set, config, stopwatch)
+
+
+def network_for(config: Config) -> DescriptorConfig:
+    """[descriptor], with the network of the first map where it names none.
+
+    Without a map it is fc6, as before there was a choice. A map that cannot be read is said where maps are opened.
+    """
+    if config.descriptor.model:
+        return config.descriptor
+    path, name = Path(config.map.path), ""
+    with suppress(MapError):
+        name = network_of_map(read_header(next(iter(maps_in(path)), path)).model.name)
+    if name:
+        log.info("[descriptor] model is not set, so it is %s, which made %s", name, path)
+    return replace_fields(config.descriptor, model=name)
 
 
 def open_maps(config: Config, newest: MapSoFar | None) -> MapSet:

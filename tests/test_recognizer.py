@@ -15,6 +15,7 @@ from edge.config import (
     CameraConfig,
     Config,
     DescriptorConfig,
+    MapConfig,
     RigConfig,
     SamplingConfig,
     SequenceConfig,
@@ -23,7 +24,7 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.localization.place_fix import match_position
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognizer import PlaceRecognizer, network_for, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence import PlaceMatch, Travel
@@ -312,3 +313,16 @@ def test_the_same_frames_give_the_same_answers(
     network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
 ) -> None:
     assert drive(recognizer_of(network, street_map), frames) == drive(recognizer_of(network, street_map), frames)
+
+
+def test_a_config_that_names_no_network_goes_on_with_that_of_its_maps(
+    street: Feed, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    grid = DescriptorConfig(model="grid")
+    assert network_for(Config(map=MapConfig(path=str(tmp_path / "maps")))).model == ""
+    build_map([street], tmp_path / "maps/street", grid, SamplingConfig(by="frames"))
+    for path in ("maps", "maps/street"):
+        assert network_for(Config(map=MapConfig(path=str(tmp_path / path)))) == grid
+    assert caplog.messages.count(f"[descriptor] model is not set, so it is grid, which made {tmp_path / 'maps'}") == 1
+    assert network_for(Config(descriptor=DescriptorConfig(model="fc6"))).model == "fc6"

@@ -21,7 +21,7 @@ from edge.errors import LookbackError
 from edge.feed.sampling import spell_spacing
 from edge.journal.records import StateChanged
 from edge.map_agreement import disagreements
-from edge.recognizer import open_recognizer
+from edge.recognizer import network_for, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
@@ -77,7 +77,7 @@ def check_last_state(examined: Examined) -> Iterator[Found]:
 
 def check_model(examined: Examined) -> Iterator[Found]:
     """Whether the model is complete, and how long it takes."""
-    network = open_network(examined.settings.descriptor)
+    network = open_network(network_for(examined.settings))
     if network.info.labels:
         Head.load(network)
     time_ms = _describe_ms(network)
