@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from edge.config import FIRST_NETWORK
 from edge.descriptor.network import Network
 from sim.demo.story import laid, picture_at, recognized
 from sim.trial.records import Run
@@ -39,7 +38,7 @@ def _frames(story: Run, drive_folder: Path) -> Iterator[NDArray[np.uint8]]:
     ours, alone = story.track, story.alone
     lost = np.flatnonzero(~ours.gps)
     believed = recognized(story, drive_folder)
-    network = Network.load(Path(FIRST_NETWORK))
+    network = Network.load()
     with closing(RoadLibrary(network, drive_folder / "views")) as library:
         night, day = library[draft.home], library[map_scenario(draft.home)]
         for row in lost[np.linspace(0, len(lost) - 1, FRAMES).astype(int)]:
