@@ -179,22 +179,26 @@ class SequenceSearch:
         self.clear()
         self._driven = [*[float(known[0])] * (self.length + 1 - len(rows)), *(float(x) for x in known)]
         self._rows = len(rows)
-        for k, slope in enumerate(self._slopes):
+        passed = np.floor(np.outer(self._slopes, self._driven[:0:-1]) + 0.5).astype(np.intp)  # as `_rounded`
+        all_offsets = passed[:, :1] - passed
+        for k, offsets in enumerate(all_offsets):
             # Lines that end so near to the first place do not reach back to all rows.
-            offsets = [self._offset(slope, age) for age in range(self.length)]
-            begins = np.less.outer(np.arange(max(offsets)), offsets).sum(axis=1)
+            begins = np.less.outer(np.arange(offsets.max()), offsets).sum(axis=1)
             self._sums.of(k)[:, : len(begins)] -= (self._nothing * begins[: self._places]).astype(np.int32)
-        for age, costs in enumerate(rows[::-1]):
-            self.replace(age, costs)
+        for age, (costs, offsets) in enumerate(zip(rows[::-1], all_offsets.T.tolist(), strict=False)):
+            self._replace(age, costs, offsets)
 
     def replace(self, age: int, costs: NDArray[np.int32]) -> None:
         """Replace the cost row (orders, N) that was pushed `age` rows ago, and correct every running sum by it."""
+        self._replace(age, costs, [self._offset(slope, age) for slope in self._slopes])
+
+    def _replace(self, age: int, costs: NDArray[np.int32], offsets: Sequence[int]) -> None:
+        """The same; offsets: `_offset` of each slope."""
         row = self._ring[(self._newest - age) % self.length]
         entering = self._by_plane(costs)
         change = entering - row
         row[:] = entering
-        for k, slope in enumerate(self._slopes):
-            offset = self._offset(slope, age)
+        for k, offset in enumerate(offsets):
             if offset < self._places:
                 self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
 
