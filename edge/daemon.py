@@ -103,7 +103,10 @@ class Daemon:
         displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
-        match = self._recognize(frame, distance_m, missed)
+        reckoned = self._drive.reckoned(displacement)
+        match = self._recognize(
+            frame, Travel(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned)
+        )
         self._estimate(frame.stamp_ns, match, displacement, missed)
         self._publish_frame(frame, match, distance_m, missed)
         self._grow_maps()
@@ -135,13 +138,13 @@ class Daemon:
         if in_line:
             self._autopilot.judge_gps(self._drive.known.gps)
 
-    def _recognize(self, frame: Frame, distance_m: float | None, missed: int) -> PlaceMatch | None:
+    def _recognize(self, frame: Frame, travel: Travel) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
         if self._distance_gaps != self._autopilot.vehicle.motion.gaps:
             self._distance_gaps = self._autopilot.vehicle.motion.gaps
             self._recognizer.restart_odometer()
         try:
-            match = self._recognizer.observe(frame.image, frame.stamp_ns, self._travel(distance_m, missed))
+            match = self._recognizer.observe(frame.image, frame.stamp_ns, travel)
         except MapError:
             left = self.parts.verification.without_cut(self._recognizer.map_set)
             if left is self._recognizer.map_set:
@@ -150,10 +153,8 @@ class Daemon:
             return None
         if self._recognizer.was_carried:
             self._drive.update(self._clock_ns(), Break("carried"))
-        return None if match is not None and match.accepted and not self._is_verified(match) else match
-
-    def _travel(self, distance_m: float | None, missed: int) -> Travel:
-        return Travel(distance_m, missed, self._search_area(), self._turn_around.course_rad)
+        believed = [] if match is None else [one for one in (match, match.alone) if one.accepted]
+        return match if all(self._is_verified(one) for one in believed) else None
 
     def _search_area(self) -> Near | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,11 @@ from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
-from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
+from edge.sequence import NOTHING_KNOWN, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
+from edge.sequence.prior import Prior
 
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
@@ -140,8 +142,8 @@ class SequenceMatcher:
         match = self.best = self._best_line(raw, travel, step, is_measured=odometer_m is not None)
         some_excluded = self.search.part is not None and self.search.part.excludes
         self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
-        vote = PlaceVote.of(match, self._drives) if match else None
-        believed = self._believed(match, self._consensus.update(vote, odometer_m, step))
+        vote = PlaceVote.of(match, self._drives, self._config.rig) if match else None
+        believed = self._believed(match, self._belief(vote, odometer_m, step, travel.reckoned))
         self.search.follow(believed.place_index if believed and believed.accepted else None)
         believed = self._with_parallax(believed)
         self._stopwatch("belief")
@@ -160,7 +162,27 @@ class SequenceMatcher:
         self._stopwatch("search")
         return match
 
+    def _belief(
+        self, vote: PlaceVote | None, odometer_m: float | None, step: float, reckoned: Reckoning | None
+    ) -> PlaceBelief | None:
+        """What the votes add up to, with what is known without them."""
+        part = self.search.part
+        if reckoned is None or part is None:
+            return self._consensus.update(vote, odometer_m, step)
+        from_deg = reckoned.lat_deg, reckoned.lon_deg
+        prior = Prior(reckoned.sigma_m, part.squares_m2(*from_deg))
+        away_of = partial(self._drives.away_m, from_deg=from_deg)
+        return self._consensus.update(vote, odometer_m, step, prior, away_of)
+
     def _believed(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
+        """The match at the place that is believed, with what the votes alone say."""
+        by_votes, both = self._consensus.by_votes, self._match_of(match, belief)
+        if both is None or belief is by_votes:
+            return both
+        alone = self._match_of(match, by_votes)
+        return replace(both, by_votes=alone)
+
+    def _match_of(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
         """The best line that ends at the place that the recent matches agree on; the match itself if there is none."""
         if match is None or belief is None:
             return match

@@ -13,6 +13,7 @@ from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Own
+from edge.sequence import Reckoning
 
 PERIOD_NS = 1_000_000_000  # between two that are kept
 SETTLED_NS = 10_000_000_000
@@ -133,6 +134,7 @@ class OwnPosition:
         self.when_lost: Anchor | None = None
         """The same, by motion in which GPS has no part."""
         self._by_gps_m = 0.0  # driven by then
+        self._trusted: tuple[Anchor, float] | None = None  # of it, what no place can have moved, and driven by then
         self.rests_on_fixes = False
         """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
         self._sent_ns: int | None = None
@@ -201,6 +203,25 @@ class OwnPosition:
             self.by_gps = None if own.motion is None else Anchor(*where, own.motion)
             self.when_lost = None if own.without_gps is None else Anchor(*where, own.without_gps)
             self._by_gps_m = own.driven_m
+
+    def trust(self, own: Own, *, is_doubted: bool) -> None:
+        """Reckon by where GPS has the vehicle, from now on: not while places speak against GPS.
+
+        Nor where a position of ours may still be in it, or once its velocity has run away.
+        """
+        if is_doubted or not own.is_aided:
+            self._trusted = None
+        elif own.gps_sigma_m is not None and self.by_gps is not None and not self.rests_on_fixes:
+            self._trusted = self.by_gps, self._by_gps_m
+
+    def reckoning(self, motion: Displacement | None, own: Own, velocity_error: float) -> Reckoning | None:
+        """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
+        if self._trusted is None or motion is None or own.driven_m is None:
+            return None
+        anchor, at_m = self._trusted
+        where = moved(anchor.lat_deg, anchor.lon_deg, *motion.since(anchor.displacement))
+        drift_m = max(self._drift, velocity_error) * max(0.0, own.driven_m - at_m)
+        return Reckoning(*where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement)))
 
     def sigma_m(self, own: Own, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:
         """One standard deviation, None where nothing bounds it; velocity_error: as a share."""

@@ -71,7 +71,8 @@ class GpsJudge:
         anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
         """
         assert self._route is not None and self._unseen_road is not None
-        match, gps = frame.match, frame.gps
+        # What GPS has helped to believe does not vouch for it.
+        match, gps = frame.match.alone if frame.match else None, frame.gps
         if own.gps_sigma_m is None and anchor is not None:
             self._referee.keep_until_lost(anchor)
         comparison = None

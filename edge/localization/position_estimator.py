@@ -35,6 +35,7 @@ from edge.localization.integrity import ONE_MORE, Facts
 from edge.localization.refusals import RULES, Refusal, Rule, refusal
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
+from edge.sequence import PlaceMatch, Reckoning
 
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
@@ -128,6 +129,10 @@ class PositionEstimator:
             bound.rests_on_fixes,
         )
 
+    def reckoned(self, motion: Displacement | None) -> Reckoning | None:
+        """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""
+        return self._bound.reckoning(motion, self._gps.believed(self._own), self._velocity_error)
+
     def _use_maps(self, event: Maps) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
         if event.has_grown and self.route is not None:
@@ -151,14 +156,15 @@ class PositionEstimator:
             self._filter.bind(own, sigma_m)
         fix = self._filter.at_exposure()
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
-            self._observe(t_ns, fix, frame.motion)
+            self._observe(t_ns, fix, frame.motion, is_evidence=_is_by_votes(frame.match))
         if frame.in_line:
             self._judge_gps()
 
-    def _observe(self, t_ns: int, fix: PlaceFix, motion: Displacement | None) -> None:
+    def _observe(self, t_ns: int, fix: PlaceFix, motion: Displacement | None, *, is_evidence: bool = True) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
         self._velocity_error, self._exposed = fix.velocity_error, motion
-        self._facts(t_ns, fix, motion, Limits()).observe()
+        if is_evidence:
+            self._facts(t_ns, fix, motion, Limits()).observe()
 
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
@@ -176,6 +182,7 @@ class PositionEstimator:
         if believed.gps_sigma_m is not None:
             self._bind(believed.gps_sigma_m, by_gps=True)
             self._bound.anchor(believed)
+        self._bound.trust(believed, is_doubted=self._gps.is_doubted)
         kept_m = self._bound.keep(t_ns, own, is_by_gps=believed.gps_sigma_m is not None)
         if kept_m is not None:
             self._bind_by_fix(kept_m, BOUND_WRONG)
@@ -232,6 +239,11 @@ class PositionEstimator:
         )
 
 
+def _is_by_votes(match: PlaceMatch | None) -> bool:
+    """Whether a place is believed without what is reckoned: else it would be evidence for what helped to believe it."""
+    return match is not None and match.alone.accepted and match.alone.place_index == match.place_index
+
+
 class Asked(Struct, frozen=True, tag=True):
     """A position was asked for, and this was the answer: changes nothing, and can be compared."""
 
@@ -283,6 +295,10 @@ class Drive:
     def known(self) -> Known:
         """See `PositionEstimator.known`."""
         return self._estimator.known
+
+    def reckoned(self, motion: Displacement | None) -> Reckoning | None:
+        """See `PositionEstimator.reckoned`."""
+        return self._estimator.reckoned(motion)
 
     @property
     def route(self) -> Route:

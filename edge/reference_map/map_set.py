@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig
 from edge.errors import MapError, one_line
-from edge.geodesy import east_north, first_known
+from edge.geodesy import Origin, east_north, first_known
 from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
 from edge.reference_map.map_so_far import CAPACITY, MapSoFar
@@ -215,10 +215,13 @@ class MapSet:
 
     def east_north_m(self, ranges: Ranges) -> NDArray[np.float64]:
         """Meters (n, 2) of some places, from an origin close to them all; NaN where unknown."""
-        origins = (self._origin(index) for index in self.index.maps_of(ranges))
-        origin = next((origin for origin in origins if origin is not None), None)
         places = self.places_in(ranges)
-        return east_north(places["lat_deg"], places["lon_deg"], origin)
+        return east_north(places["lat_deg"], places["lon_deg"], self.origin(ranges))
+
+    def origin(self, ranges: Ranges) -> Origin | None:
+        """The origin of `east_north_m`, None where no position is known."""
+        origins = (self._origin(index) for index in self.index.maps_of(ranges))
+        return next((origin for origin in origins if origin is not None), None)
 
     def places_in(self, ranges: Ranges) -> NDArray[np.void]:
         """Records of PLACE of some places."""

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north, first_known, unwrapped, wrapped
+from edge.geodesy import east_north, east_north_of, first_known, unwrapped, wrapped
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
@@ -216,6 +216,15 @@ class Drives:
                 route_m, east_north_m = self.line(int(drive))[0], self._ground(int(drive))
                 found[here] = np.column_stack([np.interp(along_m[here], route_m, line) for line in east_north_m])
         return found
+
+    def away_m(
+        self, drives: NDArray[np.int64], along_m: NDArray[np.float64], from_deg: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        """Meters (n,) from a latitude and longitude to points along some drives; NaN where the map has no positions."""
+        spots_m = self.positions_m(drives, along_m)
+        if self._origin is None:
+            return np.full(len(drives), np.nan)
+        return np.asarray(np.hypot(*(spots_m - east_north_of(*from_deg, self._origin)).T))
 
     def line(self, drive: int) -> tuple[NDArray[np.float64], float]:
         """A drive's route_m (n,), and by how much neighboring places usually differ in it; NaN if one is unknown."""

@@ -68,7 +68,8 @@ class PlaceMatch:
     sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
-    means off the map, or one of several that look alike.
+    means off the map, or one of several that look alike. by_votes: the answer without `Travel.reckoned`, None where it
+    is this one; whoever judges what the reckoning rests on, goes by `alone`.
     half_width_places: half the number of places around it that are nearly as good.
     parallax: of the two regions alone, None where it is not known.
     event: accepted, and not held off. category: what kind of place the frame shows, of events only.
@@ -92,6 +93,12 @@ class PlaceMatch:
     map: str | None = None
     event: bool = False
     category: str | None = None
+    by_votes: PlaceMatch | None = None
+
+    @property
+    def alone(self) -> PlaceMatch:
+        """What the pictures and the odometer say alone."""
+        return self.by_votes or self
 
 
 @dataclass(frozen=True)
@@ -124,18 +131,29 @@ class Near:
 
 
 @dataclass(frozen=True)
+class Reckoning:
+    """Where GPS and odometry alone have the vehicle: degrees, and one standard deviation in each direction."""
+
+    lat_deg: float
+    lon_deg: float
+    sigma_m: float
+
+
+@dataclass(frozen=True)
 class Travel:
     """What is known of the vehicle at a frame, beside its picture.
 
     distance_m: the odometer, None where it is not known. missed: places that were passed since the last frame without
     one. near: where the vehicle may be; only maps too large to be searched whole make use of it. course_rad: that it
     moves on, clockwise from north, None where not known. Of places whose road leads another way, no line is searched.
+    reckoned: None where GPS never had it, or is doubted; places near it are more probable.
     """
 
     distance_m: float | None = None
     missed: int = 0
     near: Near | None = None
     course_rad: float | None = None
+    reckoned: Reckoning | None = None
 
 
 NOTHING_KNOWN = Travel()

@@ -20,7 +20,10 @@ a few meters; without an odometer also 0 of places that advance slower or faster
 Support is the share of the newest frames (half a sequence) that are like the place of their match, and whose match is
 where the others are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes
 count.
-Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it.
+Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it. Where it is
+reckoned without any place (`prior`), each place has odds of its own: they multiply those of its votes, and what speaks
+for another place counts by that place's odds. Votes count less if the vehicle was less likely on the map's roads over
+their line than it is now: those from before it came onto the map do not speak against a place.
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -32,13 +35,15 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config
+from edge.config import Config, RigConfig
 from edge.reference_map import NO_LAP_M, Drives
 from edge.sequence import Direction, PlaceMatch
+from edge.sequence.prior import Prior
 
 CAPACITY = 256
 """Votes that are kept at most; 320 m at one place each 2 m are 160."""
@@ -65,14 +70,17 @@ it, gave 17.1 on four simulated roads and 13.5 on two others, 11.7 where the pow
 cautious one. docs/evaluation.md has how far it holds on two more roads and on real streets."""
 
 
-_LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m")
-_KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "row_share": "f8", "was_believed": "?"}
+_LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m", "ahead_m")
+_KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "row_share": "f8", "was_believed": "?", "road": "f4"}
 _VOTE = np.dtype([*((name, "f8") for name in _LENGTHS), *_KINDS.items()], align=True)
-"""A vote as it is kept. at_m, uncertain_m: driven, and how uncertain that was; offset_m, start_m, end_m, lap_m: along
-the drive; sign: 1 forward, -1 reverse."""
+"""A vote as it is kept. at_m, uncertain_m: driven, and how uncertain that was; offset_m, start_m, end_m, lap_m and
+ahead_m: along the drive; sign: 1 forward, -1 reverse. road: mean of `Prior.road` over the frames of its line, 1 where
+nothing is reckoned."""
 Floats = NDArray[np.float64]
 PositionsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """Meters east and north (n, 2) of points along some drives: their numbers (n,), and along_m (n,); NaN where unknown."""
+AwayOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
+"""Meters (n,) of such points from where the vehicle is reckoned."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,7 @@ class PlaceVote:
     over the best. sharpness: cost of the cheaper of the two lines that end 0.3 windows
     before and after the place, over the best, less 1. row_share: share of the places that are more similar to the
     newest frame than the best within an eighth of a window of the place. spacing_m: from one place of the drive to the
-    next, None for that of all drives.
+    next, None for that of all drives. ahead_m: of the place from the vehicle, along the drive.
     """
 
     drive: int
@@ -140,15 +148,17 @@ class PlaceVote:
     row_share: float
     lap_m: float = NO_LAP_M
     spacing_m: float | None = None
+    ahead_m: float = 0.0
 
     @classmethod
-    def of(cls, match: PlaceMatch, drives: Drives) -> PlaceVote:
+    def of(cls, match: PlaceMatch, drives: Drives, rig: RigConfig) -> PlaceVote:
         """The vote of a match on those drives."""
         drive, along_m = drives.drive_of(match.place_index), drives.along_m(match.place_index)
         evidence = match.uniqueness, match.sharpness, match.row_share
         start_m, end_m = drives.extent_m(drive)
         lap_m, spacing_m = drives.lap_m(drive), drives.spacing_of(drive)
-        return cls(drive, along_m, start_m, end_m, match.direction, *evidence, lap_m, spacing_m)
+        ahead_m = rig.ahead_m(match.direction, match.order) * (1 if match.direction == "forward" else -1)
+        return cls(drive, along_m, start_m, end_m, match.direction, *evidence, lap_m, spacing_m, ahead_m)
 
 
 @dataclass(frozen=True)
@@ -165,6 +175,31 @@ class PlaceBelief:
     is_believed: bool
 
 
+class _Evidence(NamedTuple):
+    """Of each vote (CAPACITY,): whether it counts, where it puts the vehicle now, how far beyond its drive that is,
+    what it weighs, and how much speaks for its place.
+    """
+
+    in_reach: NDArray[np.bool_]
+    now_m: Floats
+    overrun_m: Floats
+    weights: Floats
+    live: Floats
+
+
+class _Case(NamedTuple):
+    """A place, by the vote that leads to it: the votes that agree with it and those against it (CAPACITY,).
+
+    moves: how well it lies in its drive, keeps pace and is supported, 0 to 1.
+    """
+
+    leader: int
+    along_m: float
+    group: NDArray[np.bool_]
+    others: NDArray[np.bool_]
+    moves: float
+
+
 class PlaceConsensus:
     """The votes of the recent matches, and the belief that they add up to."""
 
@@ -173,6 +208,8 @@ class PlaceConsensus:
         self.settings = settings
         self._positions_of = positions_of
         self._was_measured = False
+        self.by_votes: PlaceBelief | None = None
+        """The newest belief without what is reckoned."""
         self.reset()
 
     def reset(self) -> None:
@@ -182,22 +219,47 @@ class PlaceConsensus:
         self._odometer_m: float | None = None
         half = max(1, self.settings.length // 2)
         self._newest = deque[int](maxlen=half)  # slots
+        self._roads = deque[float](maxlen=self.settings.length)  # of the newest frames, see _VOTE
         self._votes = np.zeros(CAPACITY, dtype=_VOTE)
         self._votes["at_m"] = -np.inf  # an empty slot is out of reach
         self._votes["lap_m"] = NO_LAP_M
         self._agree = np.zeros((len(self._votes), len(self._votes)), dtype=np.float32)
 
-    def update(self, vote: PlaceVote | None, odometer_m: float | None, places: float = 1.0) -> PlaceBelief | None:
+    def update(
+        self,
+        vote: PlaceVote | None,
+        odometer_m: float | None,
+        places: float = 1.0,
+        prior: Prior | None = None,
+        away_of: AwayOf | None = None,
+    ) -> PlaceBelief | None:
         """Move on by one used frame, whose match is `vote`; None as long as nothing speaks for any place.
 
         vote: None if the frame has no match. odometer_m: meters driven at the frame, None where not known. places: that
-        were passed since the last frame, as far as it is known without the odometer.
+        were passed since the last frame, as far as it is known without the odometer. prior, away_of: where the vehicle
+        is reckoned now, None where that is not known.
         """
         self._was_measured |= odometer_m is not None
         self._move(odometer_m, places, None if vote is None or self._was_measured else vote.spacing_m)
+        self._roads.append(prior.road if prior else 1.0)
         if vote is not None:
             self._add(vote)
-        return self._believe()
+        evidence = self._evidence()
+        leader = int(evidence.live.argmax())
+        case = self._case(evidence, leader)
+        self.by_votes = self._believe(case, evidence)
+        if prior is None or away_of is None:
+            return self.by_votes
+        alone = evidence
+        joined = np.minimum(1.0, self._votes["road"] / max(prior.road, 1e-9))
+        if joined.min(where=evidence.in_reach, initial=1.0) < 1.0:
+            evidence = self._evidence(joined)
+        odds = self._odds(prior, away_of, evidence)
+        # Of what the votes say and what is more likely there, the more probable: a reckoning may be far off.
+        chosen = int((evidence.live * odds).argmax())
+        both = self._believe(self._case(evidence, leader) if evidence is not alone else case, evidence, odds)
+        other = self._believe(self._case(evidence, chosen), evidence, odds) if chosen != leader else None
+        return max((one for one in (both, other) if one), key=lambda one: one.confidence, default=None)
 
     def _move(self, odometer_m: float | None, places: float, spacing_m: float | None) -> None:
         """Distance since the last frame; by places where the odometer is not known, or was counted anew.
@@ -218,8 +280,9 @@ class PlaceConsensus:
         self._newest.append(slot)
         sign = 1.0 if vote.direction == "forward" else -1.0
         offset_m = vote.along_m - sign * self._driven_m
-        lengths_m = self._driven_m, self._uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m
-        votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False)
+        lengths_m = self._driven_m, self._uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m, vote.ahead_m
+        road = sum(self._roads) / len(self._roads)
+        votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False, road)
         votes["weight"][slot] = self._weight(vote)
         self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
 
@@ -268,15 +331,21 @@ class PlaceConsensus:
         uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
         return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
 
-    def _believe(self) -> PlaceBelief | None:
+    def _evidence(self, joined: NDArray[np.floating] | None = None) -> _Evidence:
+        """What the votes add up to; joined: by what each of them counts less."""
         settings, votes = self.settings, self._votes
-        in_reach = self._within(settings.reach_lines)
-        weights, recent = votes["weight"] * in_reach, votes["weight"] * self._within(settings.recent_lines)
-        now_m = self._now_m()
+        in_reach, now_m = self._within(settings.reach_lines), self._now_m()
+        counted = votes["weight"] if joined is None else votes["weight"] * joined
+        weights, recent = counted * in_reach, counted * self._within(settings.recent_lines)
         overrun_m = self._overrun_m(now_m)
         live = self._agree @ weights * np.square(self._agree @ recent / max(1e-9, float(recent.sum())))
         live *= (weights > 0) & (overrun_m <= settings.slack_m)  # one that says nothing leads nowhere
-        leader = int(live.argmax())
+        return _Evidence(in_reach, now_m, overrun_m, weights, live)
+
+    def _case(self, evidence: _Evidence, leader: int) -> _Case | None:
+        """What speaks for the place of a vote, None if nothing does."""
+        settings, votes = self.settings, self._votes
+        in_reach, now_m, overrun_m, weights, live = evidence
         if live[leader] <= 0:
             return None
         # Of drives that agree and go on, that with most to say is followed: its votes tell best how fast places pass.
@@ -292,18 +361,37 @@ class PlaceConsensus:
         along_m = float(middle_m + _within_lap(along_m - middle_m, own["lap_m"]))
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
         others = in_reach & ~group & ~(votes["was_believed"] & (overrun_m > settings.slack_m))
-        agreeing, against = float(live[leader]), float(weights[others].sum())
-        prior = settings.prior * settings.length
-        agreement = max(0.0, (agreeing - against) / (agreeing + against + prior))
         beyond_m = max(0.0, float(own["start_m"]) - along_m, along_m - float(own["end_m"]))
-        agreement *= max(0.0, 1 - beyond_m / settings.slack_m)
-        agreement *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
-        agreement *= min(1.0, self._support(leader, one_pass, along_m, now_m) / FULL_SUPPORT)
-        confidence = probability(agreement)
+        moves = max(0.0, 1 - beyond_m / settings.slack_m)
+        moves *= min(1.0, 2 * self._pace(np.flatnonzero(same)))
+        moves *= min(1.0, self._support(leader, one_pass, along_m, now_m) / FULL_SUPPORT)
+        return _Case(leader, along_m, group, others, moves)
+
+    def _believe(self, case: _Case | None, evidence: _Evidence, odds: Floats | None = None) -> PlaceBelief | None:
+        if case is None:
+            return None
+        settings, own = self.settings, self._votes[case.leader]
+        opposed, own_odds = evidence.weights[case.others], 1.0
+        if odds is not None:
+            own_odds = float(odds[case.leader])
+            opposed = opposed * np.minimum(1.0, odds[case.others] / own_odds)
+        agreeing, against = float(evidence.live[case.leader]), float(opposed.sum())
+        held = settings.prior * settings.length
+        agreement = max(0.0, (agreeing - against) / (agreeing + against + held)) * case.moves
+        confidence = probability(agreement, own_odds)
         is_believed = confidence >= settings.confidence_from
-        votes["was_believed"] |= group & is_believed
+        self._votes["was_believed"] |= case.group & is_believed
         direction: Direction = "forward" if own["sign"] > 0 else "reverse"
-        return PlaceBelief(int(own["drive"]), along_m, direction, confidence, is_believed)
+        return PlaceBelief(int(own["drive"]), case.along_m, direction, confidence, is_believed)
+
+    def _odds(self, prior: Prior, away_of: AwayOf, evidence: _Evidence) -> Floats:
+        """By what the odds of each vote's place are multiplied, as far as it says something."""
+        odds = np.ones(len(self._votes))
+        at = np.flatnonzero(evidence.weights > 0)
+        if at.size:
+            votes = self._votes[at]
+            odds[at] = prior.odds(away_of(votes["drive"], evidence.now_m[at] - votes["ahead_m"]))
+        return odds
 
     def _support(self, leader: int, one_pass: NDArray[np.bool_], along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
@@ -336,9 +424,10 @@ class PlaceConsensus:
         return np.asarray(np.maximum(0.0, np.maximum(self._votes["start_m"] - now_m, now_m - self._votes["end_m"])))
 
 
-def probability(agreement: float) -> float:
-    """That a place is right whose votes agree so far, 0 to 1."""
-    return RIGHT_AT_HALF * agreement / (RIGHT_AT_HALF * agreement + 1 - agreement)
+def probability(agreement: float, odds: float = 1.0) -> float:
+    """That a place is right whose votes agree so far, 0 to 1; odds: of the vehicle being there, without them."""
+    right = odds * RIGHT_AT_HALF * agreement
+    return right / (right + 1 - agreement)
 
 
 def _within_lap(apart_m: Floats, lap_m: Floats | float) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.geodesy import east_north_of
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
 from edge.sequence.evidence import Neighborhood, Roads, match_at
@@ -114,13 +115,14 @@ class Submap(RowMatcher):
         """span: the most places that may be driven within a line, so many as frames if None."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
-        self._map_set = map_set
+        self._map_set, self._origin = map_set, map_set.origin(ranges)
         stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
         segments = list(pairwise(np.cumsum([0, *lengths]).tolist()))
         east_north_m = map_set.east_north_m(ranges)
+        self._ground_m = np.ascontiguousarray(east_north_m[~np.isnan(east_north_m[:, 0])].T, np.float32)
         route_m = np.ascontiguousarray(map_set.places_in(ranges)["route_m"])
         self._roads = Roads(east_north_m, route_m, segments, laps, config.acceptance)
         neighborhood = Neighborhood(
@@ -150,6 +152,16 @@ class Submap(RowMatcher):
     def head(self, course_rad: float | None) -> None:
         """Search from the next row on only what leads along a course; everything if that is not known."""
         self._against = {} if course_rad is None else self._roads.against(course_rad)
+
+    def squares_m2(self, lat_deg: float, lon_deg: float) -> NDArray[np.float32]:
+        """Squares (n,) of the meters from a position to each place that has one."""
+        if self._origin is None:
+            return np.zeros(0, np.float32)
+        east_m, north_m = east_north_of(lat_deg, lon_deg, self._origin)
+        square, other = self._ground_m[0] - np.float32(east_m), self._ground_m[1] - np.float32(north_m)
+        square *= square
+        other *= other
+        return np.asarray(square + other)
 
     @property
     def excludes(self) -> bool:

@@ -108,7 +108,7 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
             # In the row, and not only at the ends of lines: a reverse line would cross the true place in its middle.
             costs[..., part.neighborhood.around(place)] = COST_ONE
             match = part.push(costs)
-            vote = PlaceVote.of(match, drives) if match is not None else None
+            vote = PlaceVote.of(match, drives, config.rig) if match is not None else None
             belief = consensus.update(vote, drives.along_m(place) if drives.is_metric else None)
             if match is not None:
                 yield belief.confidence if belief is not None else 0.0

@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 
 from edge.config import GatesConfig
+from edge.geodesy import east_north_of
 from edge.localization import Break, Fix, Known, Maps
+from edge.sequence import PlaceMatch
 from tests.localization.events_of import LENGTH, Road, S, Vehicle, settings
-from tests.localization.route_course import SPACING_M, Stretch
+from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 
 def known(one: Vehicle, **own: Any) -> Known:
@@ -156,3 +158,70 @@ def test_after_a_long_way_without_places_a_doubtful_one_waits_for_others(
     reasons = one.go(200.0, lambda at_m: road.match(at_m + off_m, confidence=confidence))
     assert reasons.count("the newest matches disagree") * SPACING_M == waits_m
     assert reasons[-1] is None
+
+
+def reckoned_m(one: Vehicle) -> tuple[float, float] | None:
+    """Meters north of HOME that GPS and motion alone have the vehicle, and one standard deviation."""
+    found = one.drive.reckoned(one.motion)
+    return None if found is None else (east_north_of(found.lat_deg, found.lon_deg, HOME)[1], found.sigma_m)
+
+
+def test_the_vehicle_is_reckoned_by_gps_and_its_motion_and_by_no_place(road: Road) -> None:
+    one = Vehicle(road, settings(gates=GatesConfig(risk=1.0)))
+    assert reckoned_m(one) is None
+    one.go(100, gps=True)
+    assert reckoned_m(one) == pytest.approx((100.0, 3.0), abs=0.01)
+    one.off_m = 30.0  # a position of ours moves the autopilot by so much, and bounds it
+    one.go(80)
+    fix = one.ask()
+    assert isinstance(fix, Fix)
+    one.use(fix)
+    assert reckoned_m(one) == pytest.approx((180.0, 5.0), abs=0.3)
+    one.own(has_gps=True)
+    assert reckoned_m(one) == pytest.approx((180.0, 5.0), abs=0.3), "what is left of ours may be in it"
+    one.own(is_aided=False)
+    assert reckoned_m(one) is None, "its velocity runs away"
+
+
+def test_nothing_is_reckoned_by_a_gps_that_places_speak_against(road: Road) -> None:
+    one = Vehicle(road)
+    one.go(140, gps=True)
+    while one.drive.known.gps.state not in ("doubtful", "disagrees", "wrong"):
+        one.off_m += 1.0
+        one.go(2, gps=True)
+        assert one.off_m < 60.0
+    one.go(2, gps=True)
+    assert reckoned_m(one) is None
+    one.go(20)
+    assert reckoned_m(one) is None, "nor once it is lost"
+
+
+def by_gps_alone(match: PlaceMatch | None) -> PlaceMatch | None:
+    """A place that is believed because the vehicle is reckoned there, to which the votes alone give even odds."""
+    assert match is not None
+    return replace(match, confidence=0.95, by_votes=replace(match, confidence=0.5, accepted=False))
+
+
+def test_a_place_that_gps_helped_to_believe_is_no_evidence_and_does_not_vouch_for_gps(road: Road) -> None:
+    one = Vehicle(road)
+    reasons = one.go(250, lambda at_m: by_gps_alone(road.match(at_m)), gps=True)
+    assert one.place is not None, "but the vehicle is followed"
+    assert one.drive.known.gps.state == "cannot say"
+    reasons = one.go(100, lambda at_m: by_gps_alone(road.match(at_m)))
+    assert None not in reasons
+    assert None in one.go(100)
+
+
+def test_gps_is_judged_by_what_the_votes_alone_say_of_another_place(road: Road) -> None:
+    """GPS that is dragged ahead makes the places there more probable; the pictures show where the vehicle is."""
+    one = Vehicle(road)
+    one.go(140, gps=True)
+
+    def by_gps(at_m: float) -> PlaceMatch | None:
+        ahead = road.match(at_m + 60.0)
+        return ahead and replace(ahead, accepted=False, by_votes=road.match(at_m))
+
+    for _ in range(60):
+        one.off_m += 1.0
+        one.go(2, by_gps, gps=True)
+    assert one.drive.known.gps.state == "wrong"

@@ -1,12 +1,14 @@
 """How far the place belief can be trusted: simulated worlds, front against rear, all of the road mapped or part of it.
 
-    python -m sim.research.evaluation.belief --seeds 911 923 --cache FOLDER [--page docs/evaluation.md]
+    python -m sim.research.evaluation.belief --seeds 911 923 --cache FOLDER [--lights dusk snow] [--page PAGE]
 
-Each world is driven once with the rear camera by day (the map), and both ways with the front camera by night, dusk, day
-and snow. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of the
-vehicle by the rig's offset, which is measured on another drive of the same direction (by day; by dusk for the day), as
+Each world is driven once with the rear camera by day (the map), and both ways with the front camera in some lights. The
+course is known, and GPS was lost where the drive begins: what is reckoned since is off by a random 5 % of the distance,
+and says so. Descriptors are kept in FOLDER: rendering takes minutes, all that follows seconds. A match lies ahead of
+the vehicle by the rig's offset, which is measured on another drive of the same direction (by day, if there is one), as
 is the parallax of the lane home.
-Believed frames of the other seeds' drives, whose road is on no map, are counted below the table.
+Below the table are the frames that are believed on the other seeds' roads, which are on no map: as if they lay beside
+the mapped one, BESIDE_M from it, with GPS now and long after it was lost.
 --page writes all of it between the marks of a page.
 """
 
@@ -14,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import permutations, product
 from pathlib import Path
@@ -26,8 +28,11 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
 from edge.feed import View
+from edge.geodesy import moved
+from edge.localization import GPS_SIGMA_M, Displacement
+from edge.localization.dead_reckoning import TurnAround
 from edge.reference_map import MapSet, ModelKey
-from edge.sequence import Direction, Travel
+from edge.sequence import Direction, Reckoning, Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
 from sim.calibration.sightings import lag_places
@@ -48,17 +53,37 @@ HOME_LEFT_M = 3.5  # of the map's drive is the lane home
 FIRST_FRAME = 16  # the first that can have an answer
 Cut = Literal["whole", "first half", "second half", "thirds"]
 CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
-M_PER_DEG = 110_574.0
+ORIGIN = (48.0, 11.0)
+DRIFT = 0.05  # of what is reckoned, as [gates] drift_percent
+GPS = {"GPS now": -1.0, "GPS 500 m before": 500.0}
+BESIDE_M = (20.0, 50.0, 100.0)
+WAYS: dict[Direction, str] = {"forward": "same way", "reverse": "home"}
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Described:
-    """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,)."""
+    """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,).
+
+    east_north_m: (n, 2) where the vehicle was, None where nobody knows.
+    """
 
     raw: NDArray[np.float32]
     route_m: Floats
     driven_m: Floats
+    east_north_m: Floats | None = None
+
+    def reckoned(self, lost_m: float, seed: int) -> list[Reckoning]:
+        """By GPS, and since GPS was lost, by what was driven; lost_m: before the drive began, < 0 for GPS all the time.
+
+        Errors are as large as they say: of GPS, and a share of what was driven since.
+        """
+        assert self.east_north_m is not None
+        rng, since_m = np.random.default_rng(seed), np.maximum(0.0, lost_m + self.driven_m) * (lost_m >= 0)
+        errors_m = GPS_SIGMA_M * rng.normal(size=2) + DRIFT * np.outer(since_m, rng.normal(size=2))
+        sigmas_m = np.hypot(GPS_SIGMA_M, DRIFT * since_m)
+        where = zip((self.east_north_m + errors_m).tolist(), sigmas_m.tolist(), strict=True)
+        return [Reckoning(*moved(*ORIGIN, *at_m), sigma_m) for at_m, sigma_m in where]
 
 
 Drives = dict[tuple[LightName, Direction], Described]
@@ -70,7 +95,8 @@ World = tuple[Described, Drives]
 class Beliefs:
     """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
 
-    lag_m: meters by which the left region lags behind the right one, NaN where they do not say.
+    lag_m: meters by which the left region lags behind the right one, NaN where they do not say. votes_m, by_votes: what
+    is believed without what was reckoned.
     """
 
     along_m: Floats
@@ -78,6 +104,13 @@ class Beliefs:
     match_m: Floats
     uniqueness: Floats
     lag_m: Floats
+    votes_m: Floats
+    by_votes: Floats
+
+    @property
+    def alone(self) -> Beliefs:
+        """Without what was reckoned."""
+        return replace(self, along_m=self.votes_m, confidence=self.by_votes)
 
 
 @cache
@@ -103,7 +136,10 @@ def described(
         route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
         np.savez(folder / name, raw=raw, route_m=route_m, distance_m=driven_m)
     stored = np.load(folder / name)
-    return Described(stored["raw"], stored["route_m"], stored["distance_m"])
+    drive = scenario.drive()
+    poses = [drive.pose(drive.time_at_s(driven_m)) for driven_m in stored["distance_m"].tolist()]
+    east_north_m = np.array([(pose.east_m, pose.north_m) for pose in poses])
+    return Described(stored["raw"], stored["route_m"], stored["distance_m"], east_north_m)
 
 
 def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
@@ -119,11 +155,14 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
 
 @contextmanager
 def mapped(road: Described, cut: Cut, view: View = "rear", *, to_north: bool = False) -> Iterator[MapSet]:
-    """The map of a part of the road; view: where its camera looked. to_north: along a meridian, else nobody knows."""
-    places = [
-        Place(row, route_m / M_PER_DEG if to_north else NAN, 0.0 if to_north else NAN, route_m=route_m)
-        for row, route_m in enumerate(road.route_m.tolist())
-    ]
+    """The map of a part of the road; view: where its camera looked. to_north: along a meridian, not where it was."""
+    along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
+    if to_north:
+        ground_m = np.column_stack([np.zeros(len(along_m)), road.route_m])
+    elif road.east_north_m is not None:
+        ground_m = road.east_north_m
+    positions = [moved(*ORIGIN, *at_m) if at_m[0] == at_m[0] else (NAN, NAN) for at_m in ground_m.tolist()]
+    places = [Place(row, *at, route_m=one) for row, (at, one) in enumerate(zip(positions, along_m, strict=True))]
     drives = [
         MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
         for start, end in kept(cut, len(places))
@@ -140,22 +179,34 @@ def believe(
     *,
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
+    lost_m: float | None = None,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
-    odometer_scale: what it reads for each meter, None without one.
+    odometer_scale: what it reads for each meter, None without one. lost_m: see `Described.reckoned`; None: no GPS
+    ever. The course is known where positions are.
     """
     # Without a rig there is no lane, but any parallax, so that it is measured.
     config = Config(rig=rig or RigConfig(parallax=1.0), sampling=sampling)
-    found = np.full((len(query.raw), 5), np.nan)
-    found[:, 1] = found[:, 3] = 0.0
+    found = np.full((len(query.raw), 7), np.nan)
+    found[:, 1] = found[:, 3] = found[:, 6] = 0.0
+    reckoned = query.reckoned(lost_m, len(query.raw)) if lost_m is not None else None
+    turn_around = TurnAround()
     with mapped(road, cut) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
-            travel = Travel(None if odometer_scale is None else float(driven_m) * odometer_scale)
+            if query.east_north_m is not None:
+                turn_around.add(Displacement(0, *query.east_north_m[frame].tolist()))
+            travel = Travel(
+                None if odometer_scale is None else float(driven_m) * odometer_scale,
+                course_rad=turn_around.course_rad,
+                reckoned=reckoned[frame] if reckoned else None,
+            )
             match = matcher.push(raw, travel)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
+            if match is not None and match.alone.confidence > 0:
+                found[frame, 5:] = route_m[match.alone.place_index], match.alone.confidence
             if match is not None and match.parallax is not None:
                 found[frame, 4] = lag_places(match.parallax) * SPACING_M
             if matcher.best is not None and frame >= config.sequence_frames - 1:
@@ -211,64 +262,102 @@ def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> 
     return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
 
 
-def worlds(seeds: list[int], length_m: float, folder: Path) -> Iterator[World]:
+def worlds(
+    seeds: Sequence[int], length_m: float, folder: Path, lights: Sequence[LightName] = LIGHTS
+) -> Iterator[World]:
     """The road of each seed as the rear camera saw it, and the drives on it."""
     for seed in seeds:
         scene = partial(Scenario, seed=seed, length_m=length_m)
         drives = {}
         for drive_seed, (light, way) in enumerate(product(LIGHTS, DIRECTIONS), start=2):
-            drives[light, way] = described(scene(light=light, direction=way, drive_seed=drive_seed), folder)
+            if light in lights:
+                drives[light, way] = described(scene(light=light, direction=way, drive_seed=drive_seed), folder)
         yield described(scene(view="rear", drive_seed=1), folder), drives
 
 
-def judge_world(road: Described, drives: Drives) -> Iterator[tuple[Cut, Judged]]:
-    """Each drive over the road with each part of it mapped."""
+def judge_world(road: Described, drives: Drives) -> Iterator[tuple[Cut, Direction, Judged, Judged]]:
+    """Each drive over the road with each part of it mapped: by the votes alone, and with what is reckoned."""
     alone = {name: believe(road, drive, "whole") for name, drive in drives.items()}
     for cut, ((light, way), drive) in product(CUTS, drives.items()):
-        other: tuple[LightName, Direction] = ("dusk" if light == "day" else "day", way)
+        other = next(one for one in (("day", way), *drives) if one in drives and one != (light, way) and one[1] == way)
         ahead_m = offset_m(drives[other], alone[other])
-        beliefs = believe(road, drive, cut, rig=rig_of(way, ahead_m, alone[other]))
+        beliefs = believe(road, drive, cut, rig=rig_of(way, ahead_m, alone[other]), lost_m=0.0)
         mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
-        yield cut, judge(drive, mapped_m, beliefs, ahead_m)
+        alone_and_both = judge(drive, mapped_m, beliefs.alone, ahead_m), judge(drive, mapped_m, beliefs, ahead_m)
+        yield cut, way, *alone_and_both
 
 
-def _row(cut: Cut, judged: list[Judged]) -> str:
-    cells = []
-    acceptance = AcceptanceConfig()
-    for kind, threshold in (("uniqueness", acceptance.uniqueness_min), ("belief", acceptance.confidence_from)):
-        answers: list[Answers] = [getattr(one, kind) for one in judged]
-        at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
-        precision, recall = at_threshold(joined(answers), threshold)
-        cells.append(f"{at_100:.2f} / {precision:.4f} / {recall:.2f}")
-    first_m, again_m = ([one.first_m[part] for one in judged if len(one.first_m) > part] for part in (0, 1))
-    again = f"{np.median(again_m):.0f} m" if again_m else "-"
-    return f"| {cut} | {' | '.join(cells)} | {np.median(first_m):.0f} m | {again} |"
+def _cell(answers: list[Answers], threshold: float) -> str:
+    at_100 = np.mean([recall_at_precision(precision_recall(one), 1.0) for one in answers])
+    precision, recall = at_threshold(joined(answers), threshold)
+    return f"{at_100:.2f} / {precision:.4f} / {recall:.2f}"
+
+
+def _first(judged: list[Judged]) -> str:
+    """Median meters to the first right belief, on each part of the map."""
+    parts = max(len(one.first_m) for one in judged)
+    medians_m = (np.median([one.first_m[part] for one in judged if len(one.first_m) > part]) for part in range(parts))
+    return ", ".join(f"{median_m:.0f}" for median_m in medians_m)
 
 
 def main() -> None:
     """Print a table for the seeds: R@P100, precision and recall at the default, and the first belief."""
-    args = options(__doc__, 1000.0).parse_args()
-    publish("belief", tables(list(worlds(args.seeds, args.length, args.cache))), args.page)
+    parser = options(__doc__, 1000.0)
+    parser.add_argument("--lights", nargs="+", choices=LIGHTS, default=LIGHTS, help="of the drives, two at least")
+    args = parser.parse_args()
+    publish("belief", tables(list(worlds(args.seeds, args.length, args.cache, args.lights))), args.page)
 
 
 def tables(seen: Sequence[World]) -> Iterator[str]:
     """Each part of the roads mapped, and drives over roads that are on no map."""
-    judged: dict[Cut, list[Judged]] = {cut: [] for cut in CUTS}
+    judged: dict[tuple[Cut, Direction], list[tuple[Judged, Judged]]] = {key: [] for key in product(CUTS, DIRECTIONS)}
     for road, drives in seen:
-        for cut, one in judge_world(road, drives):
-            judged[cut].append(one)
-    yield "| mapped | uniqueness: R@P100 / precision / recall | belief: the same | first belief | on the second part |"
-    yield "|---|---|---|---|---|"
-    yield from (_row(cut, judged[cut]) for cut in CUTS)
-    foreign = foreign_confidence(seen)
-    believed, most = foreign >= AcceptanceConfig().confidence_from, foreign.max(initial=0.0)
-    km = (len(seen) - 1) * sum(drive.driven_m[-1] for _, drives in seen for drive in drives.values()) / 1000
-    what = f"{believed.sum()} of {len(foreign)} frames are believed, at most by {most:.3f}"
-    yield f"\nOn {km:.0f} km of other roads {what}."
+        for cut, way, alone, both in judge_world(road, drives):
+            judged[cut, way].append((alone, both))
+    yield "| mapped | drive | uniqueness | votes alone | first belief, m | with GPS before | first belief, m |"
+    yield "|---|---|---|---|---|---|---|"
+    acceptance = AcceptanceConfig()
+    for (cut, way), found in judged.items():
+        by_votes, with_gps = [one for one, _ in found], [one for _, one in found]
+        cells = [_cell([one.uniqueness for one in by_votes], acceptance.uniqueness_min)]
+        for ones in (by_votes, with_gps):
+            cells += [_cell([one.belief for one in ones], acceptance.confidence_from), _first(ones)]
+        yield f"| {cut} | {WAYS[way]} | {' | '.join(cells)} |"
+    yield ""
+    yield from foreign_rows(seen)
+
+
+def foreign_rows(seen: Sequence[World]) -> Iterator[str]:
+    """Of each drive on the map of every other road, how many frames are believed, wherever it is reckoned."""
+    yield "| other roads, not mapped, beside the mapped one | frames | believed by the votes alone | with GPS |"
+    yield "|---|---|---|---|"
+    least = AcceptanceConfig().confidence_from
+    for (gps, lost_m), beside_m in product(GPS.items(), BESIDE_M):
+        found = list(_beliefs_beside(seen, lost_m, beside_m))
+        by_votes, with_gps = (np.concatenate([getattr(one, of) for one in found]) for of in ("by_votes", "confidence"))
+        counts = len(with_gps), (by_votes >= least).sum(), (with_gps >= least).sum()
+        yield f"| {beside_m:.0f} m, {gps} | {' | '.join(map(str, counts))} |"
+
+
+def _beliefs_beside(seen: Sequence[World], lost_m: float, beside_m: float) -> Iterator[Beliefs]:
+    for (road, _), (_, drives) in permutations(seen, 2):
+        for (_, way), drive in drives.items():
+            yield believe(road, beside(road, drive, beside_m, way), "whole", lost_m=lost_m)
+
+
+def beside(road: Described, drive: Described, beside_m: float, way: Direction) -> Described:
+    """A drive as if its road lay to the left of another one, the same way."""
+    assert road.east_north_m is not None
+    line_m = road.east_north_m[:: 1 if way == "forward" else -1]
+    along = np.gradient(line_m, axis=0)
+    left = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, np.newaxis]
+    at_m = np.arange(len(line_m)) * SPACING_M
+    where_m = np.column_stack([np.interp(drive.driven_m, at_m, one) for one in (line_m + beside_m * left).T])
+    return replace(drive, east_north_m=where_m)
 
 
 def foreign_confidence(seen: Sequence[World]) -> Floats:
-    """The confidence of each frame of each drive on the map of every other road."""
+    """The confidence of each frame of each drive on the map of every other road, by the votes alone."""
     found = [
         believe(road, drive, "whole").confidence
         for (road, _), (_, drives) in permutations(seen, 2)

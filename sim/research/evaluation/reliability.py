@@ -75,7 +75,7 @@ class Claims:
 
 def of_roads(seen: Sequence[World]) -> Claims:
     """Each drive over its own road with each part of it mapped, and over every other one's map."""
-    mapped = [judged.belief for road, drives in seen for _, judged in judge_world(road, drives)]
+    mapped = [judged.belief for road, drives in seen for _, _, judged, _ in judge_world(road, drives)]
     return Claims.of(joined(mapped), foreign_confidence(seen))
 
 
