@@ -241,6 +241,9 @@ def open_recognizer(
     head = Head.load(network) if network.info.labels else None
     map_set = map_set or open_maps(config, newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
+    if not config.descriptor.model:
+        words = "[descriptor] model is not set, so it is %s, as before; `lookback model use %s CONFIG` writes it"
+        log.warning(words, *2 * [network_of_map(network.info.name) or network.info.name])
     return PlaceRecognizer(network, head, map_set, config, stopwatch)
 
 
@@ -254,8 +257,6 @@ def network_for(config: Config) -> DescriptorConfig:
     path, name = Path(config.map.path), ""
     with suppress(MapError):
         name = network_of_map(read_header(next(iter(maps_in(path)), path)).model.name)
-    if name:
-        log.info("[descriptor] model is not set, so it is %s, which made %s", name, path)
     return replace_fields(config.descriptor, model=name)
 
 

@@ -119,7 +119,7 @@ def write_traverse() -> Callable[..., Path]:
         path: Path, frames: range = range(80), *, noise: float = 0.0, period_ms: int = 50, is_located: bool = True
     ) -> Path:
         rng = np.random.default_rng(1)
-        with FeedWriter(path, FeedHeader(path.name, "front", 160, 120)) as writer:
+        with FeedWriter(path, FeedHeader(path.name, "front", 160, 120, time_sigma_s=0.0)) as writer:
             for row, frame in enumerate(frames):
                 image = strip[:, 12 * frame : 12 * frame + 160] + rng.normal(0, noise, (120, 160, 3))
                 writer.write(

@@ -113,13 +113,15 @@ def test_missing_and_truncated_map(
     shutil.copytree(street_map, tmp_path / "cut.map")
     os.truncate(tmp_path / "cut.map/descriptors.i8", 1000)
     printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "cut.map"))
-    assert "descriptors.i8: 1000 bytes where the header says 245760" in printed
+    assert "descriptors.i8: 1000 bytes where the header says 138240" in printed
 
 
 def test_a_map_of_another_model_or_other_regions(
-    traverse: Path, street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = tmp_path / "whole.toml"
+    config, street_map = tmp_path / "whole.toml", tmp_path / "street.map"
+    config.write_text('[descriptor]\nmodel = "fc6"\n')
+    assert main(["map", "build", str(traverse), "-o", str(street_map), "--config", str(config)]) == 0
     config.write_text('[descriptor]\nregions = "whole"\n')
     printed = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
     assert "made with regions left-right of width 0.4" in printed

@@ -6,7 +6,6 @@ compared with the CPU's at each start: a provider that describes the same pictur
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import cv2
@@ -19,16 +18,12 @@ from edge.descriptor.network import CPU, Network, provider_name
 from edge.descriptor.normalize import normalize
 from edge.errors import ConfigError, ModelError
 
-log = logging.getLogger(__name__)
-
 PICTURES = 24
 """As many as NSD needs for its statistics to mean something; on a slow board they take a few seconds."""
 
 
 def open_network(config: DescriptorConfig) -> Network:
     """Read, check and open the network. ModelError and ConfigError name in one line what cannot be used."""
-    if not config.model:
-        log.warning("[descriptor] model is not set, so it is fc6, as before; `lookback model use fc6 CONFIG` writes it")
     file = read_model_file(resolve_model(Path(config.model) if config.model else None))
     if file.info.columns and config.regions != "left-right":
         raise ConfigError(f'[descriptor] regions: {file.info.name} returns two regions itself; set "left-right"')

@@ -36,7 +36,7 @@ from sim.calibration.offset import (
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.command import add_tolerance_option
-from sim.evaluation.replay import config_for_map
+from sim.evaluation.replay import config_for_map, load_config_for_map
 from sim.output import refusing
 
 Lines = Mapping[tuple[str, str], float]
@@ -90,7 +90,8 @@ def _run(args: argparse.Namespace) -> int:
         check_writable(args.write)
     reference_map = open_map(args.map)
     settings = args.config or args.write
-    config = load_config(settings) if settings else config_for_map(reference_map.header)
+    made = reference_map.header
+    config = load_config_for_map(settings, made) if settings else config_for_map(made)
     lines: dict[tuple[str, str], float] = {}
     off_map: list[float] = []
     if args.feeds:

@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import edge
-from edge.config import load_config
 from edge.errors import ConfigError
 from edge.feed import read_feed
 from edge.reference_map import open_map_set
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
-from sim.evaluation.replay import config_for_map
+from sim.evaluation.replay import config_for_map, load_config_for_map
 from sim.output import needing
 
 
@@ -45,7 +44,8 @@ def _run(args: argparse.Namespace) -> int:
     if not args.tolerance_m > 0:
         raise ConfigError(f"--tolerance-m: {args.tolerance_m:g} is not above 0")
     maps = open_map_set(args.map)
-    config = load_config(args.config) if args.config else config_for_map(maps.headers[0])
+    made = maps.headers[0]
+    config = load_config_for_map(args.config, made) if args.config else config_for_map(made)
     seen = (recognize(maps, read_feed(path), config) for path in args.feeds)
     judged = [judge(maps, one, args.tolerance_m) for one in seen]
     rows = [one.row() for one in judged]

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.config import Config, SamplingConfig, checked_option, load_config
+from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.journal.records import FrameUsed
@@ -97,6 +98,13 @@ def with_options(config: Config, length: int | None, confidence_from: float | No
     return msgspec.structs.replace(config, sequence=sequence, acceptance=acceptance)
 
 
+def load_config_for_map(path: Path, header: MapHeader) -> Config:
+    """A config file, with the network of the map where it names none."""
+    config = load_config(path)
+    model = config.descriptor.model or network_of_map(header.model.name)
+    return msgspec.structs.replace(config, descriptor=msgspec.structs.replace(config.descriptor, model=model))
+
+
 def config_for_feed(config: Config, feed: Feed) -> Config:
     """The config with the view of the feed's camera; frames by time where nothing says how far they are apart."""
     camera, sampling = msgspec.structs.replace(config.camera, view=feed.header.view), config.sampling
@@ -112,7 +120,9 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     feed = read_feed(args.feed, feed_options(args))
     maps = open_map_set(args.map)
     if args.config:
-        config = with_options(load_config(args.config), args.sequence_length, args.confidence_from)
+        config = with_options(
+            load_config_for_map(args.config, maps.headers[0]), args.sequence_length, args.confidence_from
+        )
     else:
         config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_from)
     feed = preprocessed_feed(feed, config.camera)

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.config import DescriptorConfig
 from edge.descriptor.model_file import (
     FC6_FILE,
     FC6_NAME,
@@ -25,7 +24,6 @@ from edge.descriptor.model_file import (
     resolve_model,
 )
 from edge.descriptor.network import Network
-from edge.descriptor.open_network import open_network
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import GraphBuilder
 
@@ -67,11 +65,6 @@ def test_without_its_package_fc6_is_refused_in_one_line(monkeypatch: pytest.Monk
     with pytest.raises(ModelError, match=r'non-commercial use, .*pip install .*fc6.*; or set .*model = "grid"'):
         resolve_model(None)
     assert read_model_file(resolve_model(Path("grid"))).info.license == "Apache-2.0"
-
-
-def test_a_config_that_names_no_network_goes_on_with_fc6_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    assert open_network(DescriptorConfig()).info.name == FC6_NAME
-    assert "model is not set, so it is fc6" in caplog.text
 
 
 @pytest.mark.parametrize(("name", "model"), [("grid", "grid"), (FC6_NAME, "fc6")])

@@ -328,7 +328,9 @@ def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
     video.release()
     log = tmp_path / "flight.tlog"
     write_tlog(log, degrees_at, 20, speed_mps=20.0)  # 3.8 s of the video's 4
-    assert main(["map", "build", str(tmp_path / "street"), "-o", str(tmp_path / "map")]) == 0
+    (tmp_path / "fc6.toml").write_text('[descriptor]\nmodel = "fc6"\n')
+    with_fc6 = ("-o", str(tmp_path / "map"), "--config", str(tmp_path / "fc6.toml"))
+    assert main(["map", "build", str(tmp_path / "street"), *with_fc6]) == 0
     options = ["--map", str(tmp_path / "map"), "--sequence-length", "5", "--spacing-frames", "1", "--all"]
     sim_import(
         *("video-log", tmp_path / "flight.AVI", "--positions", log, "--offset-s", "0.5", "--spacing-frames", 1),

@@ -20,17 +20,17 @@ def test_a_shrunk_map_is_built_and_used(
     assert main(["map", "build", str(morning), "-o", map_path, "--spacing-frames", "1", "--dimensions", "48"]) == 0
     capsys.readouterr()
     assert main(["map", "info", map_path]) == 0
-    assert "reduced   to 48 of 4096 dimensions per region" in capsys.readouterr().out
+    assert "reduced   to 48 of 2304 dimensions per region" in capsys.readouterr().out
     options = ["--map", map_path, "--sequence-length", "8", "--all"]
     assert main(["replay", str(evening), *options]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert all(abs(line["place"] - line["frame"]) <= 1 for line in lines[8:])
     assert main(["map", "extend", map_path, str(evening)]) == 0
     assert main(["map", "info", map_path]) == 0
-    assert "reduced   to 48 of 4096" in capsys.readouterr().out
+    assert "reduced   to 48 of 2304" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("dimensions", ["0", "4097"])
+@pytest.mark.parametrize("dimensions", ["0", "2305"])
 def test_impossible_dimensions_are_one_line(
     write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], dimensions: str
 ) -> None:
@@ -38,5 +38,5 @@ def test_impossible_dimensions_are_one_line(
     command = ["map", "build", str(feed), "-o", str(tmp_path / "map"), "--dimensions", dimensions]
     assert main(command) == 78
     error = capsys.readouterr().err
-    assert f"--dimensions: {dimensions} is not between 1 and the network's 4096" in error
+    assert f"--dimensions: {dimensions} is not between 1 and the network's 2304" in error
     assert not (tmp_path / "map").exists()
