@@ -40,9 +40,9 @@ def test_the_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
     number = r"\d+(?:\.\d+)?"
     before, now = "\n".join(shown(NOTEBOOK)), "\n".join(shown(made))
     assert re.sub(number, "#", now) == re.sub(number, "#", before)
-    # Processors round otherwise.
+    # Processors render and round otherwise.
     numbers = [[float(one) for one in re.findall(number, text)] for text in (now, before)]
-    assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=0.05)
+    assert numbers[0] == pytest.approx(numbers[1], rel=0.1, abs=0.1)
     assert len(shown(NOTEBOOK)) >= 10
 
 

@@ -1,4 +1,7 @@
-"""Recordings of the simulator, and the outputs that were right for them: equal to the byte, or the test fails."""
+"""Recordings of the simulator, and the outputs that were right for them: equal to the byte, or the test fails.
+
+Of drives whose pictures are rendered for the test, what is decided is equal; see `decisions`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
@@ -22,14 +27,38 @@ def scratch(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     return make_once("golden", lambda folder: None)
 
 
+APART_M, METERS_A_DEGREE = 0.5, 110_574.0
+"""Between positions of a rendered drive, then and now. Processors with and without AVX-512 render it and describe it
+differently in the last bits: positions were up to 0.08 m apart, all that was decided was equal."""
+
+
 @pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
 def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: MemoizingNetwork) -> None:
     if folder.parent.name == "drives":
         pytest.importorskip("panda3d", reason="needs the simulator's renderer (extra sim)")
     for name, now in outputs_of(folder, scratch, network).items():
-        expected = (folder / name).read_bytes()
-        if expected != now.encode():
-            pytest.fail(f"{folder / name}: {first_difference(expected.decode(), now)}")
+        expected = (folder / name).read_text(encoding="utf-8")
+        is_rendered = folder.parent.name == "drives"
+        old, new = (decisions(expected), decisions(now)) if is_rendered else (expected, now)
+        if old != new:
+            pytest.fail(f"{folder / name}: {first_difference(old, new)}")
+        apart_deg = np.abs(positions(now) - positions(expected))
+        assert apart_deg.max(initial=0.0) * METERS_A_DEGREE <= APART_M
+
+
+DECIDED = ("event", "mavpackettype", "state", "why", "reason", "accepted", "emitted", "way", "send_boot_s", "at_s")
+
+
+def decisions(text: str) -> str:
+    """Of a journal or of what was sent, without the figures: which record or message, when, and why."""
+    rows = [json.loads(line) for line in text.splitlines()]
+    return "\n".join(json.dumps({key: row[key] for key in DECIDED if key in row}) for row in rows)
+
+
+def positions(text: str) -> NDArray[np.float64]:
+    """Those that were sent, in degrees (n, 2)."""
+    rows = [row for row in map(json.loads, text.splitlines()) if row.get("event") == "fix_sent"]
+    return np.array([(row["lat_deg"], row["lon_deg"]) for row in rows])
 
 
 def first_difference(expected: str, now: str) -> str:
