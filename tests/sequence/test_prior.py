@@ -10,20 +10,12 @@ import pytest
 
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
 from edge.sequence.prior import ALIKE, BESIDE_M, MOST, Prior
+from tests.sequence.test_consensus import STRONG
 
 SETTINGS = ConsensusSettings()
 ROAD_M = np.column_stack([np.zeros(501), np.linspace(0.0, 1000.0, 501)])
 """A mapped road of 1 km, straight to the north."""
-WEAK = PlaceVote(
-    drive=0,
-    along_m=0.0,
-    start_m=0.0,
-    end_m=1000.0,
-    direction="forward",
-    uniqueness=1.006,
-    sharpness=0.04,
-    row_share=0.0,
-)
+WEAK = replace(STRONG, uniqueness=1.006, sharpness=0.04)
 
 
 def prior(spot_m: tuple[float, float], sigma_m: float) -> Prior:
