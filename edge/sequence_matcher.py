@@ -20,7 +20,7 @@ from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
-from edge.sequence import NOTHING_KNOWN, PlaceMatch, Reckoning, Travel
+from edge.sequence import NOTHING_KNOWN, Direction, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
@@ -179,7 +179,10 @@ class SequenceMatcher:
         by_votes, both = self._consensus.by_votes, self._match_of(match, belief)
         if both is None or belief is by_votes:
             return both
-        alone = self._match_of(match, by_votes)
+        if both is match or belief is None or by_votes is None or _spot(belief) != _spot(by_votes):
+            alone = self._match_of(match, by_votes)
+        else:  # mostly a reckoning changes how sure a place is, not which one: its line is searched for once
+            alone = replace(both, confidence=by_votes.confidence, accepted=by_votes.is_believed)
         return replace(both, by_votes=alone)
 
     def _match_of(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
@@ -242,3 +245,7 @@ class SequenceMatcher:
         self.search.clear()
         self._consensus.reset()
         self._unmeasured = 0
+
+
+def _spot(belief: PlaceBelief) -> tuple[int, float, Direction]:
+    return belief.drive, belief.along_m, belief.direction
