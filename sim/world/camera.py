@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,10 +16,12 @@ from edge.camera import Camera, Frame
 from edge.config import CameraConfig
 from sim.output import needing
 from sim.world.drive import Drive
+from sim.world.route import generate_route
 from sim.world.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from sim.world.renderer import Renderer
+    from sim.world.street import World
 
 
 def open_camera(config: CameraConfig) -> Camera:
@@ -32,11 +35,10 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     with needing("the simulator", "sim"):
         from sim.world.renderer import Renderer
     from sim.world.light import LIGHTS
-    from sim.world.street import build_world
     from sim.world.traffic import build_traffic
 
     return Renderer(
-        build_world(drive.route),
+        _world_of(scenario.seed, scenario.length_m),
         build_traffic(drive, scenario.car_ahead_m),
         LIGHTS[scenario.light],
         view=scenario.view,
@@ -44,6 +46,14 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
         fov_deg=scenario.fov_deg,
         seed=scenario.drive_seed,
     )
+
+
+@lru_cache(maxsize=1)
+def _world_of(seed: int, length_m: float) -> World:
+    """The world of the newest road: a map and the drive on it need the same, which takes half of `open_renderer`."""
+    from sim.world.street import build_world
+
+    return build_world(generate_route(seed, length_m))
 
 
 EXPOSED = (-0.5, -0.25, 0.0, 0.25, 0.5)  # shares of an exposure at which the scene is rendered
