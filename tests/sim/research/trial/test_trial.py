@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from edge.config import FIRST_NETWORK
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial import course_rules
@@ -66,13 +67,13 @@ Of "one-stretch", "turn-off" and "false-260" test_route_bench has the same cases
 @pytest.fixture(scope="module")
 def library(make_once: Callable[..., Path]) -> Iterator[RoadLibrary]:
     """The road as the map's camera and a vehicle on its lane see it is rendered once, for all workers."""
-    found = RoadLibrary(Network.load(), make_once("views", _render_lanes), CELL_M)
+    found = RoadLibrary(Network.load(Path(FIRST_NETWORK)), make_once("views", _render_lanes), CELL_M)
     yield found
     found.close()
 
 
 def _render_lanes(folder: Path) -> None:
-    found = RoadLibrary(Network.load(), folder, CELL_M)
+    found = RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder, CELL_M)
     home = drafted(COURSES["home"], 1, LENGTH_M, WORLD).home
     for route_m in range(0, int(LENGTH_M) + 1, CELL_M):
         found[home].raw(route_m)
