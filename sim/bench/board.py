@@ -1,4 +1,4 @@
-"""`lookback dev bench`: measure this board: one row for docs/boards.md.
+"""`lookback dev bench`: measure this board: a row for docs/boards.md with each network that is installed.
 
 It needs no package beyond those of `lookback run`, and measures with the code of `make bench`.
 """
@@ -17,9 +17,9 @@ from pathlib import Path
 
 import cv2
 
-from edge.config import FIRST_NETWORK, RigConfig
+from edge.config import NETWORKS, RigConfig
 from edge.descriptor.network import Network
-from edge.errors import ConfigError
+from edge.errors import ConfigError, ModelError
 from edge.recognizer import model_key
 from sim.bench.frames import SIZE_PX, run_frames
 from sim.bench.machine import machine_name
@@ -28,8 +28,8 @@ from sim.bench.timing import wall_ns
 
 PLACES = 10_000
 HEADER = (
-    "| board | regions | network | matching | search | whole frame, median / 95 % | peak memory | slower at the end |"
-    " hottest | throttled |\n|---|---|---|---|---|---|---|---|---|---|"
+    "| board | of | regions | network | matching | search | belief | whole frame, median / 95 % | peak memory |"
+    " slower at the end | hottest | throttled |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 SLOWER = 1.1
 """Ratio of the frame times at the end and at the beginning from which a board counts as throttled."""
@@ -42,7 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " folder. Stop the service first; leave the board in its housing, and cool it as on the vehicle. Times are CPU"
         " times of one thread, in milliseconds."
     )
-    parser.add_argument("--seconds", type=float, default=300.0, metavar="S", help="default 300, since heat takes time")
+    heat = "with each network, default 150: heat takes time"
+    parser.add_argument("--seconds", type=float, default=150.0, metavar="S", help=heat)
     parser.add_argument("--places", type=int, default=PLACES, metavar="N", help=f"places of the map (default {PLACES})")
     parser.add_argument("--folder", type=Path, help="where to put the map meanwhile, 80 MB (default: temporary files)")
     parser.set_defaults(run=_run)
@@ -52,15 +53,20 @@ def _run(args: argparse.Namespace) -> int:
     if not args.seconds > 0 or args.places < 100:
         raise ConfigError("bench: --seconds must be above 0 and --places at least 100")
     cv2.setNumThreads(1)
-    with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
-        run = measure(Path(folder), args.places, args.seconds)
-    print(
-        f"{len(run.frames)} frames of {SIZE_PX[0]}x{SIZE_PX[1]}, {args.places:,} places, Lookback"
-        f" {version('lookback-nav')}. Please paste the table into an issue, for docs/boards.md.",
-        file=sys.stderr,
-    )
+    words = f"frames of {SIZE_PX[0]}x{SIZE_PX[1]}, {args.places:,} places, Lookback {version('lookback-nav')}"
     print(HEADER)
-    print(row(board_name(), run))
+    # The smaller one first: the peak of memory is that of the whole process.
+    for number, name in enumerate(NETWORKS):
+        try:
+            network = Network.load(Path(name))
+        except ModelError as missing:
+            print(missing, file=sys.stderr)
+            continue
+        with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
+            run = measure(Path(folder), args.places, args.seconds, network)
+        print(row("" if number else board_name(), name, run), flush=True)
+        print(f"{name}: {len(run.frames)} {words}", file=sys.stderr)
+    print("Please paste the table into an issue, for docs/boards.md.", file=sys.stderr)
     return 0
 
 
@@ -73,13 +79,14 @@ class Run:
     limits: frozenset[str]
 
 
-def measure(folder: Path, places: int, seconds: float) -> Run:
+def measure(folder: Path, places: int, seconds: float, network: Network) -> Run:
     """Recognize pictures for that long, at least two of them, and read the sensors between them."""
     frames, temperatures, limits = [], [], set()
-    until_ns = wall_ns() + seconds * 1e9
-    network, path = Network.load(Path(FIRST_NETWORK)), folder / "board.map"
+    until_ns = 0.0
+    path = folder / "board.map"
     write_simulated_map(path, places, model_key(network))
     for frame in run_frames(path, places, sys.maxsize // 2, network, RigConfig()):
+        until_ns = until_ns or wall_ns() + seconds * 1e9  # neither the map nor the warm-up counts
         frames.append(frame)
         temperatures += hottest_c()
         limits |= throttling()
@@ -88,8 +95,8 @@ def measure(folder: Path, places: int, seconds: float) -> Run:
     return Run(frames, temperatures, frozenset(limits))
 
 
-def row(board: str, run: Run) -> str:
-    """The row of one board."""
+def row(board: str, network: str, run: Run) -> str:
+    """The row of one board and one network."""
 
     def median(stage: str) -> str:
         return f"{statistics.median(frame.get(stage, 0.0) for frame in run.frames):.1f}"
@@ -100,7 +107,8 @@ def row(board: str, run: Run) -> str:
     throttled = ", ".join(sorted(run.limits)) or ("no" if slower < SLOWER else "yes, by the times")
     cells = [
         board,
-        *(median(stage) for stage in ("regions", "network", "matching", "search")),
+        network,
+        *(median(stage) for stage in ("regions", "network", "matching", "search", "belief")),
         f"{statistics.median(whole):.1f} / {statistics.quantiles(whole, n=20)[-1]:.1f}",
         f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB",
         f"{100 * (slower - 1):+.0f} %",

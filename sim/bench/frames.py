@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edge.config import Config, MapConfig, RigConfig
+from edge.config import Config, DescriptorConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.recognizer import open_recognizer
 from edge.reference_map import open_map_set
@@ -34,7 +34,8 @@ def run_frames(
         milliseconds[stage] = (now_ns - last_ns) / 1e6
         last_ns = now_ns
 
-    config = Config(map=MapConfig(places_per_frame=max(100, places)), rig=rig)
+    descriptor = DescriptorConfig(model=str(network.path))
+    config = Config(descriptor=descriptor, map=MapConfig(places_per_frame=max(100, places)), rig=rig)
     recognizer = open_recognizer(config, network=network, map_set=open_map_set(map_path), stopwatch=lap)
     rng = np.random.default_rng(1)
     for frame in range(LENGTH + frames):

@@ -21,9 +21,12 @@ def test_it_runs_with_what_a_vehicle_has(tmp_path: Path) -> None:
     words = ["dev", "bench", "--seconds", "0.1", "--places", "200", "--folder", str(tmp_path)]
     command = [sys.executable, "-c", WITHOUT, DESK, *words]
     result = subprocess.run(command, capture_output=True, text=True, check=True)
-    header, line, cells = result.stdout.splitlines()
+    header, line, *rows = result.stdout.splitlines()
     assert f"{header}\n{line}" == HEADER
-    assert cells.count(" | ") == header.count(" | ")
+    cells = [row.strip("| ").split(" | ") for row in rows]
+    assert [row[-11] for row in cells] == ["grid", "fc6"]
+    assert all(float(row[-9]) > 0 for row in cells)
+    assert "Please paste" in result.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -58,9 +61,9 @@ def test_throttling(flags: str, cooling: dict[str, int], found: set[str], tmp_pa
 
 def test_times_that_grow_count_as_throttled() -> None:
     frames = [{"network": 10.0 + number, "search": 1.0} for number in range(20)]
-    cells = row("a board", Run(frames, [70.0, 81.0], frozenset())).strip("| ").split(" | ")
-    assert cells[0] == "a board"
-    assert cells[2] == "19.5"
+    cells = row("a board", "grid", Run(frames, [70.0, 81.0], frozenset())).strip("| ").split(" | ")
+    assert cells[:2] == ["a board", "grid"]
+    assert cells[3] == "19.5"
     assert cells[-3:] == ["+128 %", "81 °C", "yes, by the times"]
 
 
