@@ -16,7 +16,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.feed import FeedHeader, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
@@ -159,8 +159,14 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 
 @pytest.fixture(scope="session")
 def network() -> MemoizingNetwork:
-    """The shipped network for all tests that do not test the network itself: it describes each picture once."""
+    """fc6, for tests whose maps or configs name no other network: it describes each picture once."""
     return MemoizingNetwork.load()
+
+
+@pytest.fixture(scope="session")
+def grid() -> MemoizingNetwork:
+    """The same with the network of new installations, in a fourth of fc6's time: 9 ms a picture instead of 34."""
+    return MemoizingNetwork.load(Path(FIRST_NETWORK))
 
 
 @pytest.fixture(scope="session")
