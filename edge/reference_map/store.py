@@ -157,10 +157,15 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ) -> MapHeader:
         """With a further drive, to which the next places belong; sequences are never searched across its beginning.
 
-        has_odometer: whether its route_m was measured, and not computed from its positions; see `checked`.
+        has_odometer: whether its way was measured by what its positions have no part in; see `checked`.
         """
         begun = Segment(self.places, self.places, view, source, has_odometer, whole_sigma_m)
         return replace(self, segments=(*self.first(self.places).segments, begun))
+
+    def doubted(self) -> MapHeader:
+        """With a last drive that nothing vouches for."""
+        *before, last = self.segments
+        return replace(self, segments=(*before, replace(last, moved_as_driven=False)))
 
     def with_places(self, places: int) -> MapHeader:
         """With so many places, the new ones in the last segment."""

@@ -109,6 +109,10 @@ class MapBuilder:
         """Start a further drive, see `MapHeader.with_segment`."""
         self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
 
+    def doubt(self) -> None:
+        """Nothing vouches for the current drive."""
+        self._header = self._header.doubted()
+
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.
 

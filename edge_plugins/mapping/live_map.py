@@ -26,6 +26,7 @@ from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.growing_map import GrowingMap
 from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
+from edge_plugins.mapping.own_motion import OwnMotion
 from edge_plugins.mapping.place_log import RETRY_S, OpenLog, PlaceLog, complete, create_log, log_of, logs_in, map_of
 from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace
 from edge_plugins.mapping.status import MappingStatus, MappingView
@@ -76,6 +77,9 @@ class LiveMap:
         self._motion = GpsMotion()
         self._outage, self._trail = Outage(config.max_sigma_m), Trail()
         self._origin: Origin | None = None  # of its meters
+        self._placed_ns = 0  # the exposure of the newest place
+        self.own = OwnMotion(config, header.sampling.spacing_m)
+        """Told by whoever owns this, before the places that follow."""
         self.searchable = 0
         """How many of the places are searched."""
         self._path = named_by_time(self._folder, unix_time_s(), lambda path: path.exists() or log_of(path).exists())
@@ -129,6 +133,7 @@ class LiveMap:
         elif position is None:
             self._outage.miss(1 + missed)
         elif not self._why:
+            self._placed_ns = position.stamp_ns
             self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
         elif self._outage.is_bridgeable:
             self._outage.wait(raw, self._place(position, self._route_m(distance_m), image), self._motion.moved, missed)
@@ -272,17 +277,24 @@ class LiveMap:
         self._last = None
         begun = self._log.begin_drive(DriveBegun(self._view))
         if begun:
+            self.own.begin_drive()
             self._growing.begin_segment(source_of(self._path), self._view, has_odometer=True, whole_sigma_m=0.0)
         return begun
 
     def _add(self, new: MappedPlace) -> None:
         """To the file and to the memory, or, where the disk is behind or the map is full, to neither. OSError."""
-        place = replace(new.place, row=self._growing.count)
-        if self._log is None or self._growing.is_full or not self._log.add(new.raw, place, self._unix_time_s()):
+        place, is_vouched = replace(new.place, row=self._growing.count), self.own.vouches(self._placed_ns)
+        if (
+            self._log is None
+            or self._growing.is_full
+            or not self._log.add(new.raw, place, self._unix_time_s(), is_vouched=is_vouched)
+        ):
             self._last = None
             return
         self._last, self._is_continuous = new, True
         self._growing.add(new.raw, place)
+        if not is_vouched:
+            self._growing.doubt()
 
     def _place(self, position: VehiclePosition, route_m: float, image: NDArray[np.uint8]) -> Place:
         stated_m = math.nan if position.sigma_m is None else position.sigma_m
@@ -352,6 +364,8 @@ class LiveMap:
             for row in range(first, end, RESUMED_AT_ONCE):
                 records = [found.place(one) for one in range(row, min(row + RESUMED_AT_ONCE, end))]
                 self._growing.add_all(np.stack([found.raw_of(one) for one in records]), [one.place for one in records])
+                if not all(one.is_vouched for one in records):
+                    self._growing.doubt()
             self._mapped_m += float(np.ptp(self._growing.places["route_m"][first:end])) if first < end else 0.0
         self._growing.renew()
         if drive.view == self._view:

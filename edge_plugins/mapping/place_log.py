@@ -203,13 +203,13 @@ class PlaceLog:
         self._view = drive.view
         return self._put(drive)
 
-    def add(self, raw: NDArray[np.float32], place: Place, unix_s: float = 0.0) -> bool:
+    def add(self, raw: NDArray[np.float32], place: Place, unix_s: float = 0.0, *, is_vouched: bool = False) -> bool:
         """Hand a place over without waiting; False if the disk is too far behind, and the place is not in the map.
 
-        unix_s: the time now.
+        unix_s: the time now. is_vouched: see `PlacePassed`.
         """
         values = raw.astype("<f2")
-        if not self._put(PlacePassed(place, values.tobytes(), unix_s, self._view)):
+        if not self._put(PlacePassed(place, values.tobytes(), unix_s, self._view, is_vouched)):
             return False
         self._recent.append(values.astype(np.float32))
         self.count += 1
@@ -325,6 +325,8 @@ def _build(file: OpenLog, path: Path) -> None:
                 try:
                     passed = file.place(row)
                     builder.add(file.raw_of(passed), passed.place)
+                    if not passed.is_vouched:
+                        builder.doubt()
                 except OSError as error:
                     raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
         builder.finish()

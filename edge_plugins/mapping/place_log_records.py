@@ -51,13 +51,14 @@ class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
     """A place, and its raw descriptor (R, D) as little-endian float16.
 
     unix_s: when it was written, 0 in files of earlier versions. view: of the camera, as in its DriveBegun, which may be
-    damaged; None in such files.
+    damaged; None in such files. is_vouched: whether all of its drive moved as what GPS has no part in, see `OwnMotion`.
     """
 
     place: Place
     raw: bytes
     unix_s: float = 0.0
     view: Literal["front", "rear"] | None = None
+    is_vouched: bool = False
 
 
 LogRecord = LogHeader | DriveBegun | PlacePassed

@@ -26,6 +26,7 @@ from edge.plugin import Parts, Plugin, UsedFrame
 from edge.recognizer import model_key
 from edge.reference_map import MapSoFar, RegionsKey
 from edge.telemetry.position_history import Awaiting
+from edge.telemetry.vehicle_velocity import OwnDriven
 from edge_plugins.layers.learner import Learner, learn_command
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.live_map import LiveMap
@@ -86,6 +87,8 @@ class Mapping(Plugin):
             self._open(config, opened)
             self._opened = opened.pop_all()
         self._awaiting: Awaiting[MappedFrame] = Awaiting(parts.autopilot.history)
+        self._counted: Awaiting[OwnDriven] = Awaiting(parts.autopilot.history)
+        self._driven: OwnDriven | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
         self._newest = self.live.so_far()
         self.paused = ""
@@ -175,6 +178,12 @@ class Mapping(Plugin):
         newest = autopilot.history.newest
         if newest is not None:
             self.live.go_on(newest, autopilot.vehicle.motion.distance_m(newest.stamp_ns))
+        own = autopilot.vehicle.velocity.own_driven
+        if own is not None and own != self._driven:
+            self._driven = own
+            self._counted.add(own.stamp_ns, own)
+        for counted, position in self._counted.known(all_of_them=at_the_end):
+            self.live.own.compare(counted, position)
         for (frame, raw, distance_m, missed), position in self._awaiting.known(all_of_them=at_the_end):
             self._notice_gap()
             self.live.add(raw, frame.image, position, distance_m, self.paused or autopilot.gps_fault, missed)

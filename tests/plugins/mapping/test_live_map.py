@@ -24,6 +24,7 @@ from edge.files import wait_for_writes
 from edge.geodesy import VehiclePosition
 from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
 from edge.reference_map.learned import Learned, LearnedFolder
+from edge.telemetry.vehicle_velocity import OwnDriven
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
 from edge_plugins.layers.stored import KEEP_FILE, delete_oldest, stored_maps
@@ -53,9 +54,10 @@ def live(folder: Path, unix_s: float = START_S, **changes: object) -> LiveMap:
 
 
 def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) -> None:
-    """Places every 2 m, each moved on by its row, no faster than the disk takes them."""
+    """Places every 2 m, each moved on by its row and counted by the wheels, no faster than the disk takes them."""
     for row in rows:
         at = None if position is None else replace(position, lat_deg=position.lat_deg + row * 2 / 110_800)
+        mapped.own.compare(OwnDriven(0, row * 2.0, 0), at)
         mapped.add(raw_of(row), IMAGE, at, row * 2.0)
         while mapped.waiting > 8:
             os.sched_yield()

@@ -1,0 +1,116 @@
+"""What vouches for the map of a drive: wheels or a camera that agree with GPS, and never what GPS has a part in."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from edge.reference_map import read_header
+from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.position_history import Awaiting, PositionHistory
+from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle_velocity import OwnDriven
+from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.own_motion import OwnMotion
+from tests.plugins.mapping.test_live_map import IMAGE, START_S, live, raw_of
+from tests.plugins.mapping.test_outage import at
+from tests.reference_map.test_gps_motion import STEP_M
+from tests.reference_map.test_gps_motion import drive as gps_drive
+
+PLACES, SPEED_MPS = 400, 8.0
+
+
+def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_from: int, headings: int) -> list[bool]:
+    """Whether the map of a drive moved as driven: while it is made, and as the next start makes it.
+
+    GPS is dragged ahead, and the odometer is its velocity. counted: places at which wheels or a camera have counted;
+    from `gaps_from` on, anew. headings: places up to which there is one.
+    """
+    points = gps_drive(seed, drag_mps, "ahead", SPEED_MPS)
+    by_gps_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points[0], axis=0).T))]
+    mapped = live(folder)
+    for row in range(PLACES):
+        now = replace(at(points, row), stamp_ns=round(row * STEP_M / SPEED_MPS * 1e9))
+        if row >= headings:
+            now = replace(now, heading_deg=None)
+        if row in counted:
+            mapped.own.compare(OwnDriven(now.stamp_ns, float(points[1][row]), int(row >= gaps_from)), now)
+        mapped.add(raw_of(row), IMAGE, now, float(by_gps_m[row]))
+        while mapped.waiting > 8:
+            os.sched_yield()
+    growing = mapped.whole().header.segments
+    mapped.close()
+    live(folder, START_S + 3600).close()
+    finished = read_header(folder / mapped.status.name).segments
+    assert len(growing) == len(finished) == 1
+    assert finished[0].end == PLACES, "what GPS measures itself ends no mapping"
+    return [growing[0].moved_as_driven, finished[0].moved_as_driven]
+
+
+@pytest.mark.parametrize(
+    ("drag_mps", "counted", "gaps_from", "headings", "is_vouched"),
+    [
+        (0.0, range(0, PLACES, 4), PLACES, PLACES, True),
+        (0.0, range(PLACES), PLACES, PLACES, True),
+        (1.0, range(0, PLACES, 4), PLACES, PLACES, False),
+        (2.0, range(0, PLACES, 4), PLACES, PLACES, False),
+        (0.0, [], PLACES, PLACES, False),
+        (0.0, range(20, PLACES, 4), PLACES, PLACES, False),
+        (0.0, range(0, 380, 4), PLACES, PLACES, False),
+        (0.0, range(0, PLACES, 4), 200, PLACES, False),
+        (0.0, range(0, PLACES, 4), PLACES, 390, False),
+    ],
+    ids=["wheels each second", "camera", "dragged 1 m/s", "dragged 2 m/s", "GPS alone", "counted late",
+         "silent at last", "counted anew", "no heading at last"],
+)  # fmt: skip
+def test_a_drive_is_vouched_for_where_what_gps_has_no_part_in_agrees_all_along(
+    tmp_path: Path, drag_mps: float, counted: range, gaps_from: int, headings: int, is_vouched: bool
+) -> None:
+    """Wheels are 3 % and the compass is 3 degrees off."""
+    for seed in range(3):
+        found = vouched(tmp_path / f"{seed}", seed, drag_mps, list(counted), gaps_from, headings)
+        assert found == [is_vouched, is_vouched]
+
+
+@pytest.mark.parametrize(
+    ("name", "is_vouched"),
+    [
+        ("flights_b06f79e/ardupilot_tmh921", True),
+        ("flights_eca2e43/ardupilot_tmh972_no_turn", True),
+        ("flights_b06f79e/ardupilot_spoofA912", False),
+        ("flights_b06f79e/px4_take_me_home_wrong_item_w924", False),
+    ],
+)
+def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
+    """Real autopilots with wheels each second, GPS honest or dragged by 1 m/s; PX4 has none of them."""
+    file = shared / name / "telem2.tlog.gz"
+    if not file.is_file():
+        pytest.skip(f"needs the recorded drive {file.parent}")
+    data, codec, at_byte, now_ns = gzip.decompress(file.read_bytes()), MavlinkCodec(1, 191), 0, 0
+    vehicle, own, history = Vehicle(), OwnMotion(MappingConfig(folder="maps"), STEP_M), PositionHistory(lambda: now_ns)
+    counted: Awaiting[OwnDriven] = Awaiting(history)
+    found, newest = [], None
+    while at_byte < len(data):
+        end = at_byte + 20 + data[at_byte + 9] + 13 * (data[at_byte + 10] & 1)
+        now_ns = int.from_bytes(data[at_byte : at_byte + 8], "big") * 1000
+        for message in codec.decode(data[at_byte + 8 : end]):
+            vehicle.handle(message, now_ns)
+            position = vehicle.position(now_ns)
+            receiver = vehicle.session.gps.behind(position, now_ns) if position is not None else None
+            if position is not None and receiver is not None:
+                history.add(replace(position, sigma_m=receiver.accuracy_m, source=receiver.source))
+                found.append(own.vouches(position.stamp_ns))
+            if vehicle.velocity.own_driven not in (None, newest):
+                newest = vehicle.velocity.own_driven
+                assert newest is not None
+                counted.add(newest.stamp_ns, newest)
+            for each, there in counted.known():
+                own.compare(each, there)
+        at_byte = end
+    assert len(found) > 1000
+    assert found[-1] == is_vouched
