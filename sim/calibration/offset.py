@@ -22,6 +22,9 @@ OUTLIER = 4.0
 LANE_SIGMA_M = 2.5
 LEAST_SIGMA_M = 0.5  # of GPS, the reference of the measurement
 FEWEST = 10
+ALIKE_M = 80.0
+"""Matches so near each other count as one: what stands beside the road there shifts them alike. On two simulated roads
+in both directions, the errors of matches 10 m apart had a correlation of .7, 40 m apart .4, 80 m apart .1."""
 BESIDE_M = 1.5  # of the map's drive, from which parallax can be measured in spite of GPS
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 
@@ -31,8 +34,9 @@ class Offset:
     """Of one direction and region order: the median of the used matches, and the errors that remain after it.
 
     used, outliers: number of matches. left_m: root mean square of the remaining errors. left_95_m: 95 % of the used
-    matches are within it. sigma_m: the part of left_m that is the rig's, without what the daemon itself knows of the
-    uncertainty of each line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the
+    matches are within it. ahead_sigma_m: standard deviation of ahead_m, which a longer drive measures better. sigma_m:
+    that, and the part of left_m that is the rig's, without what the daemon itself knows of the uncertainty of each
+    line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the
     standard deviation of that.
     """
 
@@ -43,6 +47,7 @@ class Offset:
     ahead_m: float
     left_m: float
     left_95_m: float
+    ahead_sigma_m: float
     sigma_m: float
     aside_m: float = 0.0
     aside_sigma_m: float = 0.0
@@ -66,6 +71,10 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     line_sigma_m = np.array([one.line_sigma_m for one in placed])
     followed = used & ~np.isnan(line_sigma_m)
     rig_variance = np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed]))
+    left_m = float(np.sqrt(np.mean(np.square(error_m[used]))))
+    stretches = np.unique(np.array([one.place_m for one in placed])[used] // ALIKE_M).size
+    # The variance of a median is pi / 2 times that of a mean.
+    ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))
     aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
     aside_m = aside_m[~np.isnan(aside_m)] if not np.isnan(aside_m).all() else np.zeros(1)
     return Offset(
@@ -73,9 +82,10 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
         used=int(used.sum()),
         outliers=len(accepted) - int(used.sum()),
         ahead_m=float(np.median(ahead_m[used])),
-        left_m=float(np.sqrt(np.mean(np.square(error_m[used])))),
+        left_m=left_m,
         left_95_m=float(np.percentile(np.abs(error_m[used]), 95)),
-        sigma_m=max(LEAST_SIGMA_M, float(np.sqrt(max(rig_variance, 0.0)))),
+        ahead_sigma_m=ahead_sigma_m,
+        sigma_m=float(np.hypot(ahead_sigma_m, np.sqrt(max(rig_variance, 0.0)))),
         aside_m=float(np.median(aside_m)),
         aside_sigma_m=_deviation(aside_m),
     )

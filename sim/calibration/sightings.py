@@ -44,7 +44,7 @@ class Sighting:
     NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
     own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
     where the daemon would not use the line. lag_m: meters by which the left region lags behind the right, NaN where
-    they do not say.
+    they do not say. place_m: of the place along the map's drive.
     """
 
     direction: Direction
@@ -55,6 +55,7 @@ class Sighting:
     left_m: float = float("nan")
     line_sigma_m: float = 0.0
     lag_m: float = float("nan")
+    place_m: float = 0.0
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -82,9 +83,8 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
             lag_m = _lag_m(match, route)
-            yield Sighting(
-                match.direction, match.order, ahead_m, match.confidence, match.accepted, left_m, sigma_m, lag_m
-            )
+            kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
+            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, lag_m, float(places["route_m"][match.place]))
 
 
 def _lag_m(match: PlaceMatch, route: Route) -> float:

@@ -109,7 +109,9 @@ def verdict(tried: Tried) -> Verdict:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
         facts += _judged_facts(tried.judged, tried.tolerance_m)
-    found = ", ".join(f"{_ahead(one.ahead_m)} ({one.direction}, {one.order})" for one in tried.offsets)
+    found = ", ".join(
+        f"{_ahead(one.ahead_m)} ± {one.ahead_sigma_m:.1f} m ({one.direction}, {one.order})" for one in tried.offsets
+    )
     facts.append(
         f"the matched place lies {found}: measured on this query, and used"
         if found

@@ -31,7 +31,7 @@ from edge.sequence import Direction
 from sim.coverage import Conditions, Pass, Rehearsal, Sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import longest_gap, spans_of
-from sim.research.evaluation.belief import (
+from sim.research.evaluation.roads import (
     SPACING_M,
     TOLERANCE_M,
     Cut,

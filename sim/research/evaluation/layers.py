@@ -39,8 +39,8 @@ from edge_plugins.layers.tally import DriveTally
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place, thumbnail
 from sim.maps.learning import Lesson, learn
 from sim.maps.picture import write_layers
-from sim.research.evaluation.belief import FIRST_FRAME, TOLERANCE_M, Described, described
 from sim.research.evaluation.learning_frames import frames_rows
+from sim.research.evaluation.roads import FIRST_FRAME, TOLERANCE_M, Described, described
 from sim.research.evaluation.tables import options, publish
 from sim.research.pictures import note_sources
 from sim.research.trial.courses.maps import DRIVES

@@ -26,7 +26,7 @@ from sim.compare.run import Folders, find_plan, open_runner
 from sim.compare.scores import joined
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.belief import World, foreign_confidence, judge_world, worlds
+from sim.research.evaluation.roads import World, foreign_confidence, judge_world, worlds
 from sim.research.evaluation.tables import options, publish
 
 TENTHS = 10
@@ -75,7 +75,7 @@ class Claims:
 
 def of_roads(seen: Sequence[World]) -> Claims:
     """Each drive over its own road with each part of it mapped, and over every other one's map."""
-    mapped = [judged.belief for road, drives in seen for _, _, judged, _ in judge_world(road, drives)]
+    mapped = [judged.belief for road, drives in seen for _, judged, _ in judge_world(road, drives)]
     return Claims.of(joined(mapped), foreign_confidence(seen))
 
 

@@ -5,7 +5,7 @@
 Each world is driven by day with the rear camera (the map), and at night home and at dusk the same way with the front
 camera, with a picture each meter; descriptors are kept in FOLDER. Of these, a map has every first, second or fourth,
 and a vehicle uses some: evenly, or unevenly and all but a fifth of them, which are lost in bursts. The whole road is
-mapped, or its first and last third. A place is right as in `sim.research.evaluation.belief`, with the offset that
+mapped, or its first and last third. A place is right as in `sim.research.evaluation.roads`, with the offset that
 this drive has with a frame and a place every 2 m.
 """
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, SamplingConfig
 from sim.compare.scores import at_threshold, joined
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.belief import Cut, Described, believe, described, judge, kept, offset_m
+from sim.research.evaluation.roads import Cut, Described, believe, described, judge, kept, offset_m
 from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import Scenario
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,21 @@ from sim.calibration.sightings import MapDrives, Sighting
 from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
 
 
-def sighting(ahead_m: float, confidence: float = 0.8, *, accepted: bool = True, line_sigma_m: float = 0.0) -> Sighting:
-    return Sighting("forward", "swapped", ahead_m, confidence, accepted, line_sigma_m=line_sigma_m)
+def sighting(
+    ahead_m: float, confidence: float = 0.8, *, accepted: bool = True, line_sigma_m: float = 0.0, place_m: float = 0.0
+) -> Sighting:
+    line = {"line_sigma_m": line_sigma_m, "place_m": place_m}
+    return Sighting("forward", "swapped", ahead_m, confidence, accepted, **line)
+
+
+def along_road(errors_m: NDArray[np.float64], line_sigma_m: float = 0.0) -> list[Sighting]:
+    """Matches 80 m apart from each other, so that each says something of its own."""
+    return [sighting(one, line_sigma_m=line_sigma_m, place_m=80.0 * at) for at, one in enumerate(errors_m)]
 
 
 def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
     rng = np.random.default_rng(1)
-    seen = [sighting(value) for value in (*rng.normal(26, 3, 200), *rng.uniform(-400, 400, 100), *[np.nan] * 10)]
+    seen = along_road(np.array([*rng.normal(26, 3, 200), *rng.uniform(-400, 400, 100), *[np.nan] * 10]))
     (offset,) = measure_offsets(seen)
     assert offset.ahead_m == pytest.approx(26, abs=1)
     assert offset.left_m == pytest.approx(3, abs=1)
@@ -39,25 +48,38 @@ def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
 
 def test_what_the_daemon_knows_of_each_line_is_not_counted_twice() -> None:
     rng = np.random.default_rng(2)
-    (offset,) = measure_offsets([sighting(value, line_sigma_m=3.0) for value in rng.normal(26, 5, 1000)])
+    (offset,) = measure_offsets(along_road(rng.normal(26, 5, 1000), 3.0))
     assert offset.left_m == pytest.approx(5, abs=0.3)
     assert offset.sigma_m == pytest.approx(4, abs=0.3)
-    (offset,) = measure_offsets([sighting(value, line_sigma_m=9.0) for value in rng.normal(26, 5, 1000)])
-    assert offset.sigma_m == 0.5
+    (offset,) = measure_offsets(along_road(rng.normal(26, 5, 1000), 9.0))
+    assert offset.sigma_m == offset.ahead_sigma_m == 0.5
+
+
+@pytest.mark.parametrize("length_m", [400.0, 960.0])
+def test_the_offset_is_as_certain_as_the_road_is_long(length_m: float) -> None:
+    """What stands beside the road shifts the matches of each 80 m alike: 120 roads, by 4 m to one sigma."""
+    rng, at_m, off = np.random.default_rng(5), np.arange(0.0, length_m, 2.0), []
+    for _ in range(120):
+        shift_m = rng.normal(6.0, 4.0, round(length_m / 80.0))[(at_m // 80.0).astype(int)]
+        values = zip((shift_m + rng.normal(0, 0.5, at_m.size)).tolist(), at_m.tolist(), strict=True)
+        (offset,) = measure_offsets([sighting(one, place_m=place_m) for one, place_m in values])
+        off.append((offset.ahead_m - 6.0) / offset.ahead_sigma_m)
+    beyond = np.abs(off) > 2.0
+    assert 0.01 < beyond.mean() < 0.2, "few stretches have the tails of a t-distribution"
 
 
 def test_lines_that_the_daemon_would_not_follow_do_not_count_in_its_sigma() -> None:
     rng = np.random.default_rng(4)
-    steep = [sighting(value, line_sigma_m=np.nan) for value in rng.normal(26, 20, 50)]
-    (offset,) = measure_offsets([*[sighting(value) for value in rng.normal(26, 8, 500)], *steep])
+    steep = along_road(rng.normal(26, 20, 50), np.nan)
+    (offset,) = measure_offsets([*along_road(rng.normal(26, 8, 500)), *steep])
     assert offset.left_m > 9
     assert offset.sigma_m == pytest.approx(8, abs=0.5)
 
 
 def test_each_kind_of_match_has_its_own_sigma_and_the_unmeasured_the_worst() -> None:
     rng = np.random.default_rng(3)
-    home = [Sighting("reverse", "same", value, 1.5, True) for value in rng.normal(0, 2, 500)]
-    rig = rig_config(measure_offsets([*[sighting(value) for value in rng.normal(30, 8, 500)], *home]))
+    home = [replace(one, direction="reverse", order="same") for one in along_road(rng.normal(0, 2, 500))]
+    rig = rig_config(measure_offsets([*along_road(rng.normal(30, 8, 500)), *home]))
     assert rig.sigma_m("forward", "swapped") == pytest.approx(8, abs=0.5)
     assert rig.sigma_m("reverse", "same") == pytest.approx(2, abs=0.2)
     assert rig.sigma_m("forward", "same") == rig.sigma_m("forward", "swapped") == rig.sigma_along_m

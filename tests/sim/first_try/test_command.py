@@ -55,7 +55,7 @@ def test_two_feeds_give_a_verdict_a_page_and_a_config(
     again, folder = write_traverse(tmp_path / "again", noise=8.0), tmp_path / "tried"
     assert main(["try", str(out), str(again), "-o", str(folder), "--tolerance-m", "5"]) == 0
     printed = capsys.readouterr().out
-    assert "m ahead (forward, same): measured on this query, and used" in printed
+    assert "m (forward, same): measured on this query, and used" in printed
     assert "of 67 frames on the mapped road" in printed
     page = (folder / "report.html").read_text()
     assert "warming up: a place is searched from 16 frames on" in page

@@ -99,7 +99,7 @@ def test_without_positions_the_recordings_that_lack_them_are_named() -> None:
 def test_places_that_lie_too_far_ahead_show_times_that_differ() -> None:
     """100 frames, one a second: 2 m each."""
     rows = tuple(replace(row, distance_m=2.0 * number) for number, row in enumerate(a_feed("query").rows))
-    far = Offset("reverse", "same", 50, 0, 40.0, 1.0, 2.0, 1.0)
+    far = Offset("reverse", "same", 50, 0, 40.0, 1.0, 2.0, 0.5, 1.0)
     tried = replace(a_try(range(20, 100), range(100)), query=replace(a_feed("query"), rows=rows), offsets=(far,))
     (advice,) = verdict(tried).advice
     assert "lies 40 m ahead though both cameras see the same scene" in advice

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
-from sim.research.evaluation.belief import Cut, Described, believe, judge, kept
+from sim.research.evaluation.roads import Cut, Described, believe, judge, kept
 from sim.research.evaluation.spacing import FRAMES, LOST, Case, rows_used
 
 PLACES, SPACING_M = 220, 2.0

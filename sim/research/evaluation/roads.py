@@ -1,0 +1,292 @@
+"""Simulated roads, described once and driven as often as wanted: what the benches of the place belief share.
+
+Each road is driven once with the rear camera by day (the map), and with the front camera in other lights. Descriptors
+are kept in a folder: rendering takes minutes, all that follows seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from itertools import permutations, product
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
+from edge.descriptor.network import Network, pictures_for
+from edge.feed import View
+from edge.geodesy import moved
+from edge.localization import GPS_SIGMA_M, Displacement
+from edge.localization.dead_reckoning import TurnAround
+from edge.reference_map import MapSet, ModelKey
+from edge.sequence import Direction, Reckoning, Travel
+from edge.sequence_matcher import SequenceMatcher
+from edge_plugins.mapping.builder import NAN, Place
+from sim.calibration.sightings import lag_places
+from sim.compare.temporary_map import MappedDrive, temporary_map
+from sim.evaluation.metrics import Answers, answers_within
+from sim.world.camera import open_renderer
+from sim.world.recording import times_by_distance
+from sim.world.scenario import LightName, Scenario
+
+CALIBRATION: LightName = "day"
+"""Of the drives that give the rig's offset and nothing else."""
+LIGHTS: Mapping[Direction, tuple[LightName, ...]] = {
+    "forward": ("dusk", "night", "rain", "snow"),
+    "reverse": ("dusk", "night"),
+}
+DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
+SPACING_M = 2.0
+DEFAULT_SAMPLING = SamplingConfig(spacing_m=SPACING_M)
+TOLERANCE_M = 40.0
+HOME_LEFT_M = 3.5  # of the map's drive is the lane home
+FIRST_FRAME = 16  # the first that can have an answer
+Cut = Literal["whole", "first half", "second half", "thirds"]
+CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
+ORIGIN = (48.0, 11.0)
+DRIFT = 0.05  # of what is reckoned, as [gates] drift_percent
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Described:
+    """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,).
+
+    east_north_m: (n, 2) where the vehicle was, None where nobody knows.
+    """
+
+    raw: NDArray[np.float32]
+    route_m: Floats
+    driven_m: Floats
+    east_north_m: Floats | None = None
+
+    def reckoned(self, lost_m: float, seed: int) -> list[Reckoning]:
+        """By GPS, and since GPS was lost, by what was driven; lost_m: before the drive began, < 0 for GPS all the time.
+
+        Errors are as large as they say: of GPS, and a share of what was driven since.
+        """
+        assert self.east_north_m is not None
+        rng, since_m = np.random.default_rng(seed), np.maximum(0.0, lost_m + self.driven_m) * (lost_m >= 0)
+        errors_m = GPS_SIGMA_M * rng.normal(size=2) + DRIFT * np.outer(since_m, rng.normal(size=2))
+        sigmas_m = np.hypot(GPS_SIGMA_M, DRIFT * since_m)
+        where = zip((self.east_north_m + errors_m).tolist(), sigmas_m.tolist(), strict=True)
+        return [Reckoning(*moved(*ORIGIN, *at_m), sigma_m) for at_m, sigma_m in where]
+
+
+Case = tuple[Direction, LightName, Cut]
+Drives = dict[tuple[LightName, Direction], Described]
+World = tuple[Described, Drives]
+"""A road as the rear camera saw it by day, and what the front camera saw on it."""
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
+
+    lag_m: meters by which the left region lags behind the right one, NaN where they do not say. votes_m, by_votes: what
+    is believed without what was reckoned.
+    """
+
+    along_m: Floats
+    confidence: Floats
+    match_m: Floats
+    uniqueness: Floats
+    lag_m: Floats
+    votes_m: Floats
+    by_votes: Floats
+
+    @property
+    def alone(self) -> Beliefs:
+        """Without what was reckoned."""
+        return replace(self, along_m=self.votes_m, confidence=self.by_votes)
+
+
+@cache
+def _fc6() -> Network:
+    return Network.load()
+
+
+def described(
+    scenario: Scenario, folder: Path, spacing_m: float = SPACING_M, network: Network | None = None
+) -> Described:
+    """Render a drive at each spacing_m and describe it, by fc6 unless another is given, unless `folder` has it."""
+    network = network or _fc6()
+    road = f"{network.info.sha256[:12]}_{scenario.seed}_{scenario.length_m:g}m_{spacing_m:g}m"
+    path = folder / f"{road}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
+    drive = scenario.drive()
+    if not path.exists():
+        times_s = times_by_distance(drive, spacing_m)
+        renderer = open_renderer(scenario, drive)
+        images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
+        raw = np.stack([network.describe(pictures_for(network.info, one, "left-right", 0.4)) for one in images])
+        renderer.close()
+        route_m, driven_m = [drive.route_m(time_s) for time_s in times_s], [drive.distance_m(t) for t in times_s]
+        np.savez(path, raw=raw, route_m=route_m, distance_m=driven_m)
+    stored = np.load(path)
+    poses = [drive.pose(drive.time_at_s(driven_m)) for driven_m in stored["distance_m"].tolist()]
+    east_north_m = np.array([(pose.east_m, pose.north_m) for pose in poses])
+    return Described(stored["raw"], stored["route_m"], stored["distance_m"], east_north_m)
+
+
+def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
+    """Which places [start, end) of the map are left."""
+    half, third = places // 2, places // 3
+    return {
+        "whole": [(0, places)],
+        "first half": [(0, half)],
+        "second half": [(half, places)],
+        "thirds": [(0, third), (2 * third, places)],
+    }[cut]
+
+
+@contextmanager
+def mapped(road: Described, cut: Cut, view: View = "rear", *, to_north: bool = False) -> Iterator[MapSet]:
+    """The map of a part of the road; view: where its camera looked. to_north: along a meridian, not where it was."""
+    along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
+    if to_north:
+        ground_m = np.column_stack([np.zeros(len(along_m)), road.route_m])
+    elif road.east_north_m is not None:
+        ground_m = road.east_north_m
+    positions = [moved(*ORIGIN, *at_m) if at_m[0] == at_m[0] else (NAN, NAN) for at_m in ground_m.tolist()]
+    places = [Place(row, *at, route_m=one) for row, (at, one) in enumerate(zip(positions, along_m, strict=True))]
+    drives = [
+        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
+        for start, end in kept(cut, len(places))
+    ]
+    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2]), DescriptorConfig()) as maps:
+        yield maps
+
+
+def believe(
+    road: Described,
+    query: Described,
+    cut: Cut,
+    odometer_scale: float | None = 1.0,
+    *,
+    rig: RigConfig | None = None,
+    sampling: SamplingConfig = DEFAULT_SAMPLING,
+    reckoned: Sequence[Reckoning] | None = None,
+) -> Beliefs:
+    """What is believed, frame by frame, on a drive over a road of which a part is mapped.
+
+    odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None without GPS ever. The
+    course is known where positions are.
+    """
+    # Without a rig there is no lane, but any parallax, so that it is measured.
+    config = Config(rig=rig or RigConfig(parallax=1.0), sampling=sampling)
+    found = np.full((len(query.raw), 7), np.nan)
+    found[:, 1] = found[:, 3] = found[:, 6] = 0.0
+    turn_around = TurnAround()
+    with mapped(road, cut) as map_set:
+        matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
+        for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
+            if query.east_north_m is not None:
+                turn_around.add(Displacement(0, *query.east_north_m[frame].tolist()))
+            travel = Travel(
+                None if odometer_scale is None else float(driven_m) * odometer_scale,
+                course_rad=turn_around.course_rad,
+                reckoned=reckoned[frame] if reckoned else None,
+            )
+            match = matcher.push(raw, travel)
+            if match is not None and match.confidence > 0:
+                found[frame, :2] = route_m[match.place_index], match.confidence
+            if match is not None and match.alone.confidence > 0:
+                found[frame, 5:] = route_m[match.alone.place_index], match.alone.confidence
+            if match is not None and match.parallax is not None:
+                found[frame, 4] = lag_places(match.parallax) * SPACING_M
+            if matcher.best is not None and frame >= config.sequence_frames - 1:
+                found[frame, 2:4] = route_m[matcher.best.place_index], matcher.best.uniqueness
+    return Beliefs(*found.T)
+
+
+def offset_m(query: Described, whole: Beliefs) -> float:
+    """Meters of the route by which unique matches lie beyond the vehicle."""
+    unique = whole.uniqueness >= AcceptanceConfig().uniqueness_min
+    return float(np.median((whole.match_m - query.route_m)[unique]))
+
+
+def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
+    """As `calibrate` would write it; ahead_m: as `offset_m` has it."""
+    if way == "forward":
+        return RigConfig(ahead_forward_swapped_m=ahead_m)
+    is_known = whole.confidence >= AcceptanceConfig().confidence_from
+    parallax = float(np.nanmedian(whole.lag_m[is_known])) / HOME_LEFT_M
+    return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M, parallax=max(0.0, parallax))
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Answers by belief and by uniqueness alone, and meters driven on each part of the map before it is believed."""
+
+    belief: Answers
+    uniqueness: Answers
+    first_m: list[float]
+
+
+def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> Judged:
+    """Frames beyond the map's end by less than the tolerance count if they are wrong, and not if they are right."""
+    true_m = query.route_m + ahead_m
+    on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
+    right = np.abs(beliefs.along_m - true_m) <= TOLERANCE_M
+    believed = right & (beliefs.confidence >= AcceptanceConfig().confidence_from)
+    edges = np.flatnonzero(np.diff(on_map, prepend=False, append=False))
+    first_m = [
+        float(query.driven_m[enter + believed[enter:leave].argmax()] - query.driven_m[enter])
+        if believed[enter:leave].any()
+        else np.inf
+        for enter, leave in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    belief = _answers(beliefs.confidence, np.abs(beliefs.along_m - true_m), on_map)
+    uniqueness = _answers(beliefs.uniqueness, np.abs(beliefs.match_m - true_m), on_map)
+    return Judged(belief, uniqueness, first_m)
+
+
+def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> Answers:
+    counted = slice(FIRST_FRAME, None)
+    answered = np.where(confidence > 0, confidence, np.nan)
+    return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
+
+
+def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network | None = None) -> Iterator[World]:
+    """The road of each seed as the rear camera saw it, and the drives on it; by fc6 unless a network is given."""
+    for seed in seeds:
+        scene = partial(Scenario, seed=seed, length_m=length_m)
+        drives = {
+            (light, way): described(scene(light=light, direction=way, drive_seed=drive_seed), folder, network=network)
+            for drive_seed, (light, way) in enumerate(product((CALIBRATION, *LIGHTS["forward"]), DIRECTIONS), start=2)
+            if light in (CALIBRATION, *LIGHTS[way])
+        }
+        yield described(scene(view="rear", drive_seed=1), folder, network=network), drives
+
+
+def judge_world(road: Described, drives: Drives, draws: int = 1) -> Iterator[tuple[Case, Judged, list[Judged]]]:
+    """Each drive over the road with each part of it mapped: by the votes alone, and with what is reckoned.
+
+    GPS was lost where the drive begins. draws: of the errors since then, and of GPS.
+    """
+    for way in DIRECTIONS:
+        calibration = drives[CALIBRATION, way]
+        alone = believe(road, calibration, "whole")
+        ahead_m = offset_m(calibration, alone)
+        rig = rig_of(way, ahead_m, alone)
+        for cut, light in product(CUTS, LIGHTS[way]):
+            query = drives[light, way]
+            mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])
+            beliefs = [believe(road, query, cut, rig=rig, reckoned=query.reckoned(0.0, seed)) for seed in range(draws)]
+            by_votes = judge(query, mapped_m, beliefs[0].alone, ahead_m)
+            yield (way, light, cut), by_votes, [judge(query, mapped_m, one, ahead_m) for one in beliefs]
+
+
+def foreign_confidence(seen: Sequence[World]) -> Floats:
+    """The confidence of each frame of each drive on the map of every other road, by the votes alone."""
+    found = [
+        believe(road, drive, "whole").confidence
+        for (road, _), (_, drives) in permutations(seen, 2)
+        for drive in drives.values()
+    ]
+    return np.concatenate([np.zeros(0), *found])
