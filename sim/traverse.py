@@ -1,8 +1,13 @@
-"""A feed as the places of a traverse: the frames that the sampling chooses, with the distance driven so far."""
+"""A feed as the places of a traverse: the frames that the sampling chooses, with the distance driven so far.
+
+What the daemon knows of its vehicle without a place, its course and whether it has turned around, follows from the
+positions here. Where GPS and odometry would reckon it is not said: by its positions a recording is judged.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,7 +22,10 @@ from edge.feed.format import FeedRow
 from edge.feed.reader import Feed, FeedImages, Frame
 from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
+from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.recognizer import PlaceRecognizer
 from edge.reference_map import MapHeader
+from edge.sequence import PlaceMatch, Travel
 
 USUAL_MOST = 90.0  # percent of the steps of a drive that are not faster
 log = logging.getLogger(__name__)
@@ -27,13 +35,23 @@ log = logging.getLogger(__name__)
 class TraverseFrame:
     """One chosen frame, its row of the feed, meters driven since the first row (None where unknown).
 
-    missed: places passed before it without a frame of the feed.
+    missed: places passed before it without a frame of the feed. course_rad: of the newest frames, None where that is
+    not known. has_turned: whether it now drives back where it came from, see `TurnAround`.
     """
 
     frame: Frame
     row: FeedRow
     distance_m: float | None
     missed: int = 0
+    course_rad: float | None = None
+    has_turned: bool = False
+
+    def match(self, recognizer: PlaceRecognizer) -> PlaceMatch | None:
+        """What the daemon would recognize; frames come in order."""
+        if self.has_turned:
+            recognizer.begin_way_back()
+        travel = Travel(self.distance_m, self.missed, course_rad=self.course_rad)
+        return recognizer.observe(self.frame.image, self.frame.stamp_ns, travel)
 
 
 def config_as_mapped(header: MapHeader) -> Config:
@@ -60,7 +78,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             f"{feed.path}: no distance_m and no positions in every row, so frames cannot be chosen by"
             " distance; use --spacing-frames or --interval-s"
         )
-    sampler = Sampler(sampling)
+    sampler, turn_around, ground_m = Sampler(sampling), TurnAround(), _ground_m(feed)
     with closing(FeedImages(feed)) as images:
         for index, row in enumerate(feed.rows):
             try:
@@ -70,7 +88,18 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
                 continue
             distance_m = distances_m[index] if distances_m else None
             if sampler.is_place(row.stamp_ns, distance_m):
-                yield TraverseFrame(Frame(image, row.stamp_ns, index), row, distance_m, sampler.missed)
+                where = None if math.isnan(ground_m[index][0]) else Displacement(0, *ground_m[index])
+                turned = turn_around.add(where)
+                frame = Frame(image, row.stamp_ns, index)
+                yield TraverseFrame(frame, row, distance_m, sampler.missed, turn_around.course_rad, turned)
+
+
+def _ground_m(feed: Feed) -> list[list[float]]:
+    """Meters east and north of each row, NaN where it has no position."""
+    degrees = [(math.nan if row.lat_deg is None else row.lat_deg, row.lon_deg) for row in feed.rows]
+    lat_deg, lon_deg = np.array(degrees, dtype=np.float64).reshape(-1, 2).T
+    found: list[list[float]] = east_north(lat_deg, lon_deg).tolist()
+    return found
 
 
 def has_odometer(feed: Feed) -> bool:

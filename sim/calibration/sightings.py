@@ -19,7 +19,7 @@ from edge.localization.region_lines import BEYOND_PLACES, region_line
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
-from edge.sequence import Direction, Order, Parallax, PlaceMatch, Travel
+from edge.sequence import Direction, Order, Parallax, PlaceMatch
 from sim.traverse import traverse
 
 ALIKE_M, ALIKE_SHARE = 3.0, 0.2
@@ -72,7 +72,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     drives = MapDrives(reference_map, feed)
     route, readings = Route(recognizer.map_set), LineReadings(config.sequence_frames)
     for item in traverse(feed, config.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
+        match = item.match(recognizer)
         if item.distance_m is None:
             readings.clear()
         elif recognizer.is_in_line:

@@ -74,6 +74,7 @@ def _run(args: argparse.Namespace) -> int:
         print(msgspec.json.encode(_as_json(maps, sheet, found, percent)).decode())
     else:
         _print(args, sheet, found, percent)
+        print("".join(f"{one}\n" for one in _advice(args, maps)), end="")
     if args.geojson:
         args.geojson.write_text(_geojson(maps, sheet.stretches, found), encoding="utf-8")
     if args.picture:
@@ -86,6 +87,7 @@ def _run(args: argparse.Namespace) -> int:
             f"{gap_in_words(sheet.gap, percent).capitalize()}.",
             f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
             " nobody drove have one share, since nothing is known of their differences.",
+            *_advice(args, maps),
         ]
         write_sheet(args.picture, sheet, lines, found, headline, words, f"the map {args.map}", _views(maps))
     return 0
@@ -96,6 +98,14 @@ def _views(maps: MapSet) -> list[tuple[str, bytes]]:
     rows = np.unique(np.linspace(0, maps.index.places - 1, VIEWS).round().astype(int)).tolist()
     found = ((f"place {row}", maps.thumbnail(row)) for row in rows)
     return [(words, jpeg) for words, jpeg in found if jpeg]
+
+
+def _advice(args: argparse.Namespace, maps: MapSet) -> list[str]:
+    """What helps most, where the map was made by cameras that look the other way only."""
+    views = {one.view for header in maps.headers for one in header.segments}
+    camera = "ahead" if args.view == "front" else "back"
+    words = f"No drive of a camera that looks {camera} is in this map. Add one: nothing else helps as much."
+    return [] if args.way == "home" or args.view in views else [words]
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed import View
+from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
@@ -108,7 +109,7 @@ class Rehearsal:
         segments = range(len(self._maps.index.segments))
         order = segments if self._conditions.way == "again" else reversed(segments)
         matcher = SequenceMatcher(self._maps, self._config)
-        noise = _Noise(self, rng)
+        noise, turn_around = _Noise(self, rng), TurnAround()
         found, driven_m, before = [], 0.0, -1
         for segment in order:
             gap_m = road_between_m(self._maps, before, segment) if before >= 0 else 0.0
@@ -117,8 +118,9 @@ class Rehearsal:
             elif before >= 0:
                 for raw in self._unmapped(round(gap_m / self.spacing_m), noise):
                     driven_m += self.spacing_m
+                    turn_around.add(None)
                     matcher.push(raw, Travel(driven_m))
-            found.append(self._pass(segment, matcher, noise, rng, driven_m))
+            found.append(self._pass(segment, matcher, turn_around, noise, rng, driven_m))
             driven_m, before = driven_m + float(np.ptp(found[-1].along_m)), segment
         return found
 
@@ -197,12 +199,21 @@ class Rehearsal:
         return rows[::-1] if self._conditions.way == "home" else rows
 
     def _pass(
-        self, segment: int, matcher: SequenceMatcher, noise: _Noise, rng: np.random.Generator, driven_m: float
+        self,
+        segment: int,
+        matcher: SequenceMatcher,
+        turn_around: TurnAround,
+        noise: _Noise,
+        rng: np.random.Generator,
+        driven_m: float,
     ) -> Pass:
         along_m = np.array([self._drives.along_m(int(row)) for row in self._rows(segment)])
+        where_m = self._drives.positions_m(np.full(len(along_m), segment), along_m).tolist()
         believed = np.zeros(len(along_m), dtype=bool)
         for at, raw in enumerate(chain.from_iterable(self._frames(segment, noise, rng))):
-            match = matcher.push(raw, Travel(driven_m + abs(float(along_m[at] - along_m[0]))))
+            turn_around.add(None if math.isnan(where_m[at][0]) else Displacement(0, *where_m[at]))
+            now_m = driven_m + abs(float(along_m[at] - along_m[0]))
+            match = matcher.push(raw, Travel(now_m, course_rad=turn_around.course_rad))
             believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
         return Pass(segment, along_m, believed)
 

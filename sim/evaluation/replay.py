@@ -23,7 +23,6 @@ from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
-from edge.sequence import Travel
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from sim.output import writing
 from sim.traverse import config_as_mapped, driven_m, traverse
@@ -56,7 +55,7 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
         pass
     route = Route(recognizer.map_set)
     for item in traverse(feed, sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m, missed=item.missed))
+        match = item.match(recognizer)
         if match is not None and match.accepted:
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence_frames)
             if _exclude_damaged(recognizer, checksums, behind):
