@@ -81,7 +81,7 @@ def _run(args: argparse.Namespace) -> int:
     flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model)
     (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
-    given = " ".join(path.name for path in args.flights)
+    given = " ".join([*(path.name for path in args.flights), *([f"--model {args.model}"] if args.model else [])])
     for file, text in ((args.page, table(flights)), (args.summary, summary(flights))):
         if file is not None:
             put_between(SECTION, file, f"`lookback dev flights {given}` of version {__version__}:\n\n{text}")

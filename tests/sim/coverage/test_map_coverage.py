@@ -213,7 +213,8 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert main(["map", "coverage", str(maps.path), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{maps.path}: 2 rehearsed drives again by day"
-    assert len(lines) == 1 + 3 + 2
+    assert len(lines) == 1 + 3 + 2 + 1
+    assert lines[-1].startswith("No drive of a camera that looks ahead is in this map")
     assert main(["map", "coverage", str(maps.path), *options, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [(one["drive"], one["from_m"]) for one in found["stretches"]] == [(1, 0.0), (1, 100.0), (1, 200.0)]
