@@ -66,7 +66,28 @@ class Place:
         return (*position, self.row, 0, thumbnail_at, len(self.thumbnail), *accuracy)
 
 
-class MapBuilder:
+class DriveByDrive:
+    """A map that gets its places drive by drive."""
+
+    _header: MapHeader
+
+    def begin_segment(
+        self,
+        source: str,
+        view: Literal["front", "rear"],
+        *,
+        has_odometer: bool = False,
+        whole_sigma_m: float | None = None,
+    ) -> None:
+        """Start a further drive, see `MapHeader.with_segment`."""
+        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
+
+    def doubt(self) -> None:
+        """Nothing vouches for the current drive."""
+        self._header = self._header.doubted()
+
+
+class MapBuilder(DriveByDrive):
     """Writes a map; use it as a context manager: what is not finished leaves nothing behind."""
 
     def __init__(
@@ -97,21 +118,6 @@ class MapBuilder:
         self._folder = self._new.path
         self._raw = (self._folder / store.RAW).open("wb")
         self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
-
-    def begin_segment(
-        self,
-        source: str,
-        view: Literal["front", "rear"],
-        *,
-        has_odometer: bool = False,
-        whole_sigma_m: float | None = None,
-    ) -> None:
-        """Start a further drive, see `MapHeader.with_segment`."""
-        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
-
-    def doubt(self) -> None:
-        """Nothing vouches for the current drive."""
-        self._header = self._header.doubted()
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.

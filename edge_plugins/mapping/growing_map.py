@@ -11,7 +11,6 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,7 +23,7 @@ from edge.reference_map.map_so_far import CAPACITY, MapSoFar
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
-from edge_plugins.mapping.builder import Place
+from edge_plugins.mapping.builder import DriveByDrive, Place
 
 RENEWED = 16
 """Descriptors that are normalized again with each place that is added."""
@@ -34,7 +33,7 @@ RawRows = Callable[[Sequence[int]], NDArray[np.float32]]
 """Raw descriptors (n, R, D) of some places by their rows, as they were added."""
 
 
-class GrowingMap:
+class GrowingMap(DriveByDrive):
     """Places in the order in which they were passed, with what is needed to search them."""
 
     def __init__(
@@ -73,21 +72,6 @@ class GrowingMap:
     def places(self) -> NDArray[np.void]:
         """Records of PLACE of all places (N,)."""
         return self._places[: self.count]
-
-    def begin_segment(
-        self,
-        source: str,
-        view: Literal["front", "rear"],
-        *,
-        has_odometer: bool = False,
-        whole_sigma_m: float | None = None,
-    ) -> None:
-        """Start a further drive, see `MapHeader.with_segment`."""
-        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
-
-    def doubt(self) -> None:
-        """Nothing vouches for the current drive."""
-        self._header = self._header.doubted()
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment, and renew some of the others."""
