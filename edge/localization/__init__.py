@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.bound import PERIOD_NS
-from edge.localization.dead_reckoning import DeadReckoning, Displacement, Integral
+from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Displacement, Integral
 from edge.localization.events import (
     BOUND_WRONG,
     GPS_SIGMA_M,
@@ -40,6 +40,7 @@ __all__ = [
     "CORRELATION_M",
     "GPS_HEALTHY",
     "GPS_SIGMA_M",
+    "MAX_SPEED_MPS",
     "NO_PLACES",
     "PERIOD_NS",
     "TOO_FAR",

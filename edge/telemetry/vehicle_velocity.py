@@ -9,8 +9,7 @@ import math
 from typing import NamedTuple
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Integral
-from edge.localization.dead_reckoning import MAX_SPEED_MPS
+from edge.localization import MAX_SPEED_MPS, DeadReckoning, Integral
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
