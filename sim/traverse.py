@@ -96,7 +96,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
 
 def _ground_m(feed: Feed) -> list[list[float]]:
     """Meters east and north of each row, NaN where it has no position."""
-    degrees = [(math.nan if row.lat_deg is None else row.lat_deg, row.lon_deg) for row in feed.rows]
+    degrees = [(row.lat_deg, row.lon_deg) for row in feed.rows]
     lat_deg, lon_deg = np.array(degrees, dtype=np.float64).reshape(-1, 2).T
     found: list[list[float]] = east_north(lat_deg, lon_deg).tolist()
     return found

@@ -79,7 +79,7 @@ class LiveMap:
         self._origin: Origin | None = None  # of its meters
         self._placed_ns = 0  # the exposure of the newest place
         self.own = OwnMotion(config, header.sampling.spacing_m)
-        """Told by whoever owns this, before the places that follow."""
+        """Whoever owns this compares it before it adds the places that follow."""
         self.searchable = 0
         """How many of the places are searched."""
         self._path = named_by_time(self._folder, unix_time_s(), lambda path: path.exists() or log_of(path).exists())

@@ -22,7 +22,7 @@ OUTLIER = 4.0
 LANE_SIGMA_M = 2.5
 LEAST_SIGMA_M = 0.5  # of GPS, the reference of the measurement
 FEWEST = 10
-ALIKE_M = 80.0
+STRETCH_M = 80.0
 """Matches so near each other count as one: what stands beside the road there shifts them alike. On two simulated roads
 in both directions, the errors of matches 10 m apart had a correlation of .7, 40 m apart .4, 80 m apart .1."""
 BESIDE_M = 1.5  # of the map's drive, from which parallax can be measured in spite of GPS
@@ -36,8 +36,7 @@ class Offset:
     used, outliers: number of matches. left_m: root mean square of the remaining errors. left_95_m: 95 % of the used
     matches are within it. ahead_sigma_m: standard deviation of ahead_m, which a longer drive measures better. sigma_m:
     that, and the part of left_m that is the rig's, without what the daemon itself knows of the uncertainty of each
-    line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the
-    standard deviation of that.
+    line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the standard deviation of that.
     """
 
     direction: Direction
@@ -72,7 +71,7 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     followed = used & ~np.isnan(line_sigma_m)
     rig_variance = np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed]))
     left_m = float(np.sqrt(np.mean(np.square(error_m[used]))))
-    stretches = np.unique(np.array([one.place_m for one in placed])[used] // ALIKE_M).size
+    stretches = np.unique(np.array([one.place_m for one in placed])[used] // STRETCH_M).size
     # The variance of a median is pi / 2 times that of a mean.
     ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))
     aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])

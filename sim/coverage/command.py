@@ -74,7 +74,8 @@ def _run(args: argparse.Namespace) -> int:
         print(msgspec.json.encode(_as_json(maps, sheet, found, percent)).decode())
     else:
         _print(args, sheet, found, percent)
-        print("".join(f"{one}\n" for one in _advice(args, maps)), end="")
+        for one in _advice(args, maps):
+            print(one)
     if args.geojson:
         args.geojson.write_text(_geojson(maps, sheet.stretches, found), encoding="utf-8")
     if args.picture:

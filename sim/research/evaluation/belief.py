@@ -51,8 +51,10 @@ GPS = {"GPS now": -1.0, "GPS 500 m before": 500.0}
 CAR_PARK_M = 15.0
 """Radius of the rounds that are driven on it."""
 FORK_RAD = 0.5
-Layout = Callable[[Floats, Floats], Floats]
-"""Meters east and north (m, 2) after meters driven (m,), for a mapped road (n, 2) in the direction of travel."""
+OFF_MAP = slice(FIRST_FRAME, None)
+Layout = Callable[[Floats, Described, Described], tuple[Described, slice]]
+"""A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction
+of travel, a drive over it, and a drive over another road."""
 
 
 def _along(line_m: Floats, driven_m: Floats, beside_m: float = 0.0) -> Floats:
@@ -80,12 +82,33 @@ def _parked(line_m: Floats, driven_m: Floats) -> Floats:
     return np.asarray(center_m + CAR_PARK_M * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
+def _forked(line_m: Floats, own: Described, other: Described) -> tuple[Described, slice]:
+    """The first half of a drive on the map, and a road that leaves it there; and what lies beyond the tolerance."""
+    half, rest = len(own.raw) // 2, len(other.raw) // 2
+    driven_m = np.append(own.driven_m[:half], own.driven_m[half] + other.driven_m[rest:] - other.driven_m[rest])
+    where_m = _onward(line_m, driven_m, FORK_RAD, float(driven_m[half]))
+    where_m[:half] = _along(line_m, driven_m[:half])
+    raw = np.concatenate([own.raw[:half], other.raw[rest:]])
+    beyond = half + int(TOLERANCE_M / np.sin(FORK_RAD) / SPACING_M)
+    return Described(raw, driven_m, driven_m, where_m), slice(beyond, None)
+
+
+def _elsewhere(where_of: Callable[[Floats, Floats], Floats]) -> Layout:
+    """The whole drive over the other road, laid where it is after meters driven (m,)."""
+    return lambda line_m, own, other: (replace(other, east_north_m=where_of(line_m, other.driven_m)), OFF_MAP)
+
+
 LAYOUTS: dict[str, Layout] = {
-    "beside it, 20 m": lambda line_m, driven_m: _along(line_m, driven_m, 20.0),
-    "beside it, 50 m": lambda line_m, driven_m: _along(line_m, driven_m, 50.0),
-    "beside it, 100 m": lambda line_m, driven_m: _along(line_m, driven_m, 100.0),
-    "across it": lambda line_m, driven_m: _onward(line_m, driven_m, np.pi / 2, float(driven_m[-1]) / 2),
-    "a car park beside it": _parked,
+    "beside it, 20 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 20.0)),
+    "beside it, 50 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 50.0)),
+    "beside it, 100 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 100.0)),
+    "across it": _elsewhere(lambda line_m, driven_m: _onward(line_m, driven_m, np.pi / 2, float(driven_m[-1]) / 2)),
+    "a car park beside it": _elsewhere(_parked),
+    "a fork": _forked,
+    "its twin, 25 m beside": lambda line_m, own, other: (
+        replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)),
+        OFF_MAP,
+    ),
 }
 
 
@@ -153,42 +176,24 @@ def _cell(judged: Sequence[Judged]) -> str:
 
 def off_map_rows(name: str, seen: Sequence[World]) -> Iterator[str]:
     """How many frames are believed where none is right."""
-    for where in (*LAYOUTS, "a fork", "its twin, 25 m beside"):
+    for where, layout in LAYOUTS.items():
         for gps, lost_m in GPS.items():
-            alone, both = (np.concatenate(ones) for ones in zip(*_off_map(seen, where, lost_m), strict=True))
+            alone, both = (np.concatenate(ones) for ones in zip(*_off_map(seen, layout, lost_m), strict=True))
             least = AcceptanceConfig().confidence_from
             cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (alone, both))
             yield f"| {name}, {where} | {gps} | {len(both)} | {' | '.join(cells)} |"
 
 
-def _off_map(seen: Sequence[World], where: str, lost_m: float) -> Iterator[tuple[Floats, Floats]]:
+def _off_map(seen: Sequence[World], layout: Layout, lost_m: float) -> Iterator[tuple[Floats, Floats]]:
     """The confidence of each frame off the map, by the votes alone and with what is reckoned."""
     for (road, own), (_, others) in zip(seen, [*seen[1:], *seen[:1]], strict=True):
         assert road.east_north_m is not None
         for way, lights in LIGHTS.items():
             line_m = road.east_north_m[:: 1 if way == "forward" else -1]
             for light in lights:
-                drive, is_off = others[light, way], slice(FIRST_FRAME, None)
-                if where == "a fork":
-                    drive, is_off = _forked(line_m, own[light, way], drive)
-                elif where in LAYOUTS:
-                    drive = replace(drive, east_north_m=LAYOUTS[where](line_m, drive.driven_m))
-                else:
-                    drive = own[light, way]
-                    drive = replace(drive, east_north_m=_along(line_m, drive.driven_m, 25.0))
+                drive, is_off = layout(line_m, own[light, way], others[light, way])
                 found = believe(road, drive, "whole", reckoned=drive.reckoned(lost_m, len(drive.raw)))
                 yield found.by_votes[is_off], found.confidence[is_off]
-
-
-def _forked(line_m: Floats, own: Described, other: Described) -> tuple[Described, slice]:
-    """The first half of a drive on the map, and a road that leaves it there; and what lies beyond the tolerance."""
-    half, rest = len(own.raw) // 2, len(other.raw) // 2
-    driven_m = np.append(own.driven_m[:half], own.driven_m[half] + other.driven_m[rest:] - other.driven_m[rest])
-    where_m = _onward(line_m, driven_m, FORK_RAD, float(driven_m[half]))
-    where_m[:half] = _along(line_m, driven_m[:half])
-    raw = np.concatenate([own.raw[:half], other.raw[rest:]])
-    beyond = half + int(TOLERANCE_M / np.sin(FORK_RAD) / SPACING_M)
-    return Described(raw, driven_m, driven_m, where_m), slice(beyond, None)
 
 
 if __name__ == "__main__":

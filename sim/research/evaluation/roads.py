@@ -221,10 +221,9 @@ def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
 
 @dataclass(frozen=True)
 class Judged:
-    """Answers by belief and by uniqueness alone, and meters driven on each part of the map before it is believed."""
+    """Answers by belief, and meters driven on each part of the map before it is believed."""
 
     belief: Answers
-    uniqueness: Answers
     first_m: list[float]
 
 
@@ -241,15 +240,9 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
         else np.inf
         for enter, leave in zip(edges[::2], edges[1::2], strict=True)
     ]
-    belief = _answers(beliefs.confidence, np.abs(beliefs.along_m - true_m), on_map)
-    uniqueness = _answers(beliefs.uniqueness, np.abs(beliefs.match_m - true_m), on_map)
-    return Judged(belief, uniqueness, first_m)
-
-
-def _answers(confidence: Floats, error_m: Floats, on_map: NDArray[np.bool_]) -> Answers:
+    answered, off_m = np.where(beliefs.confidence > 0, beliefs.confidence, np.nan), np.abs(beliefs.along_m - true_m)
     counted = slice(FIRST_FRAME, None)
-    answered = np.where(confidence > 0, confidence, np.nan)
-    return answers_within(answered[counted], error_m[counted], on_map[counted], TOLERANCE_M)
+    return Judged(answers_within(answered[counted], off_m[counted], on_map[counted], TOLERANCE_M), first_m)
 
 
 def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network | None = None) -> Iterator[World]:
