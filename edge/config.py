@@ -387,7 +387,7 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
             continue
         old = f'"{value}"' if value else "this key"
         keys[key if value else now] = now if value else keys.pop(key)
-        notes.append(f'[{section}] {key}: {old} is replaced by "{now}"; the old one is accepted until 0.3')
+        notes.append(f'[{section}] {key}: {old} is replaced by "{now}"; the old one is accepted until 0.5')
     return values, notes
 
 

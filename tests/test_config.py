@@ -105,9 +105,9 @@ def test_what_an_earlier_version_wrote_is_accepted_with_a_warning(caplog: pytest
     text = "[gates]\ndoubted_gps = 'tell'\nnear_matches = 3\n[tracking]\ndrift_percent = 3\nmatches = 2"
     assert parse_config(text, HERE) == parse_config("[tracking]\nscale_error_percent = 3", HERE)
     assert [record.message.removeprefix(f"{HERE}: ") for record in caplog.records] == [
-        '[gates] doubted_gps: "tell" is replaced by "report"; the old one is accepted until 0.3',
+        '[gates] doubted_gps: "tell" is replaced by "report"; the old one is accepted until 0.5',
         "[gates] near_matches: nothing reads this key any more; remove it",
-        '[tracking] drift_percent: this key is replaced by "scale_error_percent"; the old one is accepted until 0.3',
+        '[tracking] drift_percent: this key is replaced by "scale_error_percent"; the old one is accepted until 0.5',
         "[tracking] matches: nothing reads this key any more; remove it",
     ]
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
+
+import edge
 
 GITHUB = Path(__file__).parents[2] / ".github"
 
@@ -27,10 +31,24 @@ def test_every_python_is_in_the_matrix_of_the_release() -> None:
     assert re.findall(r"3\.\d+", matrix) == supported
 
 
-def test_the_changelog_has_notes_of_a_release() -> None:
-    """Which release.yml publishes: ten lines, of what a user must do, gained and lost."""
-    unreleased = (GITHUB.parent / "CHANGELOG.md").read_text().split("\n## ")[1]
-    (notes,) = re.findall(r"### In short\n(.*?)\n\n###", unreleased, re.DOTALL)
-    assert len(notes.splitlines()) <= 12
+def test_the_changelog_has_notes_of_this_version(tmp_path: Path) -> None:
+    """By the line of release.yml: ten lines, of what a user must do, gained and lost."""
+    (make,) = re.findall(r"^ *(sed -n .*) >notes\.md$", (GITHUB / "workflows/release.yml").read_text(), re.MULTILINE)
+    (tmp_path / "source").symlink_to(GITHUB.parent)
+    environment = {**os.environ, "GITHUB_REF_NAME": f"v{edge.__version__}"}
+    done = subprocess.run(
+        ["bash", "-c", make], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    notes = done.stdout.strip().splitlines()
+    assert 5 < len(notes) <= 10
     for word in ("**You must**", "**Gained:**", "**Lost:**"):
-        assert f"- {word}" in notes
+        assert any(line.startswith(f"- {word}") for line in notes)
+
+
+def test_what_is_cited_is_this_version() -> None:
+    cited = (GITHUB.parent / "CITATION.cff").read_text()
+    assert f"\nversion: {edge.__version__}\n" in cited
+    (date,) = re.findall(
+        rf"^## {re.escape(edge.__version__)} - (\S+)$", (GITHUB.parent / "CHANGELOG.md").read_text(), re.M
+    )
+    assert f"\ndate-released: {date}\n" in cited
