@@ -6,6 +6,8 @@ renderers may live in a process, used from one thread.
 
 from __future__ import annotations
 
+import ctypes
+
 import numpy as np
 from numpy.typing import NDArray
 from panda3d.core import (
@@ -23,6 +25,7 @@ from panda3d.core import (
     load_prc_file_data,
 )  # fmt: skip
 
+from edge.errors import ConfigError
 from sim import Pose
 from sim.world.light import Light
 from sim.world.scene import build_fog, build_moving, build_sky, build_static
@@ -118,7 +121,11 @@ def _perspective_camera(size: tuple[int, int], fov_deg: float) -> Camera:
 
 
 def _open_buffer(size: tuple[int, int]) -> tuple[GraphicsBuffer, Texture]:
-    """An offscreen buffer, and the texture that its pictures are copied to."""
+    """An offscreen buffer, and the texture that its pictures are copied to; ConfigError without libX11."""
+    try:
+        ctypes.CDLL("libX11.so.6")  # Panda3D's wheel is linked to it and lacks it; no function of it is called
+    except OSError as error:
+        raise ConfigError(f"the simulator's renderer needs {error}; Debian, Ubuntu: apt-get install libx11-6") from None
     # By name: the default pipe is the X11 one, which complains where there is no display.
     pipe = GraphicsPipeSelection.get_global_ptr().make_pipe("TinyOffscreenGraphicsPipe", "p3tinydisplay")
     properties = FrameBufferProperties()

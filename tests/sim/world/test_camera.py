@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -114,3 +121,21 @@ def test_the_config_opens_it_by_name_and_it_says_what_differs(tmp_path: Path) ->
     scenario.write_text("color = 1\n")
     with pytest.raises(ConfigError, match=r"drive\.toml: unknown key `color`"):
         open_camera(CameraConfig(kind="sim", device=str(scenario)))
+
+
+def test_a_computer_without_the_renderers_library_reads_what_to_install(tmp_path: Path) -> None:
+    (tmp_path / "drive.toml").write_text("length_m = 200.0\n")
+    command = [sys.executable, "-m", "edge", "dev", "sim", "drive", "drive.toml", "-o", "feed"]
+    with contextlib.suppress(OSError):
+        ctypes.CDLL("libX11.so.6")
+        mapped = re.findall(r"(?m) (/\S*/libX11\.so\.6\S*)$", Path("/proc/self/maps").read_text())
+        if shutil.which("unshare") is None or os.geteuid() != 0:
+            pytest.skip("needs unshare (util-linux) and root, to hide libX11")
+        hide = f'mount --bind /dev/null {mapped[0]} && exec "$@"'
+        command = ["unshare", "--mount", "sh", "-c", hide, "sh", *command]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    if "permission denied" in done.stderr:
+        pytest.skip(f"may not mount here: {done.stderr.strip()}")
+    assert re.fullmatch(r"lookback: .* needs .*libX11\.so\.6: .*apt-get install libx11-6\n", done.stderr), done.stderr
+    assert done.returncode != 0
