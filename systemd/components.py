@@ -1,18 +1,20 @@
 """What an environment of Python consists of: a CycloneDX SBOM, and the paragraphs of a Debian copyright file.
 
 Usage: components.py SITE_PACKAGES sbom|sbom-of-image|copyright. From the metadata of each installed package, with
-nothing but the standard library, so that it runs wherever a package is built. An image has Python and Debian's packages
-as well.
+nothing but the standard library, so that it runs wherever a package is built. An image has as well the Python that runs
+this, and Debian's packages.
 """
 
 from __future__ import annotations
 
+import ensurepip
 import hashlib
 import json
 import platform
 import re
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Iterator, Sequence
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
@@ -44,6 +46,11 @@ def license_of(one: Distribution) -> str:
     return said or " AND ".join(known) or (LICENSES.get(words[0], words[0]) if words else "see its .dist-info folder")
 
 
+def _name(said: str) -> str:
+    """As PyPI compares names."""
+    return re.sub(r"[-_.]+", "-", said).lower()
+
+
 def _field(one: Distribution, name: str) -> str:
     """Of its metadata; "" where it is not there."""
     return str((one.metadata.get_all(name) or [""])[0])
@@ -68,7 +75,7 @@ def sbom(packages: Sequence[Distribution], others: Sequence[dict[str, Any]] = ()
 
 
 def _component(one: Distribution, kind: str) -> dict[str, Any]:
-    name = re.sub(r"[-_.]+", "-", one.name).lower()
+    name = _name(one.name)
     purl = f"pkg:pypi/{name}@{one.version}"
     said = license_of(one)
     is_spdx = re.fullmatch(r"[\w.+-]+( (AND|OR|WITH) [\w.+-]+)*", said)
@@ -94,13 +101,20 @@ def _inside(one: Distribution) -> list[dict[str, Any]]:
 
 
 def system_components() -> list[dict[str, Any]]:
-    """Python, which an image may have beside Debian's packages, and those packages."""
-    version = platform.python_version()
+    """Debian's packages; Python where it is none of them, what is installed in it, and the wheels that venv copies."""
     query = ["dpkg-query", "--show", "--showformat", "${Package} ${Version} ${Architecture}\\n"]
     shown = subprocess.run(query, capture_output=True, text=True, check=True).stdout
     about = [line.split() for line in sorted(shown.splitlines())]
-    rows = [("python", version, f"pkg:generic/python@{version}")]
-    rows += [(name, number, f"pkg:deb/debian/{name}@{number}?arch={arch}") for name, number, arch in about]
+    rows = [(name, number, f"pkg:deb/debian/{name}@{number}?arch={arch}") for name, number, arch in about]
+    if sys.base_prefix != "/usr":
+        version = platform.python_version()
+        rows.append(("python", version, f"pkg:generic/python@{version}"))
+    wheels = Path(ensurepip.__file__).parent.rglob("*.whl")
+    of_python = {(_name(one.name), one.version) for one in distributions(path=[sysconfig.get_path("purelib")])}
+    for name, version in sorted(
+        of_python | {(_name(one[0]), one[1]) for one in (file.name.split("-") for file in wheels)}
+    ):
+        rows.append((name, version, f"pkg:pypi/{name}@{version}"))
     return [{"type": "library", "bom-ref": purl, "name": one, "version": of, "purl": purl} for one, of, purl in rows]
 
 

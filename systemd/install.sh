@@ -139,7 +139,9 @@ choose_extras() {
             for old in "$root$prefix"/lib/python3*/site-packages/edge/descriptor/models/alexnet_places100; do
                 [ ! -d "$old" ] || kept=$kept${kept:+,}fc6
             done
-            extras=$kept${kept:+${extras:+,}}$extras
+            for one in $(echo "$kept" | tr , ' '); do
+                has_extra "$one" || extras=$one${extras:+,}$extras
+            done
             ;;
     esac
 }

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import stat
 import subprocess
+import sys
 from pathlib import Path
 
 import edge
@@ -54,6 +56,46 @@ def test_every_package_of_the_wheel_is_installed_from_a_checkout() -> None:
     for file in ("systemd/install.sh", "tests/systemd/boot.sh", "container/Dockerfile"):
         words = (root / file).read_text().replace(";", " ").split()
         assert set(names) <= set(words), file
+
+
+SCAN = [sys.executable, str(Path(__file__).with_name("scan_image.py"))]
+
+
+def test_a_scan_finds_what_the_list_of_an_image_lacks(tmp_path: Path) -> None:
+    """The release scans its image so: a package, a file of none, and a library of a wheel."""
+    library, about = b"\x7fELF of a library", "opt/lookback/lib/python3.11/site-packages/lookback_nav-1.dist-info"
+    for name, content in {
+        "usr/lib/libc.so.6": library,
+        "var/lib/dpkg/status": b"Package: libc6\nStatus: install ok installed\nArchitecture: amd64\nVersion: 2.36\n",
+        "var/lib/dpkg/info/libc6:amd64.list": b"/.\n/lib/libc.so.6\n",
+        f"{about}/METADATA": b"Metadata-Version: 2.1\nName: lookback-nav\nVersion: 1\n",
+        f"{about}/RECORD": b"a.libs/libssl.so.3,,\n",
+        f"{about}/../a.libs/libssl.so.3": library,
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "lib").symlink_to("usr/lib")
+    brought = {"type": "file", "name": "libssl", "hashes": [{"content": hashlib.sha256(library).hexdigest()}]}
+    lookback = {"purl": "pkg:pypi/lookback-nav@1", "components": [brought]}
+    bill = {"metadata": {"component": lookback}, "components": [{"purl": "pkg:deb/debian/libc6@2.36?arch=amd64"}]}
+
+    def scanned() -> list[str]:
+        (tmp_path / "opt/lookback/sbom.cdx.json").write_text(json.dumps(bill))
+        done = subprocess.run([*SCAN, str(tmp_path)], capture_output=True, text=True, check=False)
+        assert done.returncode == (not done.stdout.startswith("2 components, all in the list; 2 files")), done.stderr
+        return done.stdout.splitlines()
+
+    assert scanned() == ["2 components, all in the list; 2 files of code, each of a component"]
+    bill["components"] = [{"purl": "pkg:pypi/gone@2"}]
+    lookback["components"] = []
+    (tmp_path / "opt/loose.py").write_text("")
+    assert scanned() == [
+        "not in the list: pkg:deb/debian/libc6@2.36?arch=amd64",
+        "in the list, and not in the image: pkg:pypi/gone@2",
+        "a library that a wheel brings along, and not in the list: "
+        "/opt/lookback/lib/python3.11/site-packages/a.libs/libssl.so.3",
+        "of no component: /opt/loose.py",
+    ]
 
 
 def test_the_environment_is_that_of_the_service() -> None:
