@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, DescriptorConfig
 from edge.descriptor.model_file import network_of_map
-from edge.descriptor.network import Head, Network, pictures_for
+from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
@@ -104,12 +104,9 @@ class _UsedFrames:
 class PlaceRecognizer:
     """Recognizes the places of a reference map, or of a folder of maps, frame by frame; see `open_recognizer`."""
 
-    def __init__(
-        self, network: Network, head: Head | None, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch
-    ) -> None:
-        """network, map_set: that fit each other and the config. head: None for a network without categories."""
+    def __init__(self, network: Network, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
+        """network, map_set: that fit each other and the config."""
         self._network = network
-        self._head = head
         self.config = config
         self._stopwatch = stopwatch
         self.matcher = SequenceMatcher(map_set, config, stopwatch)
@@ -152,7 +149,7 @@ class PlaceRecognizer:
         self.state = "on the map" if match.accepted else "off the map"
         if not (match.accepted and self._hold_off.passes(stamp_ns)):
             return match
-        return replace(match, event=True, category=self._head.categories(raw)[0] if self._head else "")
+        return replace(match, event=True)
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
@@ -238,13 +235,12 @@ def open_recognizer(
     `PlaceRecognizer.map_set.excluded`; MapError if none fits.
     """
     network = network or open_network(network_for(config))
-    head = Head.load(network) if network.info.labels else None
     map_set = map_set or open_maps(config, newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
     if not config.descriptor.model:
         words = "[descriptor] model is not set, so it is %s, as before; `lookback model use %s CONFIG` writes it"
         log.warning(words, *2 * [network_of_map(network.info.name) or network.info.name])
-    return PlaceRecognizer(network, head, map_set, config, stopwatch)
+    return PlaceRecognizer(network, map_set, config, stopwatch)
 
 
 def network_for(config: Config) -> DescriptorConfig:

@@ -265,7 +265,7 @@ def alexnet() -> Oracle:
 def _alexnet(
     weights: Weights, image_bgr: NDArray[np.uint8], pad_level: float | NDArray[np.float64] = PAD_LEVEL
 ) -> dict[str, NDArray[np.float64]]:
-    """conv3, fc6 and categories of one image (224, 224, 3) BGR; conv1 sees `pad_level` (RGB) around it."""
+    """conv3 and fc6 of one image (224, 224, 3) BGR; conv1 sees `pad_level` (RGB) around it."""
     padded = np.full((228, 228, 3), pad_level, dtype=np.float64)
     padded[2:-2, 2:-2] = image_bgr[..., ::-1]
     layers: dict[str, NDArray[np.float64]] = {}
@@ -276,9 +276,6 @@ def _alexnet(
     x = _conv(weights, "features.8", x, stride=1, pad=1)
     x = _pool(_conv(weights, "features.10", x, stride=1, pad=1))
     layers["fc6"] = x = np.maximum(_dense(weights, "classifier.1", x.ravel()), 0)
-    if "classifier.4.weight" in weights:
-        x = _dense(weights, "classifier.6", np.maximum(_dense(weights, "classifier.4", x), 0))
-        layers["categories"] = np.exp(x - x.max()) / np.exp(x - x.max()).sum()
     return layers
 
 

@@ -75,7 +75,7 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
     assert np.abs(np.array(places) - np.arange(LENGTH - 1, 60)).max() <= 1
     assert all(match.direction == "forward" and match.order == "same" for match in matches if match)
     last = matches[-1]
-    assert last and last.accepted and last.event and last.category
+    assert last and last.accepted and last.event
     assert (last.map, last.place_index) == (None, last.place)
     position = match_position(last, Route(MapSet.of(street_map)), CONFIG.rig)
     assert position is not None

@@ -24,7 +24,6 @@ from edge.extras import install_command
 
 FC6_FILE, NETWORK_FILE = "fc6_int8.onnx", "network_int8.onnx"
 """The network file of a model folder: of an AlexNet, and of any other network."""
-HEAD_FILE = "head_int8.onnx"
 GRID = Path(__file__).parent / "models" / "grid" / "network_float32.onnx"
 FC6_PACKAGE = "lookback_fc6"
 FC6_NAME = "alexnet_places100"
@@ -47,13 +46,13 @@ _Value = int | memoryview
 class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     """The description in a network file, as JSON under the key `lookback` of ONNX's metadata_props.
 
-    tap: the tensor that the descriptor is made of (fc6 and conv3 of an AlexNet, after ReLU); `categories` for a head.
+    tap: the tensor that the descriptor is made of (fc6 and conv3 of an AlexNet, after ReLU).
     pool: the grid, such as 2x2, over whose cells a feature map is averaged; "" where the tap is used as it is.
     columns: of that grid, those of each region, outer ones first, if the network takes the whole picture and returns
     its regions; empty where it takes each region as a picture of its own.
     dimensions: values per region. input_size: of the square image, or its height and width, in pixels.
     channel_order: of the image that the file is given. weights_sha256: the weights file that it was made from.
-    fc6_sha256: of a head, the network file whose descriptor it understands. sha256: the file itself, set on reading.
+    sha256: the file itself, set on reading.
     """
 
     name: str
@@ -64,12 +63,10 @@ class ModelInfo(msgspec.Struct, frozen=True, kw_only=True):
     channel_order: Literal["BGR"]
     mean_rgb: tuple[float, float, float]
     std_rgb: tuple[float, float, float]
-    labels: tuple[str, ...]
     license: str = msgspec.field(name="licence")  # as the files that were made so far have it
     source: str
     weights_sha256: str
     calibration: str
-    fc6_sha256: str = ""
     sha256: str = ""
     pool: str = ""
     columns: tuple[tuple[int, ...], ...] = ()

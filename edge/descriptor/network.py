@@ -1,4 +1,4 @@
-"""Descriptors with ONNX Runtime: pictures in, descriptors out; and the small head that gives the place category.
+"""Descriptors with ONNX Runtime: pictures in, descriptors out.
 
 The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
 import; a test watches the calls of the system. 1.28 to 1.32 crash at import on a Cortex-A76 (emulated by qemu 7.2), so
@@ -21,7 +21,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import FC6_FILE, HEAD_FILE, ModelFile, ModelInfo, read_model_file, resolve_model
+from edge.descriptor.model_file import ModelFile, ModelInfo, read_model_file, resolve_model
 from edge.errors import ConfigError, ModelError
 
 Regions = Literal["left-right", "whole"]
@@ -156,8 +156,6 @@ class Network:
 
         ModelError if the graph does not agree with its metadata; ConfigError if the provider is not installed.
         """
-        if file.info.tap == "categories":
-            raise ModelError(f"{file.path}: is the category head; name the network file, {FC6_FILE}")
         self.info = file.info
         self.size = file.info.size
         """Height and width of its images, in pixels."""
@@ -178,39 +176,6 @@ class Network:
         not depend on the others in its batch.
         """
         return _run(self._session, IMAGE, images).reshape(-1, self.info.dimensions)
-
-
-class Head:
-    """Descriptors to place categories; works only with the descriptors of one network file."""
-
-    def __init__(self, file: ModelFile, network: ModelInfo) -> None:
-        """file: as `read_model_file` returned it; ModelError if it does not belong to the network."""
-        if file.info.fc6_sha256 != network.sha256:
-            raise ModelError(
-                f"{file.path}: belongs to the network {file.info.fc6_sha256[:12] or '(none)'}, not to {network.name} "
-                f"{network.sha256[:12]}; import the two again with `lookback model import`"
-            )
-        if len(file.info.labels) != file.info.dimensions:
-            raise ModelError(f"{file.path}: {len(file.info.labels)} labels for {file.info.dimensions} categories")
-        self.labels = file.info.labels
-        self._input = network.output
-        self._session = _open_checked(file, self._input, np.float32, [network.dimensions])
-
-    @classmethod
-    def load(cls, network: Network, path: Path | None = None) -> Head:
-        """The head beside the network's own file (None), or that of a file or folder. Raises ModelError."""
-        file = network.path.with_name(HEAD_FILE) if path is None else resolve_model(path, HEAD_FILE)
-        return cls(read_model_file(file), network.info)
-
-    def probabilities(self, descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Softmax over the categories, (R, C) float32, of raw descriptors (R, dimensions) float32."""
-        return _run(self._session, self._input, descriptors)
-
-    def categories(self, descriptors: NDArray[np.float32]) -> tuple[str, float]:
-        """Label and probability of the category with the highest mean over the R regions of one frame."""
-        mean = self.probabilities(descriptors).mean(axis=0)
-        best = int(mean.argmax())
-        return self.labels[best], float(mean[best])
 
 
 def _run(session: onnxruntime.InferenceSession, name: str, batch: NDArray[np.generic]) -> NDArray[np.float32]:

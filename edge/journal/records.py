@@ -121,7 +121,6 @@ class FrameUsed(Record, frozen=True, tag="frame"):
     lat_deg: Latitude = None
     lon_deg: Longitude = None
     heading_deg: Heading = None
-    category: Annotated[str | None, unit("", "what kind of place it shows; of events only")] = None
 
 
 class PlaceFix(Record, frozen=True, tag="place"):
@@ -137,7 +136,6 @@ class PlaceFix(Record, frozen=True, tag="place"):
     direction: Direction
     order: Order
     uniqueness: Annotated[float, unit("", "uniqueness of the newest accepted match, see `frame`")]
-    category: Annotated[str, unit("", 'what kind of place, "" where it was not asked for')] = ""
     matches: Annotated[int, unit("", "accepted matches that agree with the vehicle's motion")] = 1
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0

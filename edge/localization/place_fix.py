@@ -81,7 +81,6 @@ def frame_used(
         lat_deg=position.lat_deg if position else None,
         lon_deg=position.lon_deg if position else None,
         heading_deg=position.heading_deg if position else None,
-        category=match.category,
     )
 
 
@@ -100,7 +99,6 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
         direction=match.direction,
         order=match.order,
         uniqueness=round(match.uniqueness, 4),
-        category=match.category or "",
         confidence=round(match.confidence, 3),
         map=UNSET if match.map is None else match.map,
     )

@@ -241,7 +241,6 @@ class RouteFilter:
             direction=match.direction,
             order=match.order,
             uniqueness=round(match.uniqueness, 4),
-            category=match.category or "",
             matches=track.matches,
             segment=newest.segment,
             recording=newest.recording,

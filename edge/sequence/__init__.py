@@ -72,7 +72,7 @@ class PlaceMatch:
     is this one; whoever judges what the reckoning rests on, goes by `alone`.
     half_width_places: half the number of places around it that are nearly as good.
     parallax: of the two regions alone, None where it is not known.
-    event: accepted, and not held off. category: what kind of place the frame shows, of events only.
+    event: accepted, and not held off.
     """
 
     place_index: int
@@ -92,7 +92,6 @@ class PlaceMatch:
     parallax: Parallax | None = None
     map: str | None = None
     event: bool = False
-    category: str | None = None
     by_votes: PlaceMatch | None = None
 
     @property

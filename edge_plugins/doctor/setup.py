@@ -15,7 +15,7 @@ import numpy as np
 
 from edge.camera import check_kind
 from edge.config import LinkConfig, brought_up_to_date, load_config
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
 from edge.feed.sampling import spell_spacing
@@ -78,8 +78,6 @@ def check_last_state(examined: Examined) -> Iterator[Found]:
 def check_model(examined: Examined) -> Iterator[Found]:
     """Whether the model is complete, and how long it takes."""
     network = open_network(network_for(examined.settings))
-    if network.info.labels:
-        Head.load(network)
     time_ms = _describe_ms(network)
     yield good(f"{network.info.name}: complete; two regions take {time_ms:.0f} ms here, on {network.provider}")
     examined.network = network

@@ -58,7 +58,6 @@ class ForeignNetwork(Network):
             channel_order="BGR",
             mean_rgb=mean,
             std_rgb=std,
-            labels=(),
             license="that of its authors",
             source=path.name,
             weights_sha256="",

@@ -45,12 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _info(args: argparse.Namespace) -> int:
     file = read_model_file(resolve_model(args.model))
-    labels = file.info.labels
     print(f"{'file':15s} {file.path}")
     for field, value in msgspec.structs.asdict(file.info).items():
-        if field != "labels" and value != "":
+        if value != "":
             print(f"{field:15s} {value}")
-    print(f"{'labels':15s} {len(labels)}" + (f": {', '.join(labels[:3])} ..." if labels else ""))
     return 0
 
 

@@ -152,7 +152,6 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         channel_order="BGR",
         mean_rgb=source.wanted.mean_rgb,
         std_rgb=source.wanted.std_rgb,
-        labels=(),
         license=source.license,
         source=source.source,
         weights_sha256=source.sha256,

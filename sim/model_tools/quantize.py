@@ -7,7 +7,7 @@ Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tens
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -84,13 +84,12 @@ def quantize(
     signed: bool = False,
     share: float = 1.0,
     float_layers: int = 0,
-    in_float: Sequence[str] = (),
 ) -> onnx.ModelProto:
-    """int8 model of a network or head, with the ranges of its tensors.
+    """int8 model of a network, with the ranges of its tensors.
 
     Every output of a fully connected layer stays float32: its accumulators are int32 anyway. signed: of activations;
     ONNX Runtime fuses additions only where they are not. share: of a tensor's least and greatest value that int8 spans.
-    float_layers: so many of the first convolutions and fully connected layers stay in float; in_float: nodes that do.
+    float_layers: so many of the first convolutions and fully connected layers stay in float.
     """
     import onnx
     from onnxruntime.quantization import CalibrationMethod, QuantType
@@ -111,7 +110,7 @@ def quantize(
         activation_qType=QuantType.QInt8 if signed else QuantType.QUInt8,
         tensors_range=TensorsData(CalibrationMethod.MinMax, spans),
         nodes_to_quantize=[],
-        nodes_to_exclude=[*in_float, *_in_float(model, float_layers)],
+        nodes_to_exclude=_in_float(model, float_layers),
         op_types_to_quantize=QUANTIZED_OPERATORS,
         extra_options={"OpTypesToExcludeOutputQuantization": ["Gemm"]},
     )
@@ -168,13 +167,9 @@ def _tensor_ranges(model: onnx.ModelProto, given: Ranges, share: float) -> Range
 
     spans = {name: (share * low, share * high) for name, (low, high) in given.items()}
     ranges: Ranges = {}
-    given_name = model.graph.input[0].name
-    if given_name in spans:  # of a head
-        ranges[given_name] = spans[given_name]
-    else:
-        grey = next(tensor for tensor in model.graph.initializer if tensor.name == "grey")
-        level = float(onnx.numpy_helper.to_array(grey))
-        ranges[_PIXELS] = (-level, 255 - level)
+    grey = next(tensor for tensor in model.graph.initializer if tensor.name == "grey")
+    level = float(onnx.numpy_helper.to_array(grey))
+    ranges[_PIXELS] = (-level, 255 - level)
     for node in model.graph.node:
         source, result = node.input[0], node.output[0]
         for name in node.input:

@@ -21,7 +21,7 @@ from edge.camera.newest import NewestFrame
 from edge.camera.recorded import RecordedCamera
 from edge.config import SHIPPED, Config, parse_config, section_kind
 from edge.descriptor.model_file import FC6_FILE, read_model_file, resolve_model
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import FrameError, LookbackError
 from edge.feed import FeedImages, read_feed
 from edge.recognizer import PlaceRecognizer
@@ -168,7 +168,7 @@ def test_frames(fuzz: Fuzz, street: Path, network: Network) -> None:
             return descriptors
 
     config = msgspec.convert({"sequence": {"length": 3}}, Config)
-    recognizer = PlaceRecognizer(Flat(), Head.load(network), MapSet.of(open_map(street / "map")), config)  # type: ignore[arg-type]
+    recognizer = PlaceRecognizer(Flat(), MapSet.of(open_map(street / "map")), config)  # type: ignore[arg-type]
     numbers = count()
 
     def check(case: tuple[int, int, int, int]) -> None:

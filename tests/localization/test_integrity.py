@@ -379,7 +379,7 @@ def test_bayes() -> None:
 
 def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:
     at = gps_at(20.0)
-    place = PlaceFix(0, 7, at.lat_deg, at.lon_deg, 0.0, 3.0, 2.0, "forward", "same", 1.3, "street")
+    place = PlaceFix(0, 7, at.lat_deg, at.lon_deg, 0.0, 3.0, 2.0, "forward", "same", 1.3)
     later = gps_at(30.0)
     own = VehiclePosition(S, later.lat_deg, later.lon_deg, 20.0, 0.0, 10.0, north_mps=10.0)
     assert distance_from(own, place) == pytest.approx(0.0, abs=0.1)

@@ -241,7 +241,6 @@ class Rig:
             "direction": "reverse",
             "order": "same",
             "uniqueness": 1.31,
-            "category": "street",
             "matches": 20,
             "confidence": 0.9,
         }

@@ -23,7 +23,7 @@ def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> Sent:
     lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
     fix = PlaceFix(
         stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_across_m=sigma_m,
-        direction="forward", order="same", uniqueness=1.2, category="", matches=9, segment=0, recording="drive",
+        direction="forward", order="same", uniqueness=1.2, matches=9, segment=0, recording="drive",
         confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
     )  # fmt: skip
     return Sent(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)

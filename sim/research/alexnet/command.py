@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from edge.descriptor.model_file import HEAD_FILE, ModelInfo
+from edge.descriptor.model_file import ModelInfo
 from edge.errors import ModelError
 from sim.model_tools.import_command import add_kept_texts, calibration_images, network_file, spell_calibration, write
 from sim.model_tools.quantize import Ranges, decode_ranges, measure_ranges, quantize
-from sim.research.alexnet.graph import DIMENSIONS, alexnet_info, build_float, build_head
-from sim.research.alexnet.weights import CONVS, FC6, FC8, has_head, read_labels, read_weights
+from sim.research.alexnet.graph import DIMENSIONS, alexnet_info, build_float
+from sim.research.alexnet.weights import CONVS, FC6, read_weights
 
 if TYPE_CHECKING:
     import onnx
@@ -33,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "weights", type=Path, metavar="WEIGHTS", help=".npz, or with PyTorch .pth and .pth.tar, in torchvision's layout"
     )
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
-    parser.add_argument("--labels", type=Path, help="names of the categories, one per line")
     ranges = parser.add_mutually_exclusive_group(required=True)
     ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers, before ReLU")
     ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
@@ -48,7 +47,6 @@ def _run(args: argparse.Namespace) -> int:
     info = alexnet_info(
         args.name or args.weights.name.partition(".")[0],
         args.tap,
-        labels=read_labels(args.labels, weights),
         license=args.license or "not stated",
         source=args.source or "not stated",
         weights_sha256=sha256,
@@ -62,17 +60,13 @@ def _run(args: argparse.Namespace) -> int:
         ranges = read_layer_ranges(args.ranges)
     else:
         ranges = measure_ranges(exact, calibration_images(args.calibrate, info))
-    info = msgspec.structs.replace(info, precision="int8")
-    network_sha256 = write(as_int8(exact, ranges, info), file)
-    if args.tap == "fc6" and has_head(weights):
-        info = msgspec.structs.replace(info, tap="categories", dimensions=len(info.labels), fc6_sha256=network_sha256)
-        write(as_int8(build_head(weights, info), {"fc6": ranges[FC6]}, info), file.with_name(HEAD_FILE))
+    write(as_int8(exact, ranges, msgspec.structs.replace(info, precision="int8")), file)
     return 0
 
 
 def as_int8(exact: onnx.ModelProto, ranges: Ranges, info: ModelInfo) -> onnx.ModelProto:
-    """int8 of the network or of its head, whose last layer is small and stays in float; signed activations."""
-    return quantize(exact, ranges, info, signed=True, share=RANGE_SHARE, in_float=(FC8,))
+    """int8 of the network, with signed activations."""
+    return quantize(exact, ranges, info, signed=True, share=RANGE_SHARE)
 
 
 class LayerRange(msgspec.Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""AlexNet weights to float ONNX graphs: the network, cut at a tap, and the head after fc6."""
+"""AlexNet weights to float ONNX graphs: the network, cut at a tap."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import ModelInfo
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, GraphBuilder, Weights
-from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, Conv
+from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE, Conv
 
 if TYPE_CHECKING:
     import onnx
@@ -28,7 +28,6 @@ def alexnet_info(
     name: str,
     tap: str = "fc6",
     *,
-    labels: tuple[str, ...] = (),
     license: str = "not stated",
     source: str = "not stated",
     weights_sha256: str = "",
@@ -44,7 +43,6 @@ def alexnet_info(
         channel_order="BGR",
         mean_rgb=MEAN_RGB,
         std_rgb=STD_RGB,
-        labels=labels,
         license=license,
         source=source,
         weights_sha256=weights_sha256,
@@ -68,18 +66,6 @@ def build_float(weights: Weights, info: ModelInfo) -> onnx.ModelProto:
         graph.add_dense(FC6, weights)
         graph.add("Relu", [graph.last], output=info.tap)
     return graph.finish("image", [INPUT_SIZE, INPUT_SIZE, 3], np.uint8, info)
-
-
-def build_head(weights: Weights, info: ModelInfo) -> onnx.ModelProto:
-    """fc6 after ReLU (R, 4096) float32 to the categories' probabilities (R, C) float32."""
-    graph = GraphBuilder()
-    graph.last = "fc6"
-    graph.add_dense(FC7, weights)
-    # A ReLU here would be fused with the float layer before that is made int8, at fifty times the cost.
-    graph.add("Max", [graph.last, graph.constant("zero", 0.0)])
-    graph.add_dense(FC8, weights)
-    graph.add("Softmax", [graph.last], output=info.tap, axis=1)
-    return graph.finish("fc6", [FC6_SHAPE[0]], np.float32, info)
 
 
 def _add_conv(graph: GraphBuilder, conv: Conv, weight: NDArray[np.float32], bias: NDArray[np.float32]) -> None:

@@ -1,15 +1,14 @@
-"""AlexNet's weights in torchvision's layout: read, checked, and named; and the names of its categories.
+"""AlexNet's weights in torchvision's layout: read, and checked.
 
 The layout is that of torchvision.models.alexnet
-(https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py) and of the published Places365 network; fc7
-and fc8 may have any width.
+(https://github.com/pytorch/vision/blob/main/torchvision/models/alexnet.py) and of the published Places365 network. What
+follows fc6 is not read.
 """
 
 from __future__ import annotations
 
 import hashlib
 import pickle
-import re
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 
 from edge.errors import ModelError
 from edge.extras import install_command
-from edge.toml_file import read_text
 from sim.model_tools.onnx_graph import Weights
 
 
@@ -44,7 +42,7 @@ CONVS = (
     Conv("features.8", (256, 384, 3, 3), stride=1, pad=1, pool=False),
     Conv("features.10", (256, 256, 3, 3), stride=1, pad=1, pool=True),
 )
-FC6, FC7, FC8 = "classifier.1", "classifier.4", "classifier.6"
+FC6 = "classifier.1"
 FC6_SHAPE = (4096, 9216)
 
 
@@ -84,12 +82,9 @@ def _read_checkpoint(path: Path) -> Mapping[str, Any]:
 
 
 def _check_weights(path: Path, weights: Weights) -> None:
-    """All layers up to fc6 in AlexNet's shapes; fc7 and fc8 in any width, if both are there."""
+    """All layers up to fc6 in AlexNet's shapes."""
     shapes: dict[str, tuple[int, ...]] = {conv.layer: conv.shape for conv in CONVS}
     shapes[FC6] = FC6_SHAPE
-    if has_head(weights):
-        hidden, classes = weights[f"{FC7}.weight"].shape[0], weights[f"{FC8}.weight"].shape[0]
-        shapes |= {FC7: (hidden, FC6_SHAPE[0]), FC8: (classes, hidden)}
     for layer, shape in shapes.items():
         for name, wanted in ((f"{layer}.weight", shape), (f"{layer}.bias", shape[:1])):
             if name not in weights:
@@ -98,27 +93,3 @@ def _check_weights(path: Path, weights: Weights) -> None:
                 raise ModelError(f"{path}: {name} has the shape {weights[name].shape}, AlexNet's is {wanted}")
             if not np.isfinite(weights[name]).all():
                 raise ModelError(f"{path}: {name} has values that are not finite")
-
-
-def has_head(weights: Weights) -> bool:
-    """Whether fc7 and fc8, which make categories of fc6, are among the weights."""
-    return f"{FC7}.weight" in weights and f"{FC8}.weight" in weights
-
-
-def read_labels(path: Path | None, weights: Weights) -> tuple[str, ...]:
-    """Names of the categories, one a line; without a file they are numbered. Empty where there is no head."""
-    if not has_head(weights):
-        return ()
-    count = weights[f"{FC8}.weight"].shape[0]
-    if path is None:
-        return tuple(f"category {number}" for number in range(count))
-    labels = _label_lines(path)
-    if len(labels) != count:
-        raise ModelError(f"{path}: {len(labels)} labels, but fc8 of the weights has {count} categories")
-    return labels
-
-
-def _label_lines(path: Path) -> tuple[str, ...]:
-    """Names of categories, one a line; those of Places365 ("/a/arena/hockey 1") lose path and number. ModelError."""
-    lines = [line.strip() for line in read_text(path, ModelError).splitlines()]
-    return tuple(re.sub(r"^/\w/(.*?)\s+\d+$", r"\1", line) for line in lines if line)

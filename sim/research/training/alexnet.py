@@ -12,8 +12,9 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from edge.errors import ModelError
-from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE, FC7, FC8, read_weights
+from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE, read_weights
 
+FC7, FC8 = "classifier.4", "classifier.6"
 FC7_WIDTH = 1024
 LAYERS = (*(conv.layer for conv in CONVS), FC6, FC7, FC8)
 

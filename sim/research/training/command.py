@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     usual = Recipe()
     parser.description = (
         "Train AlexNet on a folder of images for each class, such as MiniPlaces' images/train, as the"
-        " shipped network was trained. Beside WEIGHTS.npz come WEIGHTS.labels.txt and WEIGHTS.ranges.json, which"
+        " shipped network was trained. Beside WEIGHTS.npz comes WEIGHTS.ranges.json, which"
         " `lookback dev alexnet` takes. A training that was cut off goes on when the same command is given again."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder with a subfolder of images for each class")
@@ -100,9 +100,8 @@ def _train(output: Path, images: LabeledImages, held_out: LabeledImages, recipe:
     net = training.averaged()
     first, fifth = top_shares(net, held_out, device)
     print(f"{len(held_out.labels)} held-out pictures: top-1 {100 * first:.1f} %, top-5 {100 * fifth:.1f} %")
-    output.with_suffix(".labels.txt").write_text("".join(f"{name}\n" for name in images.classes), encoding="utf-8")
     ranges = msgspec.json.encode(layer_ranges(net, held_out, device, recipe.seed))
     output.with_suffix(".ranges.json").write_bytes(msgspec.json.format(ranges))
     save_weights(fold(net), output)
     checkpoint.unlink()
-    print(f"{output}: for `lookback dev alexnet`, with --labels and --ranges of the files beside it")
+    print(f"{output}: for `lookback dev alexnet`, with --ranges of the file beside it")

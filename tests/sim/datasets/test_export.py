@@ -20,7 +20,7 @@ from edge.journal.records import FrameUsed, PlaceFix, StateChanged
 from sim.evaluation.replay import as_line
 
 FRAME = FrameUsed(5, 9_000_000_000, accepted=True, place=3, uniqueness=1.2, lat_deg=-27.0, lon_deg=153.0)
-EVENT = PlaceFix(10_000_000_000, 4, -27.001, 153.0, 180.0, 3.0, 1.0, "forward", "same", 1.3, "street")
+EVENT = PlaceFix(10_000_000_000, 4, -27.001, 153.0, 180.0, 3.0, 1.0, "forward", "same", 1.3)
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def export(journal: Path, name: str, *options: str) -> str:
 def test_geojson(journal: Path) -> None:
     point, line = json.loads(export(journal, "drive.geojson"))["features"]
     assert point["geometry"] == {"type": "Point", "coordinates": [153.0, -27.001]}
-    assert point["properties"]["category"] == "street"
+    assert point["properties"]["place"] == 4 and "category" not in point["properties"]
     assert point["properties"]["time"] == "2023-11-14T22:13:20.250000+00:00"
     assert line["geometry"]["coordinates"] == [[153.0, -27.0], [153.0, -27.001]]
 

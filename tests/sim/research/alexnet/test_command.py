@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from edge.commands.parser import build_parser
-from edge.descriptor.network import Head, Network
+from edge.descriptor.network import Network
 from edge.errors import FeedError, ModelError
 from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
@@ -47,10 +47,9 @@ def test_import_calibrated_on_a_feed_then_info_and_verify(
 ) -> None:
     folder = tmp_path / "model"
     assert lookback("dev", "alexnet", weights, "-o", folder, "--calibrate", feed, "--license", "CC0", "--float") == 0
-    assert sorted(file.name for file in folder.iterdir()) == ["fc6_float32.onnx", "fc6_int8.onnx", "head_int8.onnx"]
+    assert sorted(file.name for file in folder.iterdir()) == ["fc6_float32.onnx", "fc6_int8.onnx"]
     network = Network.load(folder)
     assert network.info.calibration == "0.8 of the greatest values in feeds feed"
-    assert Head.load(network).labels[17] == "category 17"
     assert Network.load(folder / "fc6_float32.onnx").info.precision == "float32"
 
     capsys.readouterr()
@@ -73,7 +72,7 @@ def test_import_at_conv3_with_wrong_ranges_fails_to_verify(
     file = folder / "conv3.onnx"
     assert lookback("dev", "alexnet", weights, "-o", file, "--ranges", ranges, "--tap", "conv3", "--float") == 0
     assert Network.load(file).describe(np.zeros((1, 224, 224, 3), np.uint8)).shape == (1, 384 * 13 * 13)
-    assert sorted(path.name for path in folder.iterdir()) == ["conv3.onnx", "conv3_float32.onnx"], "no head knows conv3"
+    assert sorted(path.name for path in folder.iterdir()) == ["conv3.onnx", "conv3_float32.onnx"]
     assert lookback("model", "verify", file, feed, "--weights", folder / "conv3_float32.onnx") == 1
     assert "FAILED: mean cosine after NSD below 0.995" in capsys.readouterr().out
 

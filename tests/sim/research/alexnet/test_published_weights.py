@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.__main__ import main
-from edge.descriptor.network import Head, Network, cut_regions
+from edge.descriptor.network import Network, cut_regions
 from edge.feed import Feed, FeedImages, read_feed
 from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
@@ -96,12 +96,6 @@ def test_trained_weights_in_the_published_shape(
     assert share > 0.8  # or agreeing would mean little
     assert matching_accuracy(int8[0], int8[1], right) == pytest.approx(share, abs=0.01)
 
-    head = Head.load(network)
-    with torch.inference_mode():
-        logits = exact.classifier[3:](torch.from_numpy(floats[0].reshape(-1, 4096)))
-    likeliest = head.probabilities(int8[0].reshape(-1, 4096)).argmax(axis=1)
-    assert np.mean(likeliest == logits.argmax(dim=1).numpy()) > 0.9
-
 
 def test_random_weights_in_the_published_shape(
     published_weights: Path, tmp_path: Path, torch_network: Callable[[Path], Any], write_traverse: Any
@@ -111,7 +105,7 @@ def test_random_weights_in_the_published_shape(
     feed = write_traverse(tmp_path / "street", range(8))
     assert main(["dev", "alexnet", str(file), "-o", str(tmp_path / "model"), "--calibrate", str(feed)]) == 0
     network = Network.load(tmp_path / "model")
-    assert network.info.name == "alexnet_places365" and len(Head.load(network).labels) == CLASSES
+    assert network.info.name == "alexnet_places365"
     int8, exact = network.describe, torch_network(file)
     floats = described(read_feed(feed), lambda images: float_fc6(exact, images))
     assert compare(floats, described(read_feed(feed), int8)).raw_mean > 0.999
