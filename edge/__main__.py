@@ -6,6 +6,13 @@ map, model or feed (a restart would not help).
 
 from __future__ import annotations
 
+import signal
+
+# Ctrl-C ends the process at once while modules are still being imported: their traceback would say nothing.
+IS_CAUGHT = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+if IS_CAUGHT:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import logging
 import os
 import sys
@@ -78,11 +85,11 @@ def _open_log() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; errors that Lookback raises on purpose become one line on standard error."""
-    words = [_at_home(word) for word in (sys.argv[1:] if argv is None else argv)]
-    if there := moved(words):
-        print(f"lookback: {there}", file=sys.stderr)
-        return 2
     try:
+        words = [_at_home(word) for word in (sys.argv[1:] if argv is None else argv)]
+        if there := moved(words):
+            print(f"lookback: {there}", file=sys.stderr)
+            return 2
         _open_log()
         if not words:
             print(beginning())
@@ -126,5 +133,7 @@ def command() -> NoReturn:
     sys.exit(code)
 
 
+if IS_CAUGHT:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 if __name__ == "__main__":
     command()

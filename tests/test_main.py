@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -254,6 +255,31 @@ def test_a_thread_that_hangs_in_a_driver_is_not_unwound(hangs: bool, printed: st
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout == f"lookback {edge.__version__}\n{printed}"
+
+
+INTERRUPT_IMPORTS = """
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == "edge.commands.parser":
+            os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.{handler})
+sys.meta_path.insert(0, Interrupt())
+sys.argv[1:] = ["--version"]
+from edge.__main__ import command
+command()
+"""
+
+
+@pytest.mark.parametrize(
+    ("handler", "code"), [("default_int_handler", -signal.SIGINT), ("SIG_IGN", 0)], ids=["caught", "ignored"]
+)
+def test_ctrl_c_while_modules_are_imported_prints_no_traceback(handler: str, code: int) -> None:
+    """A shell ignores it for what it starts in the background, and so it stays."""
+    script = INTERRUPT_IMPORTS.replace("{handler}", handler)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, "")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler, "importing `main` changed it here"
 
 
 def test_a_log_line_stands_above_a_bar() -> None:
