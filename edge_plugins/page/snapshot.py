@@ -31,10 +31,14 @@ ROW_POINTS = 300
 
 
 class HistoryFrame(msgspec.Struct, frozen=True):
-    """One used frame, and where the autopilot said the vehicle then was: degrees (WGS 84), None where not known."""
+    """One used frame, and where the autopilot said the vehicle then was: degrees (WGS 84), None where not known.
+
+    searched: how far the vehicle had gone since a place was recognized, as in Status.
+    """
 
     used: FrameUsed
     vehicle: tuple[float, float] | None
+    searched: float = 0.0
 
 
 class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -129,7 +133,7 @@ class LiveStatus:
         self.frames_used += 1
         self.events += used.emitted
         self._unrecognized = 0 if used.accepted else self._unrecognized + 1
-        self._history.append(HistoryFrame(used, vehicle))
+        self._history.append(HistoryFrame(used, vehicle, round(self._unrecognized * self._step, 1)))
 
     def snapshot(self, daemon: DaemonStatus, costs: CostView) -> Snapshot:
         """What is to be shown now. costs: of `match`."""

@@ -234,7 +234,11 @@ def searching(gone_m: float, state: str) -> Callable[[int], Snapshot]:
 
     def shown(number: int) -> Snapshot:
         before = on_the_road(number)
-        return dataclasses.replace(before, status=replace(before.status, state=state, searched=(gone_m, 80.0, "m")))
+        history = tuple(
+            replace(one, used=replace(one.used, accepted=not gone_m), searched=gone_m) for one in before.status.history
+        )
+        status = replace(before.status, state=state, searched=(gone_m, 80.0, "m"), history=history)
+        return dataclasses.replace(before, status=status)
 
     return shown
 
@@ -259,6 +263,8 @@ def test_it_searches_before_it_is_off_the_map(tmp_path: Path, gone_m: float, sta
         until(driver, "status !== null")
         assert text(driver, "state") == words
         assert driver.find_element("id", "searched").is_displayed() == words.startswith("SEARCHING")
+        shade = {"SEARCHING": "soft", "OFF": "orange", "ON": "ink"}[re.split("[ ,]", words)[0]]
+        assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
 
 
 def click(driver: Any, name: str) -> None:
