@@ -153,6 +153,8 @@ try_doctor() {
     step "doctor, run by root: the rights of user lookback"
 }
 
+has_begun() { compgen -G "$root/opt/lookback.new.*/venv/bin/python" >/dev/null; }
+
 try_updates() {
     local before
     inside systemctl disable --quiet lookback
@@ -170,8 +172,11 @@ try_updates() {
     [ "$(property MainPID)" = "$before" ] && is_active || fail "the failed update touched the service"
     [ "$(ls "$root/opt")" = lookback ] || fail "left in /opt: $(ls "$root/opt")"
     step "failed update: the old version runs on"
-    inside timeout -s KILL 5 /srv/lookback/systemd/install.sh >/dev/null 2>&1 || true
-    [ "$(ls "$root/opt" | wc -l)" -gt 1 ] || fail "the killed installation left nothing: killed too early"
+    inside /srv/lookback/systemd/install.sh >/dev/null 2>&1 &
+    wait_for 300 has_begun || fail "the installation that is to be killed does not begin"
+    inside pkill -KILL -f 'systemd/install\.sh|/opt/lookback\.new' || fail "the installation ended before it was killed"
+    wait $! || true
+    has_begun || fail "the killed installation left nothing"
     inside /srv/lookback/systemd/install.sh --wheel /srv/lookback_nav-9.9-py3-none-any.whl >/dev/null 2>&1 || true
     [ "$(ls "$root/opt")" = lookback ] || fail "left in /opt: $(ls "$root/opt")"
     step "killed update: the next run cleans up"
@@ -273,6 +278,8 @@ rm -rf "$root/srv/lookback" && mkdir -p "$root/srv/lookback"
 tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins lookback lookback_fc6 sim systemd | tar -C "$root/srv/lookback" -x
 boot
 step "booted: $(inside systemctl --version | head -n 1)"
+inside dpkg --purge lookback >/dev/null 2>&1 || true # what an earlier run that failed left here
+inside /srv/lookback/systemd/install.sh --uninstall --purge >/dev/null
 make_data
 inside /srv/lookback/systemd/install.sh >"$work/install.txt" 2>&1 || fail "install.sh: $(tail -n 5 "$work/install.txt")"
 [ "$(inside systemctl is-enabled lookback)" = enabled ] || fail "not enabled"
