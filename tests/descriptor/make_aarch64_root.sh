@@ -24,4 +24,8 @@ done
 $python -m pip download -q --only-binary=:all: --python-version "$version" --implementation cp "${platforms[@]}" \
     -d "$root/wheels" "${packages[@]}"
 for wheel in "$root"/wheels/*.whl; do $python -m zipfile -e "$wheel" "$root/packages"; done
+# Of a Cortex-A76: ONNX Runtime since 1.28 crashes at its import where it reads the /proc/cpuinfo of the x86-64 computer.
+mkdir -p "$root/proc"
+printf 'processor\t: 0\nFeatures\t: fp asimd aes pmull sha1 sha2 crc32 atomics fphp asimdhp asimdrdm lrcpc dcpop asimddp
+CPU implementer\t: 0x41\nCPU architecture: 8\nCPU variant\t: 0x4\nCPU part\t: 0xd0b\nCPU revision\t: 1\n' >"$root/proc/cpuinfo"
 echo "LOOKBACK_AARCH64_ROOT=$root"
