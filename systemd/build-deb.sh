@@ -104,5 +104,5 @@ TEXT
 chmod 0644 "$stage/DEBIAN/md5sums" "$stage/DEBIAN/control"
 
 mkdir -p "$output"
-# xz: 90 MB, three quarters of what gzip needs, for four minutes of one core more.
+# xz: three quarters of what gzip needs, for four minutes of one core more.
 dpkg-deb --root-owner-group -Zxz --build "$stage" "$output"
