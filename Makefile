@@ -9,9 +9,9 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-flights test test-core test-python soak: export OMP_NUM_THREADS := 1
-flights test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-flights test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
+benchmark flights test test-core test-python soak: export OMP_NUM_THREADS := 1
+benchmark flights test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+benchmark flights test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
@@ -96,7 +96,7 @@ notebook: $(VENV)/.dev
 		docs/notebook.ipynb docs/notebook.ipynb
 
 benchmark: $(VENV)/.dev
-	$(BIN)/lookback compare benchmark -o build/benchmark
+	$(BIN)/lookback compare benchmark --network fc6=fc6 -o build/benchmark
 	$(BIN)/python -m sim.research.evaluation.tables benchmark build/benchmark/means.md docs/benchmark.md
 
 bench: $(VENV)/.dev

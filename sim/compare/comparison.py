@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.compare import plots
 from sim.compare.method_runner import MethodRunner, Outcome
@@ -101,23 +102,31 @@ def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome)
 
 MEANS_NOTE = (
     "Accuracy: mean R@1 over all pairs. Honesty: mean R@P100, the share of the frames on the map that can be used"
-    " without a single wrong place among them."
+    " without a single wrong place among them. Pairs: R@1 and R@P100; of several roads the mean, and the lowest and"
+    " highest R@1."
 )
 
 
 def means(runner: MethodRunner, results: Results) -> Table:
-    """A row for every method: accuracy and honesty over all pairs, and both on each."""
-    pairs = [pair.name for pair in runner.plan.pairs]
+    """A row for every method: accuracy and honesty over all pairs, and both on each kind of pair."""
+    pairs = runner.plan.pairs
+    kinds = list(dict.fromkeys(pair.kind or pair.name for pair in pairs))
     rows: list[list[Cell]] = []
     for text in runner.plan.methods:
-        outcomes = [results[pair, text] for pair in pairs]
-        each = [(recall_at_1(one.answers), recall_at_100(one.answers)) for one in outcomes]
-        accuracy, honesty = np.mean(each, axis=0).tolist()
+        outcomes = [results[pair.name, text] for pair in pairs]
+        each = np.array([(recall_at_1(one.answers), recall_at_100(one.answers)) for one in outcomes])
+        columns = [each[[(pair.kind or pair.name) == kind for pair in pairs]] for kind in kinds]
         time_ms = float(np.median([one.frame_ms for one in outcomes]))
-        rows.append([text, accuracy, honesty, *(f"{first:.2f}, {sure:.2f}" for first, sure in each), f"{time_ms:.1f}"])
+        rows.append([text, *each.mean(axis=0).tolist(), *map(_mean_cell, columns), f"{time_ms:.1f}"])
     return Table(
-        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *pairs, "CPU ms a frame"), rows, MEANS_NOTE
+        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *kinds, "CPU ms a frame"), rows, MEANS_NOTE
     )
+
+
+def _mean_cell(each: NDArray[np.float64]) -> str:
+    """R@1 and R@P100 (n, 2) of pairs of one kind."""
+    (first, sure), lowest, highest = each.mean(axis=0), each[:, 0].min(), each[:, 0].max()
+    return f"{first:.2f}" + (f" ({lowest:.2f} to {highest:.2f})" if len(each) > 1 else "") + f", {sure:.2f}"
 
 
 def as_short(cell: Cell) -> str:

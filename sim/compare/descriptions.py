@@ -30,7 +30,7 @@ class Descriptions:
         self._folder = folder
         self._data = data
         self._opened: dict[str, Network] = {}
-        self._raw: dict[tuple[object, ...], tuple[Raw, float]] = {}
+        self._raw: dict[tuple[object, ...], tuple[NDArray[np.intp], Raw, float]] = {}
 
     def network(self, name: str, tap: Tap) -> Network:
         """A layer of a network, opened once."""
@@ -58,13 +58,15 @@ class Descriptions:
         return self._made(traverse, name, tap, regions)[1]
 
     def _made(self, traverse: Traverse, name: str, tap: Tap, regions: Regions) -> tuple[Raw, float]:
-        is_file = bool(self._plan.networks[name].descriptors)
-        source = "file" if is_file else self.network(name, tap).info.sha256
-        key = (name, source, regions, traverse.name, traverse.paths, traverse.rows.tobytes())
-        if key not in self._raw:
-            network = None if is_file else self.network(name, tap)
-            self._raw[key] = self._described(traverse, network, regions) if network else self._read(traverse, name)
-        return self._raw[key]
+        if self._plan.networks[name].descriptors:
+            return self._read(traverse, name)
+        network = self.network(name, tap)
+        key = (name, network.info.sha256, regions, traverse.paths)
+        # A traverse that ends earlier has the rows of the whole one.
+        if key not in self._raw or not np.isin(traverse.rows, self._raw[key][0]).all():
+            self._raw[key] = (traverse.rows, *self._described(traverse, network, regions))
+        rows, raw, frame_ms = self._raw[key]
+        return raw[np.searchsorted(rows, traverse.rows)], frame_ms
 
     def _read(self, traverse: Traverse, name: str) -> tuple[Raw, float]:
         """Descriptors of a traverse that were made elsewhere. ConfigError names what is missing."""

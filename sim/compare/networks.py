@@ -22,8 +22,8 @@ def open_network(name: str, plan: NetworkPlan, folder: Path, tap: Tap) -> Networ
         if not plan.conv3:
             raise ConfigError(f"[networks.{name}]: has no conv3; name the file that `lookback dev alexnet` made of it")
         return Network.load(folder / plan.conv3)
-    if not plan.model or plan.model in NETWORKS:
-        return Network.load(Path(plan.model) if plan.model else None)
+    if plan.model in NETWORKS:
+        return Network.load(Path(plan.model))
     file = folder / plan.model
     file = resolve_model(file) if file.is_dir() else file
     if not file.is_file():

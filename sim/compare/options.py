@@ -10,7 +10,7 @@ import msgspec
 
 from edge.config import NETWORKS
 from edge.errors import ConfigError
-from sim.compare.methods import SEQUENCES
+from sim.compare.methods import METHODS, SEQUENCES
 from sim.compare.plan import NetworkPlan, Plan, checked_plan
 from sim.datasets.pictures import read_drive
 from sim.evaluation.metrics import TOLERANCE_M
@@ -62,7 +62,7 @@ def with_options(plan: Plan, args: argparse.Namespace) -> Plan:
         if given["model"] not in NETWORKS:
             given["model"] = str(Path(str(given["model"])).resolve())
         networks[name] = msgspec.convert(given, NetworkPlan)
-        rows += [f"{row}@{name}" for row in ("Raw-single", "NSD-single", "NSD-CR", "Lookback")]
+        rows += [f"{row}@{name}" for row in plan.methods if row in METHODS and METHODS[row].layer == "fc6"]
     for text in args.descriptors:
         name, files = _named("--descriptors", text)
         both = [str(Path(file).resolve()) for file in files.split(",")]

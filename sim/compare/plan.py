@@ -2,6 +2,7 @@
 
 title = "My street"
 methods = ["Raw-single", "Raw-fc6", "NSD-CR", "Lookback", "NSD-single@cosplace", "SeqSLAM"]   # NAME or NAME@NETWORK
+seeds = [6101, 6113]        # the scenarios on these roads instead of their own: each pair on each
 region_width = 0.4          # of each region of NSD-CR, fraction of the picture
 resamples = 1000            # of the bootstrap
 
@@ -9,8 +10,8 @@ resamples = 1000            # of the bootstrap
 by = "distance"
 spacing_m = 2.0
 
-[networks.places100]        # the first is the default
-model = "fc6"               # or "grid"; or a file, under --models or beside the plan
+[networks.grid]             # the first is the default; without any it is the grid
+model = "grid"              # or "fc6"; or a file, under --models or beside the plan
 [networks.cosplace]
 model = "cosplace.onnx"     # any ONNX network; also: size = [height, width], mean and std of each channel
 [networks.netvlad]
@@ -37,11 +38,13 @@ sequence_lengths = [5, 10, 20, 40]
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
@@ -51,6 +54,7 @@ TRUTHS = ("positions", "rows", "route_m", "anchors")
 Length = Annotated[int, Meta(ge=1, le=500)]
 Positive = Annotated[float, Meta(gt=0)]
 Pixels = Annotated[int, Meta(ge=8, le=4096)]
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Named = TypeVar("Named")
 
 
@@ -75,12 +79,13 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
     """[traverses.NAME]: a recording, several (each a drive of its own), or a scenario that is rendered into a feed.
 
     A scenario has a frame every spacing of the sampling.
-    last_row: the last row of the feed that is used.
+    last_row: the last row of the feed that is used. seed: the road of the scenario, instead of its own.
     """
 
     feed: str = ""
     feeds: tuple[str, ...] = ()
     scenario: str = ""
+    seed: Seed | None = None
     last_row: Annotated[int, Meta(ge=0)] | None = None
 
 
@@ -98,6 +103,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
+    kind: pairs of one kind are one column of the means (default: its name).
     figure: of the paper. published: method -> max-F1 in the paper, of its own data sets.
     """
 
@@ -116,6 +122,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: list[tuple[float, float]] = []
     loop: Annotated[int, Meta(ge=0)] = 0
     loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
+    kind: str = ""
     figure: str = ""
     published: dict[str, float] = {}
 
@@ -132,15 +139,19 @@ class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Plan(Struct, frozen=True, forbid_unknown_fields=True):
-    """The whole plan."""
+    """The whole plan.
+
+    seeds: roads on which every scenario is driven instead of its own, and every pair is compared.
+    """
 
     title: str
     methods: Annotated[list[str], Meta(min_length=1)]
     traverses: dict[str, TraversePlan]
     pairs: Annotated[list[Pair], Meta(min_length=1)]
     networks: Annotated[dict[str, NetworkPlan], Meta(min_length=1)] = msgspec.field(
-        default_factory=lambda: {"shipped": NetworkPlan()}
+        default_factory=lambda: {"grid": NetworkPlan(model="grid")}
     )
+    seeds: tuple[Seed, ...] = ()
     sampling: SamplingConfig = SamplingConfig()
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000
@@ -152,7 +163,19 @@ def load_plan(path: Path) -> Plan:
     """Read and check a plan; ConfigError names the file and the key, in one line."""
     plan = read_toml(path, Plan)
     _check_names(path, plan)
-    return plan
+    return on_each_road(plan) if plan.seeds else plan
+
+
+def on_each_road(plan: Plan) -> Plan:
+    """The plan with a traverse and a pair for each of its seeds in place of each."""
+    traverses = {
+        f"{name}, road {seed}": replace(one, seed=seed) for seed in plan.seeds for name, one in plan.traverses.items()
+    }
+    pairs = []
+    for seed, pair in product(plan.seeds, plan.pairs):
+        ends = {key: f"{getattr(pair, key)}, road {seed}" for key in ("reference", "query")}
+        pairs.append(replace(pair, **ends, name=f"{pair.name}, road {seed}", kind=pair.kind or pair.name))
+    return replace(plan, traverses=traverses, pairs=pairs)
 
 
 def checked_plan(where: Path, values: dict[str, Any]) -> Plan:
@@ -164,13 +187,20 @@ def checked_plan(where: Path, values: dict[str, Any]) -> Plan:
 
 def _check_names(path: Path, plan: Plan) -> None:
     """ConfigError unless all names in the plan are defined."""
+    for name, network in plan.networks.items():
+        if bool(network.model) == bool(network.descriptors):
+            raise ConfigError(f"{path}: networks.{name}: needs model or descriptors, and not both")
     for name, traverse in plan.traverses.items():
+        if plan.seeds and not traverse.scenario:
+            raise ConfigError(f"{path}: seeds: need a scenario for every traverse; {name} has none")
         if [bool(traverse.feed), bool(traverse.feeds), bool(traverse.scenario)].count(True) != 1:
             raise ConfigError(f"{path}: traverses.{name}: needs one of feed, feeds and scenario")
         if traverse.feeds and traverse.last_row is not None:
             raise ConfigError(f"{path}: traverses.{name}: last_row needs feed, not feeds")
     for index, pair in enumerate(plan.pairs):
         _check_pair(f"{path}: pairs[{index}] {pair.name!r}", plan, pair)
+    if plan.seeds and (plan.experiments.sequence_lengths or any(pair.calibration for pair in plan.pairs)):
+        raise ConfigError(f"{path}: seeds: not with calibration, nor with experiments")
     experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
     for name in experiments.sweep_pairs:
         named(f"{path}: experiments", name, pairs)

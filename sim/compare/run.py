@@ -76,7 +76,7 @@ def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
     def open_traverse(name: str) -> Traverse:
         traverse = plan.traverses[name]
         if traverse.scenario:
-            paths = [feed_of(name, traverse, folders.scenarios, folders.rendered, plan.sampling)]
+            paths = [feed_of(traverse, folders.scenarios, folders.rendered, plan.sampling)]
         else:
             paths = [folders.feeds / feed for feed in traverse.feeds or (traverse.feed,)]
         return load_traverse(name, traverse, paths, plan.sampling)
@@ -148,7 +148,7 @@ def print_table(table: Table) -> None:
         print(table.note, file=sys.stderr)
 
 
-def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
+def feed_of(plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
     """The feed of a scenario, in `rendered`, under a name with a hash of everything that determines its pictures.
 
     It gets that name when it is complete, so that an interrupted rendering is not used.
@@ -157,9 +157,11 @@ def feed_of(name: str, plan: TraversePlan, folder: Path, rendered: Path, samplin
         from sim.world.recording import record_drive
         from sim.world.scenario import load_scenario
     scenario = load_scenario(folder / plan.scenario)
+    if plan.seed is not None:
+        scenario = msgspec.structs.replace(scenario, seed=plan.seed)
     spacing_m = sampling.spacing_m
     decides = msgspec.json.encode([scenario, spacing_m, edge.__version__])
-    path = rendered / f"{name}-{hashlib.sha256(decides).hexdigest()[:12]}"
+    path = rendered / f"{Path(plan.scenario).stem}-{hashlib.sha256(decides).hexdigest()[:12]}"
     if path.is_dir():
         return path
     part = path.with_suffix(".part")

@@ -88,7 +88,7 @@ def of_streets(feeds: Path) -> Claims:
     for scene, seen in zip(front, rear, strict=True):
         traverses[scene] = TraversePlan(feeds=(scene,))
         traverses[f"without {scene}"] = TraversePlan(feeds=tuple(one for one in rear if one != seen))
-    plan = msgspec.structs.replace(plan, traverses=traverses, networks={"shipped": NetworkPlan()})
+    plan = msgspec.structs.replace(plan, traverses=traverses, networks={"fc6": NetworkPlan(model="fc6")})
     runner = open_runner(plan, Folders(path.parent, feeds, feeds, feeds))
     mapped = joined([runner.run(pair, "Lookback").answers for pair in plan.pairs])
     foreign = [_elsewhere(runner, pair, scene) for pair in plan.pairs for scene in front]

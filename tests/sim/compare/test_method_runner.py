@@ -29,7 +29,7 @@ def test_the_evaluation_answers_as_the_recognizer_does(shared: Path, network: Ne
     plan = Plan(
         title="corridor",
         methods=["Lookback"],
-        networks={"shipped": NetworkPlan()},
+        networks={"fc6": NetworkPlan(model="fc6")},
         traverses={name: TraversePlan(feed=f"corridor_{name}", last_row=FRAMES - 1) for name in ("reference", "query")},
         pairs=[Pair("p", "reference", "query", "rows", tolerance=TOLERANCE, length=LENGTH)],
         sampling=SamplingConfig(by="frames"),
@@ -64,7 +64,7 @@ def test_right_answers_ahead_of_the_truth_are_told_from_those_behind(tmp_path: P
     plan = Plan(
         title="ahead",
         methods=["SeqSLAM"],
-        networks={"shipped": NetworkPlan()},
+        networks={"fc6": NetworkPlan(model="fc6")},
         traverses={name: TraversePlan(feed=name) for name in ("there", "here")},
         pairs=[Pair("p", "there", "here", "positions", tolerance=9.0, length=1)],
         sampling=SamplingConfig(by="frames"),
@@ -82,7 +82,7 @@ def runner_on(tmp_path: Path, pairs: list[Pair], *feeds: str) -> MethodRunner:
     plan = Plan(
         title="street",
         methods=["Raw-fc6"],
-        networks={"shipped": NetworkPlan()},
+        networks={"fc6": NetworkPlan(model="fc6")},
         traverses={name: TraversePlan(feed=name) for name in feeds},
         pairs=pairs,
         sampling=SamplingConfig(by="frames"),
@@ -113,7 +113,7 @@ def test_the_offset_is_measured_on_another_drive_and_moves_what_is_right(tmp_pat
 
 def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     plan = load_plan(SHIPPED / "real_front_rear.toml")
-    plan = msgspec.structs.replace(plan, networks={"shipped": NetworkPlan()})
+    plan = msgspec.structs.replace(plan, networks={"fc6": NetworkPlan(model="fc6")})
     feeds = shared / "feeds/street_front_rear"
     outcome = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path)).run(plan.pairs[0], "Raw-fc6")
     assert len(outcome.query.drives()) == 6

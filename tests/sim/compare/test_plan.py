@@ -52,6 +52,8 @@ def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> 
         ("length = 5", 'length = 5\ncalibration = "here"', "calibration needs another drive than the query"),
         ("length = 5", 'length = 5\n[experiments]\nsweep_pairs = ["x"]', "experiments: no 'x'; there are p"),
         ("title", "title = [", "not TOML"),
+        ("length = 5", "length = 5\n[networks.x]", "networks.x: needs model or descriptors"),
+        ('title = "t"', 'title = "t"\nseeds = [1]', "seeds: need a scenario for every traverse; here has none"),
     ],
 )
 def test_a_wrong_plan_is_one_line(tmp_path: Path, old: str, new: str, says: str) -> None:
@@ -67,3 +69,17 @@ def test_a_good_plan_is_read_and_a_missing_one_named(tmp_path: Path) -> None:
     assert load_plan(tmp_path / "plan.toml").pairs[0].tolerance == 40.0
     with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot read it"):
         load_plan(tmp_path / "nowhere.toml")
+
+
+def test_a_plan_that_names_no_network_has_the_one_that_every_installation_has(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(GOOD)
+    assert {name: one.model for name, one in load_plan(tmp_path / "plan.toml").networks.items()} == {"grid": "grid"}
+
+
+def test_each_pair_is_compared_on_each_road_and_counts_as_one_kind(tmp_path: Path) -> None:
+    plan = GOOD.replace("feed =", "scenario =").replace('title = "t"', 'title = "t"\nseeds = [3, 8]')
+    (tmp_path / "plan.toml").write_text(plan)
+    found = load_plan(tmp_path / "plan.toml")
+    assert [(one.name, one.kind) for one in found.pairs] == [("p, road 3", "p"), ("p, road 8", "p")]
+    assert [found.traverses[one.query].seed for one in found.pairs] == [3, 8]
+    assert [found.traverses[one.reference].scenario for one in found.pairs] == ["there", "there"]
