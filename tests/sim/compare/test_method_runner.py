@@ -119,3 +119,18 @@ def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     assert len(outcome.query.drives()) == 6
     assert len(outcome.judged) == len(outcome.query.rows) - 6 * 9
     assert outcome.answers.correct.mean() > 0.4  # a guess is right in 0.05
+
+
+def test_a_traverse_that_ends_earlier_is_not_described_again(tmp_path: Path, write_feed: Any) -> None:
+    write_feed("there", [2.0 * step for step in range(12)])
+    traverses = {"whole": TraversePlan(feed="there"), "part": TraversePlan(feed="there", last_row=6)}
+    plan = Plan(
+        "t", ["Raw-fc6"], traverses, [Pair("p", "part", "whole", length=2)], sampling=SamplingConfig(by="frames")
+    )
+    runner = open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
+    whole, part = (runner.traverse(name) for name in ("whole", "part"))
+    raw = runner.descriptions.raw(whole, "grid", "fc6", "left-right")
+    again = runner.descriptions.raw(part, "grid", "fc6", "left-right")
+    assert np.array_equal(again, raw[:7])
+    took_ms = [runner.descriptions.frame_ms(one, "grid", "fc6", "left-right") for one in (whole, part)]
+    assert took_ms[0] == took_ms[1]
