@@ -2,9 +2,10 @@
 
     python -m sim.research.evaluation.alignment --seeds 7001 7002 --cache FOLDER [--page docs/recordings.md]
 
-Each road is driven in another light, at another speed, with a front or a rear camera up to 1 m ahead of the antenna or
-behind it. Every second video has the creation time of a phone with Android; the others have none. The frame rate of all
-falls to a third half-way. Drives are kept in FOLDER. --page writes the table between the marks of a page.
+Each road is driven in another light, at another speed, with a front or a rear camera that turns up to 6 m ahead of the
+antenna, as of a bus, or 1 m behind it. Of eight videos four have the creation time of a phone with Android; the
+others have none. The frame rate of all falls to a third half-way. Drives are kept in FOLDER. --page writes the table
+between the marks of a page.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ BEGUN = datetime(2026, 5, 4, 12, 30, 20, tzinfo=timezone.utc)
 """When the first picture was taken, by the satellites' time."""
 LEAD_S = 6.0
 """By so much the track was switched on earlier."""
+AHEAD_M = -1.0, 0.0, 2.0, 6.0
 LIGHTS: tuple[LightName, ...] = ("day", "night", "dusk", "rain")
 
 
@@ -114,7 +116,7 @@ def lay(number: int, seed: int, length_m: float, cache: Path) -> Laid | None:
         shaking=1.0,
         width=160,
         height=120,
-        camera_ahead_m=number % 3 - 1.0,
+        camera_ahead_m=AHEAD_M[number // 5 % 4],
     )
     drive = cache / f"{seed}-{number}-{length_m:g}"
     if not drive.exists():
