@@ -82,7 +82,9 @@ def _write(
     with needing("--output", "sim"):
         from sim.evaluation import figures, report
     curves = {one.name: precision_recall(one.answers) for one in judged}
-    plot = report.Figure("precision_recall", "Every confidence", figures.precision_recall_plot(curves))
+    plot = report.Figure(
+        "precision_recall", "Precision and recall at every confidence", figures.precision_recall_plot(curves)
+    )
     table = report.Table("recordings", "In numbers", COLUMNS, rows)
     section = report.Section("Recordings", tables=[table], figures=[plot])
     lead = [
