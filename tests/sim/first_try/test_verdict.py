@@ -87,6 +87,13 @@ def test_dark_pictures_and_another_camera_are_advised_of() -> None:
     assert "the pictures are 320 x 240 and 480 x 240" in advice
 
 
+def test_an_upright_phone_is_advised_of() -> None:
+    feed = a_feed("query", width=180)
+    assert feed.header.height > feed.header.width
+    tried = replace(a_try(range(20, 100), range(100)), query=feed)
+    assert any("the pictures of query are upright (180 x 240)" in one for one in verdict(tried).advice)
+
+
 def test_without_positions_the_recordings_that_lack_them_are_named() -> None:
     nowhere = tuple(FeedRow("", row.stamp_ns) for row in a_feed("query").rows)
     tried = replace(a_try(range(20, 100), range(100)), judged=None, query=replace(a_feed("query"), rows=nowhere))
