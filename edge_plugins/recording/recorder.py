@@ -126,6 +126,7 @@ def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") 
     height, width = frame.image.shape[:2]
     processed = camera.preprocessing
     about = path.name, camera.view, width, height, camera.source, notes
-    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, odometer=True, time_sigma_s=0.0))
+    # While GPS works, the autopilot's velocity and with it distance_m are GPS's own: they do not vouch for positions.
+    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, time_sigma_s=0.0))
     log.info("recording: %s", path)
     return writer

@@ -54,7 +54,7 @@ def test_a_run_becomes_a_feed(tmp_path: Path) -> None:
     assert record(tmp_path / "runs").written == 5
     feed = read_feed(tmp_path / "runs" / NAME)
     assert (feed.header.name, feed.header.view, feed.header.width) == (NAME, "rear", 32)
-    assert feed.header.odometer, "distance_m is what the vehicle measured"
+    assert not feed.header.odometer, "while GPS works, the autopilot's distance is GPS's own, and vouches for nothing"
     assert [row.distance_m for row in feed.rows] == [0.0, 2.0, 4.0, 6.0, 8.0]
     assert (feed.rows[0].lat_deg, feed.rows[1].lat_deg, feed.rows[1].speed_mps) == (None, 1.0, 4.0)
 
