@@ -17,6 +17,9 @@ SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
 WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
+# Drives that are computed alike on every Python: over a quarter of the time that test-python would take.
+ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
+	plugins/mapping/test_outage.py plugins/motion
 
 .PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
 .PHONY: benchmark clean docs notebook
@@ -34,7 +37,7 @@ test-core:
 # What may differ from one Python to another: imports, config, files, sockets, threads, subprocesses, the page, and the
 # daemon with a camera and an autopilot.
 test-python:
-	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) \
+	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(ALIKE:%=--ignore tests/%) \
 		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
 		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
 

@@ -1,8 +1,7 @@
-"""A drive is a list of events: the daemon writes it, and a bare estimator gives the same answers again."""
+"""A drive is a list of events, which the daemon writes; that a bare estimator answers it alike is in tests/golden."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,53 +9,32 @@ import pytest
 from msgspec.structs import replace
 
 from edge.errors import FeedError
-from edge.localization import Fix, Refusal
 from edge.localization.drive_file import read_drive, replay
-from edge.localization.events import Frame, Maps, Own, Used
-from edge.localization.position_estimator import Asked
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import cases, run_case
 
-CASES = cases("run")
+CASE = cases("run")[0]
 
 
 @pytest.fixture
-def scratch(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
-    return make_once("golden", lambda folder: None)
+def path(make_once: Callable[[str, Callable[[Path], object]], Path], network: MemoizingNetwork) -> Path:
+    """The list of one drive."""
+    return make_once("events", lambda folder: _drive(folder, network)) / "list.drive"
 
 
-@pytest.mark.parametrize("folder", CASES, ids=lambda folder: folder.name)
-def test_a_bare_estimator_answers_the_list_of_a_drive_as_the_daemon_did(
-    folder: Path, scratch: Path, tmp_path: Path, network: MemoizingNetwork
-) -> None:
-    """Every fix with its level, and every refusal, in each of the recorded runs."""
-    path = tmp_path / "list.drive"
-    run_case(folder, scratch, network, own=tmp_path / "run", drive=path)
-    config, entries = read_drive(path)
-    kinds = Counter(type(entry) for _, entry in entries)
-    assert {Frame, Own, Maps, Used, Asked} <= set(kinds)
-    answers = list(replay(config, entries))
-    assert len(answers) == kinds[Asked] > 50
-    for t_ns, asked, now in answers:
-        assert now == asked.answer, t_ns
-    assert {type(now) for _, _, now in answers} == {Fix, Refusal}
+def _drive(folder: Path, network: MemoizingNetwork) -> None:
+    run_case(CASE, folder, network, own=folder / "run", drive=folder / "list.drive")
 
 
-def test_another_configuration_gives_other_answers(scratch: Path, tmp_path: Path, network: MemoizingNetwork) -> None:
-    """What is compared above can differ."""
-    path = tmp_path / "list.drive"
-    run_case(CASES[0], scratch, network, own=tmp_path / "run", drive=path)
+def test_another_configuration_gives_other_answers(path: Path) -> None:
+    """What the goldens' test compares can differ."""
     config, entries = read_drive(path)
     strict = replace(config, gates=replace(config.gates, risk=1e-12))
     assert any(now != asked.answer for _, asked, now in replay(strict, entries))
 
 
-def test_the_list_of_a_computer_that_lost_its_power_ends_with_its_last_whole_entry(
-    scratch: Path, tmp_path: Path, network: MemoizingNetwork
-) -> None:
-    path, cut = tmp_path / "list.drive", tmp_path / "cut.drive"
-    run_case(CASES[0], scratch, network, own=tmp_path / "run", drive=path)
-    data = path.read_bytes()
+def test_the_list_of_a_computer_that_lost_its_power_ends_with_its_last_whole_entry(path: Path, tmp_path: Path) -> None:
+    cut, data = tmp_path / "cut.drive", path.read_bytes()
     cut.write_bytes(data[: len(data) // 2])
     _, entries = read_drive(path)
     _, read = read_drive(cut)

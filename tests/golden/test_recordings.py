@@ -6,6 +6,7 @@ Of drives whose pictures are rendered for the test, what is decided is equal; se
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from itertools import zip_longest
 from pathlib import Path
@@ -15,6 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.localization import Fix, Refusal
+from edge.localization.drive_file import read_drive, replay
+from edge.localization.events import Frame, Maps, Own, Used
+from edge.localization.position_estimator import Asked
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
 
@@ -33,10 +38,12 @@ differently in the last bits: positions were up to 0.08 m apart, all that was de
 
 
 @pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
-def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: MemoizingNetwork) -> None:
+def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: MemoizingNetwork, tmp_path: Path) -> None:
+    """And of a run, a bare estimator gives the daemon's answers to the list of the drive."""
     if folder.parent.name == "drives":
         pytest.importorskip("panda3d", reason="needs the simulator's renderer (extra sim)")
-    for name, now in outputs_of(folder, scratch, network).items():
+    drive = tmp_path / "list.drive"
+    for name, now in outputs_of(folder, scratch, network, drive).items():
         expected = (folder / name).read_text(encoding="utf-8")
         is_rendered = folder.parent.name == "drives"
         old, new = (decisions(expected), decisions(now)) if is_rendered else (expected, now)
@@ -44,6 +51,20 @@ def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: Me
             pytest.fail(f"{folder / name}: {first_difference(old, new)}")
         apart_deg = np.abs(positions(now) - positions(expected))
         assert apart_deg.max(initial=0.0) * METERS_A_DEGREE <= APART_M
+    if folder.parent.name == "run":
+        a_bare_estimator_answers_as_the_daemon_did(drive)
+
+
+def a_bare_estimator_answers_as_the_daemon_did(drive: Path) -> None:
+    """Every fix with its level, and every refusal."""
+    config, entries = read_drive(drive)
+    kinds = Counter(type(entry) for _, entry in entries)
+    assert {Frame, Own, Maps, Used, Asked} <= set(kinds)
+    answers = list(replay(config, entries))
+    assert len(answers) == kinds[Asked] > 50
+    for t_ns, asked, now in answers:
+        assert now == asked.answer, t_ns
+    assert {type(now) for _, _, now in answers} == {Fix, Refusal}
 
 
 DECIDED = ("event", "mavpackettype", "state", "why", "reason", "accepted", "emitted", "way", "send_boot_s", "at_s")

@@ -95,10 +95,9 @@ def test_old_pictures_of_a_vehicle_that_never_stops_send_no_wrong_position(
 
     An age of over a second must have been seen twice; where it was not, none is sent.
     """
-    for name, sends in (("pictures-0.5", True), ("pictures-1.5", False)):
-        run = drive(COURSES[name], 1, LENGTH_M, WORLD, tmp_path, library)
-        assert not failures(run, HONEST), line(name, run)
-        assert (len(run.sent.time_s) > 10) == sends
+    run = drive(COURSES["pictures-1.5"], 1, LENGTH_M, WORLD, tmp_path, library)
+    assert not failures(run, HONEST), line("pictures-1.5", run)
+    assert len(run.sent.time_s) <= 10
 
 
 def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
