@@ -29,7 +29,8 @@ that are 160 m apart by displacement, and a margin for bends and for frames that
 class Stretch:
     """A part of the road that the map knows, by its arc lengths.
 
-    off_m: east and north, by how much its positions are wrong, within the arc lengths `off_within_m`. left_m: beside
+    off_m: east and north, by how much its positions are wrong, within the arc lengths `off_within_m`. late_m: its
+    pictures are so many meters further along than their positions, and nobody has aligned them. left_m: beside
     the lane, as on another drive. on_way: places lie on the drive's way instead of the road, where the way was bent.
     spacing_m: the least and the greatest distance between places. headings: whether the places have one. recording: the
     drive that it was mapped on, where several stretches are of one. looks: the seed of the road that it looks like,
@@ -40,6 +41,7 @@ class Stretch:
     end_m: float
     off_m: tuple[float, float] = (0.0, 0.0)
     off_within_m: tuple[float, float] = (-math.inf, math.inf)
+    late_m: float = 0.0
     left_m: float = 0.0
     on_way: bool = False
     spacing_m: tuple[float, float] = (2.0, 2.0)
@@ -51,7 +53,7 @@ class Stretch:
     @property
     def is_true(self) -> bool:
         """Whether its positions are right."""
-        return self.off_m == (0.0, 0.0)
+        return self.off_m == (0.0, 0.0) and not self.late_m
 
 
 @dataclass
@@ -119,9 +121,9 @@ class CourseDraft(Draft):
         """Meters of the way, or of the road, at a share of the length."""
         return round(share * self.length_m)
 
-    def side(self, off_m: float) -> tuple[float, float]:
-        """An offset, east and north, to the side of the road."""
-        heading = along(self.home, self.length_m / 2, self.length_m / 2 - 2).heading_rad[0] + np.pi / 2
+    def side(self, off_m: float, turn_rad: float = np.pi / 2) -> tuple[float, float]:
+        """An offset, east and north, to the right of the way home in its middle, or in another direction."""
+        heading = along(self.home, self.length_m / 2, self.length_m / 2 - 2).heading_rad[0] + turn_rad
         return off_m * float(np.sin(heading)), off_m * float(np.cos(heading))
 
 

@@ -56,7 +56,10 @@ def _drive_stretch(
     """rngs: of the places, and of GPS."""
     stretch = draft.map[number]
     out = map_scenario(draft.home, stretch.camera)
-    builder.begin_segment(stretch.recording or f"stretch {number}", out.view, has_odometer=True, whole_sigma_m=0.0)
+    whole_sigma_m = None if stretch.late_m else 0.0
+    builder.begin_segment(
+        stretch.recording or f"stretch {number}", out.view, has_odometer=True, whole_sigma_m=whole_sigma_m
+    )
     seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
     places_m = _places_m(stretch, rngs[0])
     from_m, to_m = stretch.off_within_m
@@ -96,7 +99,8 @@ def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m
         east_m, north_m, heading_rad = draft.way.at(at_m, -RIG.left_reverse_m - stretch.left_m)
         heading_rad += math.pi
     else:
-        east_m, north_m, heading_rad = route.at(route_m, draft.home.lane_m + stretch.left_m)
+        at_m = max(0.0, route_m - stretch.late_m)
+        east_m, north_m, heading_rad = route.at(at_m, draft.home.lane_m + stretch.left_m)
     pose = east_m, north_m, heading_rad if stretch.headings else NAN
     return place_at(row, route_m, pose, off_m, lon_shift_deg=draft.lon_shift_deg)
 

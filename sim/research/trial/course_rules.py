@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Array, Run, lane_off_m, lost_s
 
 FALSE_M = 40.0
+LINE_M = 80.0
 FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S = 3.0
 LEVEL_FOLLOWS_S = 0.15
@@ -21,6 +22,9 @@ FAILSAFE_S = 6.0
 WARNING, WARNED_S = 4, 30.0
 CALLED_M, USUAL_M = 50.0, 10.0
 UNRECOGNIZED = "not recognized where GPS"
+TOLD = "GPS is wrong", "GPS and places disagree", "the map is wrong", UNRECOGNIZED
+TOLD_M = 60.0
+"""Within which the pilot must read of a difference, after the LINE_M that recognizing a place takes."""
 
 
 class Failure(NamedTuple):
@@ -227,6 +231,19 @@ def warned_before_50_m(run: CourseRun) -> str:
     warned_s = min(_called_s(run), _called_s(run, UNRECOGNIZED))
     worst_m = run.track.error_m[run.track.time_s <= warned_s].max()
     return "no warning" if math.isinf(warned_s) else f"{worst_m:.0f} m before it" if worst_m >= CALLED_M else ""
+
+
+def told_after(from_m: float) -> Rule:
+    """The rule that the pilot reads of GPS or the map soon after the two begin to disagree, at a meter of the way."""
+
+    def told_soon(run: CourseRun) -> str:
+        told_s = min((_called_s(run, text) for text in TOLD), default=math.inf)
+        if math.isinf(told_s):
+            return "not told"
+        after_m = float(np.interp(told_s, run.track.time_s, run.track.along_m)) - from_m
+        return f"told after {after_m:.0f} m" if after_m > LINE_M + TOLD_M else ""
+
+    return told_soon
 
 
 def back_to_usual(run: CourseRun) -> str:

@@ -11,6 +11,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+from edge.config import FIRST_NETWORK
 from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial.course_drive import drive
@@ -162,7 +163,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
 def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:
     """Drives in one process."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
-    library, runs = RoadLibrary(Network.load(), folder / "views"), {}
+    library, runs = RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views"), {}
     try:
         for one in planned:
             journals = folder / f"road-{one.world}"

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from edge.config import FIRST_NETWORK
 from edge.descriptor.network import Network
 from sim.research.trial.gps_drives import CALLED_M, DRIVES, WORLDS, Outcome, PlacedDrive, build_map, judge, place
 from sim.research.trial.gps_histories import DRAG_MPS, TURNS_DEG, History, drag, jammed, jump, multipath, replay, rtk
@@ -29,7 +30,7 @@ class GpsTrial:
 
     def __init__(self, folder: Path, worlds: Sequence[int], drives: int) -> None:
         """folder: keeps rendered views. drives: how many different ones."""
-        self._network = Network.load()
+        self._network = Network.load(Path(FIRST_NETWORK))
         self.library = RoadLibrary(self._network, folder / "views")
         self._folder, self._worlds, self._drives = folder, worlds, drives
         self._placed = cache(self._place)

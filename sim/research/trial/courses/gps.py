@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +23,7 @@ from sim.research.trial.course_rules import (
     never_sent,
     resumes,
     sends,
+    told_after,
     warned_before_50_m,
 )
 from sim.research.trial.courses.registry import course
@@ -105,6 +107,19 @@ def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
     draft.steers, draft.doubted_gps = False, "switch"
+
+
+@course("D", "gps-30-m-off-after-{}", "gap", "far-gap", "gap-unaided", least_m=1600.0)
+def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
+    """The same by 30 m, after a gap of 250 m or 800 m, also where nothing but GPS measures the velocity."""
+    gap_m = 800.0 if value == "far-gap" else 250.0
+    agreed_m = draft.length_m - 400.0
+    draft.map = [Stretch(0.0, agreed_m - gap_m), Stretch(agreed_m, draft.length_m)]
+    from_s, (east_m, north_m) = (400.0 + gap_m / 2) / 8.0, draft.side(30.0)
+    draft.gps_at = lambda time_s: GpsReport(east_off_m=east_m, north_off_m=north_m) if time_s > from_s else GpsReport()
+    draft.steers, draft.rules = False, (*HONEST, told_after(400.0 + gap_m))
+    if value == "gap-unaided":
+        draft.errors = replace(draft.errors, source="none")
 
 
 @course("D", "gps-turned-twice", rules=(never_called, never_sent))

@@ -5,11 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from sim.research.trial.course import CONFIRMED_M, Course, CourseDraft, Stretch
-from sim.research.trial.course_rules import HONEST, USUAL, not_worse, resumes, sends, within_sigmas
+import numpy as np
+
+from sim.research.trial.course import CONFIRMED_M, GPS_S, Course, CourseDraft, Stretch
+from sim.research.trial.course_rules import (
+    HONEST,
+    USUAL,
+    never_called,
+    not_worse,
+    resumes,
+    sends,
+    told_after,
+    within_sigmas,
+)
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import bent
 from sim.trial.way import along
+from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.world.scenario import LightName, View
 
 DRIVES: tuple[tuple[View, LightName, int], ...] = (
@@ -23,7 +35,7 @@ DRIVES: tuple[tuple[View, LightName, int], ...] = (
     ("front", "day", 16),
 )
 """Of a road with layers: view, light, and seed of the drive."""
-FALSE_BY_M = 300.0
+FALSE_BY_M, CHANGES_M = 300.0, 60.0
 
 
 @course("A", "one-stretch")
@@ -78,12 +90,46 @@ def _repeats(draft: CourseDraft, value: float) -> None:
     draft.unsent = [(0.0, math.inf)]
 
 
-@course("C", "alike-100-aside")
-def _alike(draft: CourseDraft) -> None:
-    """The drive is 100 m to the side of the mapped road, on one that looks the same."""
-    (east_m, north_m), way = draft.side(100.0), draft.way
-    draft.drive(replace(way, east_m=way.east_m + east_m, north_m=way.north_m + north_m))
-    draft.unsent = [(0.0, math.inf)]
+@course("C", "alike-{}-aside", 25, 100)
+def _alike(draft: CourseDraft, value: float) -> None:
+    """The drive is so far to the side of the mapped road, on one that looks the same, as a motorway's other side."""
+    _twin(draft, value, 0.0)
+
+
+@course("C", "twin-after-{}", 100, 300)
+def _twin_after(draft: CourseDraft, value: float) -> None:
+    """So many meters after GPS was lost, a person changes to a street 25 m beside, which looks the same."""
+    draft.steers = False
+    _twin(draft, 25.0, 8.0 * GPS_S + value)
+
+
+def _twin(draft: CourseDraft, aside_m: float, after_m: float) -> None:
+    """Drive a road's twin beside it, from so many meters on, after CHANGES_M in which it is reached."""
+    side, way = draft.rng.choice((-1.0, 1.0)), draft.way
+    shares = np.clip((np.arange(len(way.east_m)) - after_m) / CHANGES_M, 0.0, 1.0) if after_m else 1.0
+    east_m, north_m = draft.side(side * aside_m)
+    draft.drive(replace(way, east_m=way.east_m + shares * east_m, north_m=way.north_m + shares * north_m))
+    draft.unsent = [(after_m, math.inf)]
+
+
+@course("C", "late-30", rules=HONEST)
+def _late(draft: CourseDraft) -> None:
+    """The map is of a recording whose pictures are 30 m late, and which nobody has aligned."""
+    draft.map = [Stretch(0.0, draft.length_m, late_m=30.0)]
+
+
+@course("C", "recording-{}", "25-ahead", "12-aside", least_m=1200.0, rules=(*HONEST, never_called))
+def _recording_off(draft: CourseDraft, value: str) -> None:
+    """400 m of a recording are off, ahead or to the side, as another carriageway; GPS is right, and lost at their end,
+    and a person drives. 12 m to the side is no more than multipath; of 25 m ahead the pilot is told."""
+    far_m, way = value.split("-")
+    from_m, to_m = draft.length_m - 700.0, draft.length_m - 300.0
+    off_m = draft.side(float(far_m) * draft.rng.choice((-1.0, 1.0)), 0.0 if way == "ahead" else np.pi / 2)
+    draft.map = [Stretch(0.0, draft.length_m, off_m=off_m, off_within_m=(from_m, to_m))]
+    draft.gps_at = lambda time_s: GpsReport() if time_s < 650.0 / 8.0 else NO_FIX
+    draft.steers = False
+    if way == "ahead":
+        draft.rules = (*draft.rules, told_after(300.0))
 
 
 @course("C", "far-origin", least_m=1200.0, rules=(*USUAL, sends))
