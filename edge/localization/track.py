@@ -17,6 +17,9 @@ FADES_M, EXPECTED = 300.0, 1.0
 drive ardupilot_dusk912, 2 of 5 positions are beyond three standard deviations with it, 4 of 6 without (`lookback dev
 ablate`). Of 44 other drives it changes only the positions of one that is 12 m beside the map's."""
 
+BY_CHANCE = STRETCH_WRONG
+"""Probability of agreeing with reckoning by chance up to which a first match is as certain as any stretch of a map."""
+
 
 @dataclass
 class Track:
@@ -44,7 +47,7 @@ class Track:
         After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m, which
         had a confidence of 0.92, moved a recorded drive from 20 m off to 41.
         """
-        is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= STRETCH_WRONG
+        is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
 
     def move(self, displacement_m: Vector) -> None:

@@ -52,6 +52,7 @@ CONSTANTS: dict[str, object] = {
     "route_filter.STOOD_NS": math.inf,
     "sighting.SEES_M": 0.0,
     "sighting.SHARP": 1e-9,
+    "track.BY_CHANCE": math.inf,
     "track.FADES_M": 1e-6,
 }
 """Of `edge.localization`, with what puts each out of action."""
