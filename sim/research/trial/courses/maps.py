@@ -19,7 +19,7 @@ from sim.research.trial.course_rules import (
     within_sigmas,
 )
 from sim.research.trial.courses.registry import course
-from sim.research.trial.ways import bent
+from sim.research.trial.ways import bent, beside
 from sim.trial.way import along
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.world.scenario import LightName, View
@@ -35,7 +35,7 @@ DRIVES: tuple[tuple[View, LightName, int], ...] = (
     ("front", "day", 16),
 )
 """Of a road with layers: view, light, and seed of the drive."""
-FALSE_BY_M, CHANGES_M = 300.0, 60.0
+FALSE_BY_M, TWIN_M, CHANGES_M = 300.0, 25.0, 60.0
 
 
 @course("A", "one-stretch")
@@ -93,23 +93,19 @@ def _repeats(draft: CourseDraft, value: float) -> None:
 @course("C", "alike-{}-aside", 25, 100)
 def _alike(draft: CourseDraft, value: float) -> None:
     """The drive is so far to the side of the mapped road, on one that looks the same, as a motorway's other side."""
-    _twin(draft, value, 0.0)
+    (east_m, north_m), way = draft.side(value * draft.rng.choice((-1.0, 1.0))), draft.way
+    draft.drive(replace(way, east_m=way.east_m + east_m, north_m=way.north_m + north_m))
+    draft.unsent = [(0.0, math.inf)]
 
 
 @course("C", "twin-after-{}", 100, 300)
 def _twin_after(draft: CourseDraft, value: float) -> None:
     """So many meters after GPS was lost, a person changes to a street 25 m beside, which looks the same."""
-    draft.steers = False
-    _twin(draft, 25.0, 8.0 * GPS_S + value)
-
-
-def _twin(draft: CourseDraft, aside_m: float, after_m: float) -> None:
-    """Drive a road's twin beside it, from so many meters on, after CHANGES_M in which it is reached."""
-    side, way = draft.rng.choice((-1.0, 1.0)), draft.way
-    shares = np.clip((np.arange(len(way.east_m)) - after_m) / CHANGES_M, 0.0, 1.0) if after_m else 1.0
-    east_m, north_m = draft.side(side * aside_m)
-    draft.drive(replace(way, east_m=way.east_m + shares * east_m, north_m=way.north_m + shares * north_m))
-    draft.unsent = [(after_m, math.inf)]
+    after_m, side = 8.0 * GPS_S + value, draft.rng.choice((-1.0, 1.0))
+    way = beside(draft.way, lambda m: side * TWIN_M * min(max((m - after_m) / CHANGES_M, 0.0), 1.0))
+    is_there = np.abs(way.aside_m) >= TWIN_M
+    draft.drive(replace(way, aside_m=np.where(is_there, 0.0, way.aside_m)))
+    draft.steers, draft.unsent = False, [(after_m, math.inf)]
 
 
 @course("C", "late-30", rules=HONEST)
