@@ -214,10 +214,10 @@ class FixChecked(Record, frozen=True, tag="fix_checked"):
 
 
 class SourceSetAnswered(Record, frozen=True, tag="source_set"):
-    """The autopilot answered a selection of its position sources (command 42007), or did not; repetitions once."""
+    """The autopilot answered a selection of its position sources (ArduPilot 42007, PX4 43006); repetitions once."""
 
-    number: Annotated[int, unit("", "the set of sources, 1 to 3")]
-    result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, or "NO_ANSWER"')]
+    number: Annotated[int, unit("", "1 with GPS, 2 without; ArduPilot's set of sources")]
+    result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, "NO_ANSWER" or "NOT_READ_BACK"')]
 
 
 class GpsJudged(Record, frozen=True, tag="gps_judged"):

@@ -37,7 +37,7 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
-from edge.telemetry.source_selection import GPS_SET
+from edge.telemetry.source_selection import MAY_IGNORE
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
@@ -123,10 +123,12 @@ class AutopilotConnection:
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
         is_new = self._gps_news.publish(verdict)
-        if is_new and self.drive.known.ignores_gps and not self.velocity_aid.is_known(self.clock_ns()):
+        if not (is_new and self.drive.known.ignores_gps):
+            return
+        if not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
-        elif is_new and self.drive.known.ignores_gps and self.vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4:
-            self._warn("Lookback: PX4 uses GPS, may ignore positions")
+        elif self.vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4 and not self.positions.selects_sources:
+            self._warn(MAY_IGNORE)
 
     @property
     def why_no_position(self) -> str:
@@ -234,7 +236,7 @@ class AutopilotConnection:
         time.sleep(DRAIN_S)
 
     def restore_sources(self) -> None:
-        """Select ArduPilot's first set of sources again, if we may have selected another; waits for the answer.
+        """Have the autopilot use GPS again, if we may have taken it away; waits for the answer.
 
         Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
@@ -305,7 +307,7 @@ class AutopilotConnection:
     def _update_aid(self, now_ns: int) -> None:
         gps, positions = self.vehicle.session.gps.state(now_ns), self.positions
         is_by_gps = gps == "healthy" and not self.drive.known.ignores_gps
-        self.vehicle.velocity.is_by_gps = gps != "not healthy" and positions.sources.in_use == GPS_SET
+        self.vehicle.velocity.is_by_gps = gps != "not healthy" and positions.sources.uses_gps
         self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
     def _send_due(self, now_ns: int) -> None:

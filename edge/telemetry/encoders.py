@@ -14,6 +14,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.confirmation import Origin
 
 EXTERNAL_POSITION_ESTIMATE: int = mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE  # 43003
+SENSOR_ENABLE, SENSOR_GPS = 43006, 0  # MAV_CMD_ESTIMATOR_SENSOR_ENABLE, which pymavlink does not have yet
 TEXT_BYTES = 50
 UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
 LEVEL_NAMES, UNBOUNDED_M = (b"pl_along", b"pl_across"), 1e6
@@ -156,14 +157,19 @@ def source_set(system_id: int, number: int) -> Message:
     return _command(system_id, mavlink.MAV_CMD_SET_EKF_SOURCE_SET, number)
 
 
+def gps_fusion(system_id: int, *, is_on: bool) -> Message:
+    """COMMAND_LONG 43006: whether PX4's filter fuses GPS; it keeps that in EKF2_SENS_EN, also when it reboots."""
+    return _command(system_id, SENSOR_ENABLE, SENSOR_GPS, 0, is_on)
+
+
 def acknowledgement(command: int, result: int, param2: int, system_id: int, component_id: int) -> Message:
     """COMMAND_ACK to the component that sent a command."""
     return mavlink.MAVLink_command_ack_message(command, result, 0, param2, system_id, component_id)
 
 
-def _command(system_id: int, command: int, param1: float, param2: float = 0.0) -> Message:
+def _command(system_id: int, command: int, param1: float, param2: float = 0.0, param3: float = 0.0) -> Message:
     return mavlink.MAVLink_command_long_message(
-        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, param1, param2, 0, 0, 0, 0, 0
+        system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, command, 0, param1, param2, param3, 0, 0, 0, 0
     )
 
 

@@ -144,6 +144,8 @@ class Gps:
 
     def __init__(self) -> None:
         self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
+        self.is_fusion_on: bool | None = None
+        """Whether the filter is set to fuse them, by PX4's own report; None where it reports nothing of it."""
         self._alternation = Alternation()  # of the filter's flags
         self._used_ns: int | None = None
         self._flags_ns: int | None = None
@@ -152,7 +154,8 @@ class Gps:
 
     def read_filter(self, flags: int, autopilot: int | None, now_ns: int) -> None:
         """The flags of EKF_STATUS_REPORT (ArduPilot) or ESTIMATOR_STATUS (PX4)."""
-        is_used = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)
+        is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)
+        is_used = is_absolute and self.is_fusion_on is not False  # PX4's position is absolute by ours as well
         self._flags_ns = now_ns
         if is_used and self._unused_ns and self._used_ns and now_ns - self._used_ns <= LOST_NS:
             self._alternation.notice(now_ns)

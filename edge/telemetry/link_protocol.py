@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.backoff import BackOff
 from edge.config import TelemetryConfig
 from edge.telemetry import encoders
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import USE_PARAMETERS
@@ -42,6 +42,7 @@ STREAMS_HZ = {
 }
 """In the order in which they are requested."""
 ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
+FUSION_HZ = 2.0
 SILENT_NS = 3_000_000_000
 ANSWER_NS = 500_000_000
 AGAIN_LAST_NS = 60_000_000_000
@@ -135,10 +136,11 @@ class Requests:
 
     def __init__(self, config: TelemetryConfig, vehicle: Vehicle, *, asks_attitude: bool = False) -> None:
         self._vehicle, self.session = vehicle, vehicle.session
-        attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
-        self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz)
-        # What aids the velocity, and whether positions are used, matters only where some are sent.
         autopilot = self.session.autopilot or 0
+        attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
+        fusion_hz = {FusionStatus.id: FUSION_HZ} if autopilot == PX4 else {}
+        self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz | fusion_hz)
+        # What aids the velocity, and whether positions are used, matters only where some are sent.
         names = *AID_PARAMETERS.get(autopilot, ()), *USE_PARAMETERS.get(autopilot, ())
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
         self._origin = Origin(*config.origin) if config.origin else None

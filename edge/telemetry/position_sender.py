@@ -33,6 +33,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import (
+    NAMES,
     POSITION_MESSAGES,
     PositionMessage,
     suitable_message,
@@ -92,6 +93,11 @@ class PositionSender:
     def enabled(self) -> bool:
         """Whether positions are sent at all, when the gates allow."""
         return self.message is not None and not self.use.command.is_refused
+
+    @property
+    def selects_sources(self) -> bool:
+        """Whether a GPS that is ignored is taken from the autopilot as well."""
+        return self._gates.doubted_gps == "switch" and self.enabled
 
     def due(self, now_ns: int) -> Limits | None:
         """What holds for the position that is due now, None while none is; once more for one that was not answered."""
@@ -201,7 +207,7 @@ class PositionSender:
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
-        if command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
+        if command in (mavlink.MAV_CMD_SET_EKF_SOURCE_SET, encoders.SENSOR_ENABLE):
             self.sources.read_acknowledgement(result, now_ns)
         elif command == encoders.EXTERNAL_POSITION_ESTIMATE:
             self.use.read_acknowledgement(result, now_ns)
@@ -211,19 +217,18 @@ class PositionSender:
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
-        messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
+        messages = self.sources.due(now_ns)
         self.use.check(now_ns)
         return messages
 
     def _choose_sources(self, *, works: bool) -> None:
-        """The second set where GPS is ignored and positions are sent in its place; the first once GPS agrees again.
+        """Without GPS where it is ignored and positions are sent in its place; with it once it agrees again.
 
         Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
         """
         known = self._drive.known
         if known.ignores_gps:
-            is_ardupilot = self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-            if self._gates.doubted_gps == "switch" and is_ardupilot and self.enabled:
+            if self.selects_sources and self._vehicle.session.autopilot in NAMES:
                 self.sources.wanted = SET_WITHOUT_GPS
         elif works and known.gps.state == "agrees":
             self.sources.wanted = GPS_SET

@@ -1,8 +1,11 @@
-"""ArduPilot's set of position sources, selected by command 42007 until the autopilot acknowledges it. No I/O.
+"""Whether the autopilot's filter uses GPS, selected by command until that is known to be done. No I/O.
 
-With `doubted_gps = "switch"` set 2 is selected when GPS is called wrong, and set 1 when GPS agrees again: only where
-this program has selected set 2 before, which a file remembers over a crash. What the pilot has selected stays. A
-command is sent again while it is not answered, and in every session: the autopilot may have rebooted.
+With `doubted_gps = "switch"` GPS is taken away when it is called wrong, and given back when it agrees again: only where
+this program has taken it away before, which a file remembers over a crash. What the pilot has selected stays. A
+command is sent again while it is not done, and in every session: the autopilot may have rebooted.
+
+ArduPilot  42007 selects set 2 of its sources, or set 1; done when acknowledged, since it reports nothing of it
+PX4        43006 sets GPS off or on, which it keeps when it reboots; done when FusionStatus (514) says so
 """
 
 from __future__ import annotations
@@ -10,6 +13,8 @@ from __future__ import annotations
 import contextlib
 import logging
 from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
@@ -20,6 +25,8 @@ from edge.telemetry.vehicle import Vehicle
 
 GPS_SET, SET_WITHOUT_GPS = 1, 2
 AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
+DONE, NOT_READ_BACK = "ACCEPTED", "NOT_READ_BACK"
+MAY_IGNORE = "Lookback: PX4 uses GPS, may ignore positions"
 log = logging.getLogger(__name__)
 
 
@@ -40,25 +47,46 @@ class SourceSelection:
         self._command = Command(AGAIN_NS)
         self._asked: int | None = None  # which set was asked for last
         self._selected: int | None = None
+        self._is_accepted = False  # by a PX4 that has not reported it yet
         self._published = ""
 
+    @property
+    def uses_gps(self) -> bool:
+        """Whether the filter may use GPS: by its own report, else by what was selected."""
+        reported = self._vehicle.session.gps.is_fusion_on
+        return self.in_use == GPS_SET if reported is None else reported
+
     def due(self, now_ns: int) -> list[Message]:
-        """The command, if the wanted set is not acknowledged yet and none is waiting for its answer."""
+        """The command, if the wanted set is not selected yet and none is waiting for its answer."""
         if self._command.is_overdue(now_ns):
             self._command.give_up()
             self._command.failed(now_ns)
             self._publish(NO_ANSWER)
-        if self.wanted in (None, self._selected) or self.wanted == self.in_use == GPS_SET:
+        wanted = self.wanted
+        if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
             return []
-        return self._select(self.wanted or GPS_SET, now_ns) if self._command.allows(now_ns) else []
+        if self._is_px4 and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
+            self._command.give_up()
+            self._done(wanted)
+            return []
+        if not self._command.allows(now_ns):
+            return []
+        if self._is_accepted:
+            self._publish(NOT_READ_BACK)
+        return self._select(wanted, now_ns)
 
     def restore(self, now_ns: int) -> list[Message]:
         """The command for set 1 at the end of the program, where GPS agrees and set 2 may still be selected by us."""
         return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET != self.in_use else []
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
-        """COMMAND_ACK of 42007 that was addressed to us."""
+        """The COMMAND_ACK of the command that was addressed to us."""
         was_asked = self._command.is_waiting
+        if was_asked and self._is_px4 and result == mavlink.MAV_RESULT_ACCEPTED:
+            self._is_accepted = True
+            self._command.give_up()
+            self._command.failed(now_ns)  # unless it is reported within the pause
+            return
         verdict = self._command.read(result, now_ns)
         if verdict == "wait":
             return
@@ -66,15 +94,30 @@ class SourceSelection:
             self._selected = self._selected if verdict == "accepted" else None
             return
         if verdict == "accepted":
-            self._selected = self._asked
-            self._remember(self._asked or GPS_SET)
+            self._done(self._asked or GPS_SET)
+            return
+        if verdict == "never" and self._asked == SET_WITHOUT_GPS:
+            self._remember(GPS_SET)
         self._publish(result_name(result))
 
+    @property
+    def _is_px4(self) -> bool:
+        return bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
+
     def _select(self, number: int, now_ns: int) -> list[Message]:
-        self._asked = number
+        self._asked, self._is_accepted = number, False
         self._command.sent(now_ns)
         self._remember(max(self.in_use, number))
+        if self._is_px4:
+            return [encoders.gps_fusion(self._vehicle.target_id, is_on=number == GPS_SET)]
         return [encoders.source_set(self._vehicle.target_id, number)]
+
+    def _done(self, number: int) -> None:
+        """It is selected: by us, or by somebody else, whose choice set 2 then is."""
+        self._selected, self._is_accepted = number, False
+        self._remember(min(self.in_use, number))
+        if self._asked == number:
+            self._publish(DONE)
 
     def _remember(self, in_use: int) -> None:
         if self._remembered is not None and in_use != self.in_use:
@@ -89,4 +132,7 @@ class SourceSelection:
             return
         self._published = f"{number} {result}"
         self._publisher.record(SourceSetAnswered(number, result))
-        self._publisher.warn(f"Lookback: source set {number} {result}")
+        what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_px4 else f"source set {number}"
+        self._publisher.warn(f"Lookback: {what} {result}")
+        if self._is_px4 and number == SET_WITHOUT_GPS and result != DONE:
+            self._publisher.warn(MAY_IGNORE)

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.geodesy import VehiclePosition
 from edge.localization import DeadReckoning, GpsFix, Own
 from edge.telemetry.boot_clock import BootClock
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.confirmation import Modes, Origin, Origins
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
@@ -300,6 +300,9 @@ class Vehicle:
     def _read_filter(self, message: Message, now_ns: int) -> None:
         self.session.gps.read_filter(message.flags, self.session.autopilot, now_ns)
 
+    def _read_fusion(self, message: Message, now_ns: int) -> None:
+        self.session.gps.is_fusion_on = bool(message.intended[0])
+
     def _read_sensors(self, message: Message, now_ns: int) -> None:
         self.session.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
@@ -323,6 +326,7 @@ READERS: dict[int, Callable[[Vehicle, Message, int], object]] = {
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: Vehicle._read_gps,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Vehicle._read_filter,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Vehicle._read_estimator,
+    FusionStatus.id: Vehicle._read_fusion,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: Vehicle._read_sensors,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: Vehicle._read_system_time,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: Vehicle._read_timesync,

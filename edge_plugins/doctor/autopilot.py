@@ -126,6 +126,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
             link.requests.parameters.add(wanted)
             is_known = vehicle.session.version is not None and None not in (status.speed_mps, status.lat_deg)
             is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.session.parameters)
+            is_complete &= vehicle.session.gps.is_fusion_on is not None or not _takes_gps_from_px4(examined, vehicle)
             if is_complete or time.monotonic() >= until_s:
                 break
             time.sleep(TURN_S)
@@ -197,12 +198,26 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
         if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
             for name in WHEEL_PARAMETERS:
                 yield Requirement(name, "wheel encoders give no speed with 0", MEASURED).judge(vehicle)
-    doubted_gps = examined.settings.gates.doubted_gps
-    if doubted_gps != "report" and vehicle.session.autopilot == PX4:
-        words = (
-            f'[gates] doubted_gps = "{doubted_gps}": PX4 goes on using a GPS that is wrong, and rejects positions far'
-        )
-        yield note(f"{words} from it", "then set EKF2_GPS_CTRL 0 by hand")
-    if doubted_gps != "report" and values.get(GPS_MODE) == 0:
-        words = f"{GPS_MODE} = 0: PX4 goes back to GPS between positions, though the places contradict it"
-        yield bad(words, "set it to 1, see firmware_config/px4_velocity_aid.params")
+    if vehicle.session.autopilot == PX4:
+        yield from _judge_gps_of_px4(examined, vehicle)
+
+
+def _takes_gps_from_px4(examined: Examined, vehicle: Vehicle) -> bool:
+    return examined.settings.gates.doubted_gps == "switch" and bool(vehicle.session.autopilot == PX4)
+
+
+def _judge_gps_of_px4(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
+    """Whether PX4 uses its GPS, and what it does with one that the places contradict."""
+    doubted_gps, is_on = examined.settings.gates.doubted_gps, vehicle.session.gps.is_fusion_on
+    if is_on is False and examined.has_receiver:
+        words = "PX4 is set not to use its GPS, which works"
+        yield bad(words, "add 1 to EKF2_SENS_EN; after a crash Lookback does so once GPS agrees with the places")
+    if _takes_gps_from_px4(examined, vehicle) and is_on is not None:
+        yield good('[gates] doubted_gps = "switch": PX4 reports that its GPS can be switched')
+    elif doubted_gps != "report":
+        words = f'[gates] doubted_gps = "{doubted_gps}": PX4 goes on using a GPS that is wrong, and ignores positions'
+        remedy = 'set "switch"' if doubted_gps == "send" else "it needs the released PX4 1.18"
+        yield bad(f"{words} far from it", f"{remedy}, or then set EKF2_GPS_CTRL 0 by hand")
+        if vehicle.session.parameters.get(GPS_MODE) == 0:
+            words = f"{GPS_MODE} = 0: PX4 goes back to GPS between positions, though the places contradict it"
+            yield bad(words, "set it to 1, see firmware_config/px4_velocity_aid.params")

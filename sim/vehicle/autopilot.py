@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import LinkLost
-from edge.telemetry.codec import MavlinkCodec, Message
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME
+from edge.telemetry.codec import FusionStatus, MavlinkCodec, Message
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME, SENSOR_ENABLE
 from edge.telemetry.link import Link
 from sim import Pose
 from sim.vehicle.attitude import AttitudeEstimate
@@ -122,7 +122,8 @@ class SimulatedAutopilot:
         """
         self._has_origin = self._uses_gps
         self.estimate.boot()
-        self.inputs.source_set = 1
+        if self._firmware.selects_by != SENSOR_ENABLE:
+            self.inputs.source_set = 1
         self._boot()
         self._deaf_until_s = self._clock_ns() / 1e9 + silent_s
 
@@ -262,7 +263,8 @@ class SimulatedAutopilot:
             else mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
         )
         of_a_second = () if self._report.second else (mavlink.MAVLINK_MSG_ID_GPS2_RAW,)
-        return message_id in ENCODERS and message_id not in (of_the_other, *of_a_second)
+        of_newer = () if self._firmware.selects_by == SENSOR_ENABLE else (FusionStatus.id,)
+        return message_id in ENCODERS and message_id not in (of_the_other, *of_a_second, *of_newer)
 
     def _set_interval(self, message_id: int, period_s: float) -> int:
         if not self._offers(message_id):
@@ -293,6 +295,7 @@ class SimulatedAutopilot:
             pose=self._pose,
             gps=self._report,
             uses_gps=self._uses_gps,
+            is_fusion_on=self.inputs.source_set != SET_WITHOUT_GPS,
             estimate=self.estimate,
             attitude=self._attitude,
             origin_m=self.origin_m,

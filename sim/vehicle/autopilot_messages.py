@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.telemetry.codec import Message
+from edge.telemetry.codec import FusionStatus, Message
 from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.vehicle.attitude import AttitudeEstimate
 from sim.vehicle.estimator import Estimator
@@ -28,9 +28,9 @@ RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlin
 class Snapshot:
     """The state of the autopilot at one moment.
 
-    pose: the truth, for GPS only. uses_gps: whether the filter fuses it. estimate, attitude: of the filter, in the
-    simulation's frame. origin_m: the filter's local origin there, None while it has none. has_wheels: whether it counts
-    their turns. base_mode: flags of MAV_MODE_FLAG.
+    pose: the truth, for GPS only. uses_gps: whether the filter fuses it; is_fusion_on: whether it may. estimate,
+    attitude: of the filter, in the simulation's frame. origin_m: the filter's local origin there, None while it has
+    none. has_wheels: whether it counts their turns. base_mode: flags of MAV_MODE_FLAG.
     """
 
     firmware: Firmware
@@ -38,6 +38,7 @@ class Snapshot:
     pose: Pose
     gps: GpsReport
     uses_gps: bool
+    is_fusion_on: bool
     estimate: Estimator
     attitude: AttitudeEstimate
     origin_m: tuple[float, float] | None
@@ -151,6 +152,12 @@ def _estimator_status(state: Snapshot) -> Message:
     )
 
 
+def _fusion_status(state: Snapshot) -> Message:
+    """GPS, and what a recorded PX4 was set to fuse besides."""
+    others = [1, 0, 1, 1, 1, 1, 0, 0]
+    return FusionStatus([int(state.is_fusion_on), *others], [int(state.uses_gps), *others], [math.nan] * 9)
+
+
 def _origin(state: Snapshot) -> Message | None:
     if state.origin_m is None:
         return None
@@ -183,6 +190,7 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: lambda state: mavlink.MAVLink_ekf_status_report_message(
         _filter_flags(state), *[0.0] * 5
     ),
+    FusionStatus.id: _fusion_status,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
 }

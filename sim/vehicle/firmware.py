@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.telemetry.encoders import SENSOR_ENABLE
 from edge.telemetry.position_messages import CONTROL, ID
 from sim.vehicle.estimator import FilterNoise, VelocitySource
 
@@ -20,17 +21,17 @@ class Firmware:
     """One firmware on one kind of vehicle.
 
     accepts_fix: when MAV_CMD_EXTERNAL_POSITION_ESTIMATE is accepted: "aiding" is ArduPilot's rule (it has an origin,
-    and had no GPS for a second), "dead reckoning" means not while GPS is used. acknowledges:
-    whether commands are answered; PX4 1.15 does not. fix_rejected: the answer to a fix that is not accepted.
-    oldest_fix_s: a larger age is taken for this one. aids_for_s: how long after the loss of GPS the filter goes on
-    aiding; without wheel encoders, flow or airspeed it then stops, and answers FAILED for ever. uses_filter_for_s:
-    after that time the vehicle uses another estimate, and an accepted fix moves nothing. corrects_lag: the time of a
-    fix is computed from its send time on the boot clock, or set half a second back if that is wrong.
-    accepts_fix_as_long: also as COMMAND_LONG, with float32 degrees. denies_height: a fix with a height is denied.
-    fuses_sensor: GLOBAL_POSITION_SENSOR is fused. has_source_sets: command 42007 selects one, and the first alone has
-    GPS. resets_softly: a fix within 5 sigma is fused; one beyond, or of below 1 m, resets. noise: of its filter.
-    needs_origin: the filter has no global position until an origin is set or GPS has a fix. timesync_s: period of its
-    own TIMESYNC requests.
+    and had no GPS for a second), "dead reckoning" means not while GPS is used. acknowledges: whether commands are
+    answered; PX4 1.15 does not. fix_rejected: the answer to a fix that is not accepted. oldest_fix_s: a larger age is
+    taken for this one. aids_for_s: how long after the loss of GPS the filter goes on aiding; without wheel encoders,
+    flow or airspeed it then stops, and answers FAILED for ever. uses_filter_for_s: after that time the vehicle uses
+    another estimate, and an accepted fix moves nothing. corrects_lag: the time of a fix is computed from its send time
+    on the boot clock, or set half a second back if that is wrong. accepts_fix_as_long: also as COMMAND_LONG, with
+    float32 degrees. denies_height: a fix with a height is denied. fuses_sensor: GLOBAL_POSITION_SENSOR is fused.
+    selects_by: the command that takes GPS from the filter, 0 where there is none; that of PX4 lasts over a reboot, and
+    is reported (by its messages; not measured). resets_softly: a fix within 5 sigma is fused; one beyond, or of
+    below 1 m, resets. noise: of its filter. needs_origin: the filter has no global position until an origin is set or
+    GPS has a fix. timesync_s: period of its own TIMESYNC requests.
     """
 
     name: str
@@ -47,7 +48,7 @@ class Firmware:
     accepts_fix_as_long: bool = False
     denies_height: bool = False
     fuses_sensor: bool = False
-    has_source_sets: bool = False
+    selects_by: int = 0
     needs_origin: bool = False
     reports_accuracy: bool = False
     resets_softly: bool = False
@@ -56,17 +57,18 @@ class Firmware:
 
 ARDUPILOT = Firmware(
     "ardupilot", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, (4, 6, 3), "aiding", oldest_fix_s=5.0, timesync_s=10.0,
-    corrects_lag=True, denies_height=True, has_source_sets=True, needs_origin=True,
+    corrects_lag=True, denies_height=True, needs_origin=True,
+    selects_by=mavlink.MAV_CMD_SET_EKF_SOURCE_SET,
 )  # fmt: skip
 """With wheel encoders, flow or airspeed the filter goes on as long as anybody tried."""
 PX4 = Firmware(
     "px4", mavlink.MAV_AUTOPILOT_PX4, (1, 18, 0), "always", oldest_fix_s=15.0, timesync_s=0.1,
     fix_rejected=mavlink.MAV_RESULT_TEMPORARILY_REJECTED, accepts_fix_as_long=True, fuses_sensor=True,
-    reports_accuracy=True, resets_softly=True,
+    reports_accuracy=True, resets_softly=True, selects_by=SENSOR_ENABLE,
     # It believes a velocity sensor of 0.1 m/s, whose scale is wrong, and so moves little with a position.
     noise=FilterNoise(position=3.3e-4, gate_sigmas=3.0),
 )  # fmt: skip
-OLDER_PX4 = replace(PX4, fuses_sensor=False, resets_softly=False)
+OLDER_PX4 = replace(PX4, fuses_sensor=False, resets_softly=False, selects_by=0)
 FIRMWARES: dict[str, Firmware] = {
     firmware.name: firmware
     for firmware in (

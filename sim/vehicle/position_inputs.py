@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE, SENSOR_GPS
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import Firmware
@@ -57,18 +57,20 @@ class PositionInputs:
         self.fused: list[Reset] = []
         """Corrections by a stream of positions, which passed the gate."""
         self.source_set = 1
+        """2 is without GPS."""
         self.is_aided_by_camera = False
         """By its parameters: a velocity that a camera measured is fused."""
         self.velocities_fused: list[bool] = []
         """Whether the gate let each one pass."""
 
     def command(self, command: Message, moment: Moment) -> int:
-        """The MAV_RESULT of 43003 (a fix) or 42007 (set of EKF sources)."""
+        """The MAV_RESULT of 43003 (a fix), or of the command that selects sources."""
         firmware = self._firmware
-        if command.command == mavlink.MAV_CMD_SET_EKF_SOURCE_SET:
-            if not firmware.has_source_sets:
-                return int(mavlink.MAV_RESULT_UNSUPPORTED)
-            self.source_set = int(command.param1)
+        if command.command == firmware.selects_by:
+            is_sensor = command.command == SENSOR_ENABLE
+            if is_sensor and command.param1 != SENSOR_GPS:
+                return int(mavlink.MAV_RESULT_DENIED)
+            self.source_set = int(command.param1) if not is_sensor else 1 if command.param3 else SET_WITHOUT_GPS
             return int(mavlink.MAV_RESULT_ACCEPTED)
         as_long = command.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG
         if command.command != EXTERNAL_POSITION_ESTIMATE or (as_long and not firmware.accepts_fix_as_long):

@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 
 from edge.geodesy import east_north_of
-from edge.journal.records import FixSent, FixWithheld, GpsJudged
+from edge.journal.records import FixSent, FixWithheld, GpsJudged, SourceSetAnswered
 from edge.localization import GpsVerdict
+from edge.telemetry.encoders import SENSOR_ENABLE
 from sim.vehicle.estimator import OdometryErrors
-from tests.telemetry.positions import AGREES, OFF_M, WRONG, spoofed
+from tests.telemetry.positions import AGREES, OFF_M, WRONG, offer_for, spoofed
 from tests.telemetry.rig import OpenRig, Rig
 
 
@@ -127,12 +128,40 @@ def test_send_leaves_the_sources_to_the_script_of_the_autopilot(open_rig: OpenRi
     assert rig.autopilot.estimate.error_m < 6.0
 
 
-def test_px4_has_no_sets_of_sources(open_rig: OpenRig) -> None:
-    rig = spoofed(open_rig, "switch", firmware="px4-1.17", emit="auto")
+def test_px4_fuses_no_gps_until_it_agrees_and_positions_move_it_back(open_rig: OpenRig) -> None:
+    aid = OdometryErrors("velocity sensor")
+    rig = spoofed(open_rig, "switch", firmware="px4", emit="auto", errors=aid, gates={"risk": 1.0})
+    assert rig.autopilot.estimate.error_m == pytest.approx(OFF_M, abs=1.0)
     rig.judge_gps(WRONG)
-    offer(rig, 5.0)
-    assert not [message for message in rig.received("COMMAND_LONG") if message.command == 42007]
-    assert rig.journalled(FixSent)
+    assert offer_for(rig, 12.0) > 40
+    assert rig.autopilot.estimate.error_m < 6.0
+    gps = rig.connection.vehicle.session.gps
+    assert gps.why(rig.now_ns) == "unused by the autopilot"
+    assert rig.connection.why_no_position == ""
+    rig.off_m = 0.0
+    rig.judge_gps(AGREES)
+    rig.run(5.0)
+    assert gps.state(rig.now_ns) == "healthy"
+    assert [int(one.param3) for one in rig.received("COMMAND_LONG") if one.command == SENSOR_ENABLE] == [0, 1]
+    assert rig.journalled(SourceSetAnswered) == [SourceSetAnswered(2, "ACCEPTED"), SourceSetAnswered(1, "ACCEPTED")]
+    assert [text for text in texts(rig) if "fusion" in text or "ignore" in text] == [
+        "Lookback: GPS fusion off ACCEPTED",
+        "Lookback: GPS fusion on ACCEPTED",
+    ]
+
+
+def test_a_px4_that_cannot_leave_its_gps_is_asked_once_and_the_pilot_warned(open_rig: OpenRig) -> None:
+    aid = OdometryErrors("velocity sensor")
+    options = {"firmware": "px4-1.17", "emit": "global_position_sensor", "gates": {"risk": 1.0}}
+    rig = spoofed(open_rig, "switch", errors=aid, **options)
+    rig.judge_gps(WRONG)
+    assert offer_for(rig, 8.0) > 30
+    assert [one.command for one in rig.received("COMMAND_LONG") if one.command in (42007, SENSOR_ENABLE)] == [43006]
+    assert [text for text in texts(rig) if "fusion" in text or "ignore" in text] == [
+        "Lookback: GPS fusion off UNSUPPORTED",
+        "Lookback: PX4 uses GPS, may ignore positions",
+    ]
+    assert rig.connection.positions.sources.uses_gps
 
 
 def test_nothing_is_switched_where_no_positions_are_sent(open_rig: OpenRig) -> None:

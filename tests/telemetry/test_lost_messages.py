@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE
 from sim.vehicle.autopilot import SILENT
+from sim.vehicle.estimator import OdometryErrors
 from tests.files_written import wait_for_files
 from tests.telemetry.positions import AGREES, WRONG, spoofed
 from tests.telemetry.rig import OpenRig, Rig
@@ -144,6 +145,54 @@ def test_the_first_set_is_restored_at_the_end_if_gps_agrees(doubted: Rig) -> Non
     doubted.connection.close()
     doubted.autopilot.step()
     assert doubted.autopilot.inputs.source_set == 1
+
+
+@pytest.fixture
+def doubted_px4(open_rig: OpenRig) -> Rig:
+    """The same of a PX4, which keeps what was selected when it reboots, and reports it."""
+    return spoofed(open_rig, "switch", firmware="px4", emit="auto", errors=OdometryErrors("velocity sensor"))
+
+
+def test_what_px4_does_not_report_is_not_selected(doubted_px4: Rig) -> None:
+    doubted_px4.wire.loses = loses("ESTIMATOR_SENSOR_FUSION_STATUS")
+    doubted_px4.run(5.0)
+    doubted_px4.autopilot.received.clear()
+    doubted_px4.connection.vehicle.session.gps.is_fusion_on = None
+    doubted_px4.judge_gps(WRONG)
+    doubted_px4.run(30.0)
+    commands = [one for one in doubted_px4.received("COMMAND_LONG") if one.command == SENSOR_ENABLE]
+    assert 6 <= len(commands) <= 9
+    doubted_px4.wire.loses = None
+    doubted_px4.run(5.0)
+    assert [one.result for one in doubted_px4.journalled(SourceSetAnswered)] == ["NOT_READ_BACK", "ACCEPTED"]
+    texts = [message.text for message in doubted_px4.received("STATUSTEXT")]
+    assert "Lookback: PX4 uses GPS, may ignore positions" in texts
+
+
+def test_gps_is_given_back_to_px4_after_a_crash_and_a_reboot_once_it_agrees(doubted_px4: Rig) -> None:
+    doubted_px4.judge_gps(WRONG)
+    doubted_px4.run(4.0)
+    doubted_px4.crash()
+    doubted_px4.autopilot.reboot()
+    doubted_px4.connect()
+    doubted_px4.run(10.0)
+    assert doubted_px4.autopilot.inputs.source_set == 2
+    assert not doubted_px4.connection.positions.sources.uses_gps
+    doubted_px4.off_m = 0.0
+    doubted_px4.judge_gps(AGREES)
+    doubted_px4.run(3.0)
+    assert doubted_px4.autopilot.inputs.source_set == 1
+    assert not doubted_px4.port.with_name("events.sources").exists()
+
+
+def test_gps_that_the_pilot_took_from_px4_stays_off(doubted_px4: Rig) -> None:
+    doubted_px4.autopilot.inputs.source_set = 2
+    doubted_px4.run(2.0)
+    for verdict in (WRONG, AGREES):
+        doubted_px4.judge_gps(verdict)
+        doubted_px4.run(5.0)
+    assert not [one for one in doubted_px4.received("COMMAND_LONG") if one.command == SENSOR_ENABLE]
+    assert not doubted_px4.journalled(SourceSetAnswered)
 
 
 def test_nothing_is_restored_that_was_not_changed(open_rig: OpenRig) -> None:

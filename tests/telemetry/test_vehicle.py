@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.telemetry.codec import MavlinkCodec
+from edge.telemetry.codec import FusionStatus, MavlinkCodec
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
 from edge.telemetry.vehicle import Session, Vehicle
@@ -79,6 +79,19 @@ def test_gps_is_healthy_until_it_is_switched_off(read_tlog: ReadTlog) -> None:
         healthy[(now_ns - start_ns) // S] = vehicle.session.gps.state(now_ns)
     assert {healthy[second] for second in range(3, 36)} == {"healthy"}  # switched off at 36.4 s
     assert {healthy[second] for second in range(40, 119)} == {"not healthy"}
+
+
+def test_a_recorded_px4_reports_that_its_filter_may_fuse_gps(read_tlog: ReadTlog) -> None:
+    """Also once GPS is switched off: by then it fuses none."""
+    vehicle = Vehicle()
+    reports = [
+        (message.intended, message.active[0], vehicle.session.gps.is_fusion_on)
+        for _, message in replay(read_tlog("px4-1.18-agp"), vehicle)
+        if message.get_msgId() == FusionStatus.id and vehicle.connected
+    ]
+    assert len(reports) > 100
+    assert all(intended == [1, 1, 0, 1, 1, 1, 1, 0, 0] and is_on for intended, _, is_on in reports[1:])
+    assert [reports[index][1] for index in (20, -1)] == [1, 0]
 
 
 def test_noise_never_brings_the_link_up(read_tlog: ReadTlog) -> None:

@@ -45,10 +45,11 @@ def fly() -> Iterator[Callable[..., str]]:
     threads: list[threading.Thread] = []
     links: list[PtyLink] = []
 
-    def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot") -> str:
+    def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot", source_set: int = 1) -> str:
         links.append(open_pty())
         autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
-        autopilot.parameters = DEFAULTS[firmware] | parameters
+        autopilot.parameters = DEFAULTS[firmware.partition("-")[0]] | parameters
+        autopilot.inputs.source_set = source_set
         threads.append(threading.Thread(target=autopilot.run, args=(stop,)))
         threads[-1].start()
         return f"serial:{links[-1].device}:921600"
@@ -172,7 +173,30 @@ def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
     findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
     assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
-    assert "PX4 goes on using a GPS that is wrong" in told(findings, "parameter", "note")
+    assert 'PX4 goes on using a GPS that is wrong, and ignores positions far from it -> set "switch"' in told(
+        findings, "parameter", "bad"
+    )
+
+
+@pytest.mark.parametrize(("firmware", "works"), [("px4", True), ("px4-1.17", False)])
+def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path, firmware: str, works: bool
+) -> None:
+    connection = fly({"EKF2_EV_CTRL": (4.0, mavlink.MAV_PARAM_TYPE_REAL32)}, firmware)
+    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "switch"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert ("its GPS can be switched" in told(findings, "parameter", "good")) == works
+    ignored = "ignores positions far from it -> it needs the released PX4 1.18"
+    assert (ignored in told(findings, "parameter", "bad")) != works
+
+
+def test_a_px4_that_was_left_without_its_gps_is_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    connection = fly({}, "px4", source_set=2)
+    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "switch"})
+    findings = list(examine(config, 5.0, tmp_path / "dev"))
+    assert "PX4 is set not to use its GPS, which works -> add 1 to EKF2_SENS_EN" in told(findings, "parameter", "bad")
 
 
 def test_integers_of_px4_come_as_bytes(

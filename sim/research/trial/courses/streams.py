@@ -5,8 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sim.research.trial.course import GPS_S, CourseDraft
-from sim.research.trial.course_rules import HONEST, USUAL, close, first_in_time, never_sent, sends, warns
+from sim.research.trial.course_rules import (
+    HONEST,
+    USUAL,
+    back_to_usual,
+    called_before_50_m,
+    close,
+    first_in_time,
+    never_sent,
+    sends,
+    sources_restored,
+    warns,
+)
+from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import COURSES, course
+from sim.research.trial.gps_histories import drag
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
 
@@ -60,6 +73,17 @@ def _px4_camera_sent(draft: CourseDraft, value: str) -> None:
     if value == "-early":
         draft.gps_at = lambda time_s: GpsReport() if time_s < EARLY_S else NO_FIX
         draft.height = 1.1
+
+
+@course("J", "px4-gps-dragged", least_m=1000.0)
+def _px4_gps_dragged(draft: CourseDraft) -> None:
+    """As px4-camera-sent, with GPS throughout: it is dragged to the left at 1 m/s for a while, and PX4 is to leave it,
+    to use positions meanwhile, and to have it back."""
+    COURSES["px4-camera-sent"].lay(draft)
+    follow_history(draft, drag(1.0, "left", draft.share(0.35) / 8.0))
+    dragged, right_s = draft.gps_at, draft.share(0.75) / 8.0
+    draft.gps_at = lambda time_s: dragged(time_s) if time_s < right_s else GpsReport()
+    draft.doubted_gps, draft.rules = "switch", (*HONEST, called_before_50_m, back_to_usual, sources_restored)
 
 
 @course("J", "rover-camera-sent{}", "", "-scale-10", "-slips")
