@@ -55,6 +55,20 @@ def test_of_two_receivers_the_less_accurate_one_bounds_the_position() -> None:
     assert gps.behind(own, now_ns) is gps.receivers[1]
 
 
+def test_an_absolute_position_of_px4_is_not_by_gps_that_it_is_set_not_to_fuse() -> None:
+    """With our positions its filter reports one as well."""
+    states = {}
+    for is_on in (None, True, False):
+        gps = Gps()
+        gps.is_fusion_on = is_on
+        for now_ns in range(0, 9_000_000_000, 250_000_000):
+            fix = -274772000, 1530283000, 0, 65535, 65535, 0, 0, 4
+            gps.receivers[0].read(mavlink.MAVLink_gps_raw_int_message(0, FIX_3D, *fix, 0, 1500), now_ns)
+            gps.read_filter(mavlink.ESTIMATOR_POS_HORIZ_ABS, mavlink.MAV_AUTOPILOT_PX4, now_ns)
+        states[is_on] = gps.state(now_ns)
+    assert states == {None: "healthy", True: "healthy", False: "unknown"}
+
+
 class Sky:
     """Receivers and filter flags of a simulated autopilot, in place of its own; None is silence."""
 
