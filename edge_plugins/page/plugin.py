@@ -38,7 +38,7 @@ class Page(Plugin):
             sampling=recognizer.config.sampling,
         )
         self._maps = recognizer.map_set
-        self.server = open_page(self._config, map_view(self._maps))
+        self.server = open_page(self._config, map_view(self._maps, self._parts.config.camera.view))
 
     def frame_used(self, used: UsedFrame) -> None:
         """Keep it for a while."""
@@ -53,7 +53,7 @@ class Page(Plugin):
             return
         if maps is not self._maps:
             self._maps = maps
-            server.show_map(map_view(maps))
+            server.show_map(map_view(maps, self._parts.config.camera.view))
         if (wanted := server.requested()) is not None:
             self._request(server, wanted)
         if server.wanted:

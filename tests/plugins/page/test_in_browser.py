@@ -244,18 +244,23 @@ def searching(gone_m: float, state: str) -> Callable[[int], Snapshot]:
 
 
 @pytest.mark.parametrize(
-    ("gone_m", "state", "words"),
+    ("gone_m", "state", "looks", "words", "is_late"),
     [
-        (50.0, "warming up", "SEARCHING, 50 of about 80 m"),
-        (100.0, "off the map", "SEARCHING, 100 of about 80 m"),
-        (130.0, "off the map", "OFF THE MAP"),
-        (0.0, "on the map", "ON THE MAP"),
+        (50.0, "warming up", "front", "SEARCHING, 50 of about 80 m", False),
+        (100.0, "off the map", "rear", "SEARCHING, 100 of about 80 m", False),
+        (100.0, "off the map", "front", "SEARCHING, 100 of about 80 m", True),
+        (130.0, "off the map", "front", "OFF THE MAP", True),
+        (250.0, "off the map", "front", "OFF THE MAP", False),
+        (0.0, "on the map", "front", "ON THE MAP", False),
     ],
 )
-def test_it_searches_before_it_is_off_the_map(tmp_path: Path, gone_m: float, state: str, words: str) -> None:
+def test_it_searches_before_it_is_off_the_map_and_says_what_helps(
+    tmp_path: Path, gone_m: float, state: str, looks: str, words: str, is_late: bool
+) -> None:
+    """The map was made with a camera that looks back."""
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     with (
-        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps))) as page,
+        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps, looks))) as page,
         contextlib.closing(Loop(page, searching(gone_m, state))),
         browser(390, 844) as driver,
     ):
@@ -265,6 +270,7 @@ def test_it_searches_before_it_is_off_the_map(tmp_path: Path, gone_m: float, sta
         assert driver.find_element("id", "searched").is_displayed() == words.startswith("SEARCHING")
         shade = {"SEARCHING": "soft", "OFF": "orange", "ON": "ink"}[re.split("[ ,]", words)[0]]
         assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
+        assert ("add a drive of this camera" in text(driver, "answer")) == is_late
 
 
 def click(driver: Any, name: str) -> None:
