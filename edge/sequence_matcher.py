@@ -20,7 +20,7 @@ from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
-from edge.sequence import NOTHING_KNOWN, Direction, PlaceMatch, Reckoning, Travel
+from edge.sequence import NOTHING_KNOWN, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
@@ -176,26 +176,23 @@ class SequenceMatcher:
 
     def _believed(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
         """The match at the place that is believed, with what the votes alone say."""
-        by_votes, both = self._consensus.by_votes, self._match_of(match, belief)
-        if both is None or belief is by_votes:
-            return both
-        if both is match or belief is None or by_votes is None or _spot(belief) != _spot(by_votes):
-            alone = self._match_of(match, by_votes)
-        else:  # mostly a reckoning changes how sure a place is, not which one: its line is searched for once
-            alone = replace(both, confidence=by_votes.confidence, accepted=by_votes.is_believed)
+        by_votes = self._consensus.by_votes
+        alone = self._match_of(by_votes, match)
+        if belief is by_votes or (both := self._match_of(belief, match, alone)) is None:
+            return alone
         return replace(both, by_votes=alone)
 
-    def _match_of(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
-        """The best line that ends at the place that the recent matches agree on; the match itself if there is none."""
-        if match is None or belief is None:
-            return match
+    def _match_of(self, belief: PlaceBelief | None, *lines: PlaceMatch | None) -> PlaceMatch | None:
+        """A line that ends at the place that the recent matches agree on: the first of some, else the best of all.
+
+        Where nothing is believed, or none ends there, the first of them as it is.
+        """
+        if belief is None or lines[0] is None:
+            return lines[0]
         first, end = self._drives.places_within(belief.drive, belief.along_m, self._consensus.settings.slack_m)
-        if not (first <= match.place_index < end and match.direction == belief.direction):
-            found = self.search.best_between(first, end, belief.direction)
-            if found is None:
-                return match
-            match = found
-        return replace(match, confidence=belief.confidence, accepted=belief.is_believed)
+        there = (one for one in lines if one and first <= one.place_index < end and one.direction == belief.direction)
+        found = next(there, None) or self.search.best_between(first, end, belief.direction)
+        return replace(found, confidence=belief.confidence, accepted=belief.is_believed) if found else lines[0]
 
     def _with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
         """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
@@ -245,7 +242,3 @@ class SequenceMatcher:
         self.search.clear()
         self._consensus.reset()
         self._unmeasured = 0
-
-
-def _spot(belief: PlaceBelief) -> tuple[int, float, Direction]:
-    return belief.drive, belief.along_m, belief.direction

@@ -250,15 +250,17 @@ class PlaceConsensus:
         self.by_votes = self._believe(case, evidence)
         if prior is None or away_of is None:
             return self.by_votes
-        alone = evidence
         joined = np.minimum(1.0, self._votes["road"] / max(prior.road, 1e-9))
         if joined.min(where=evidence.in_reach, initial=1.0) < 1.0:
             evidence = self._evidence(joined)
+            case = self._case(evidence, leader)
         odds = self._odds(prior, away_of, evidence)
+        both = self._believe(case, evidence, odds)
         # Of what the votes say and what is more likely there, the more probable: a reckoning may be far off.
         chosen = int((evidence.live * odds).argmax())
-        both = self._believe(self._case(evidence, leader) if evidence is not alone else case, evidence, odds)
-        other = self._believe(self._case(evidence, chosen), evidence, odds) if chosen != leader else None
+        if self._agree[leader, chosen]:  # the same place
+            return both
+        other = self._believe(self._case(evidence, chosen), evidence, odds)
         return max((one for one in (both, other) if one), key=lambda one: one.confidence, default=None)
 
     def _move(self, odometer_m: float | None, places: float, spacing_m: float | None) -> None:

@@ -9,6 +9,8 @@ direction, and says so; each drive is driven with some such errors.
 The second table has what is believed off the map, on a drive over the next seed's road as if it lay beside the mapped
 one, crossed it or left it, with GPS now and 500 m after it was lost; and on the mapped road itself, as if it were a
 twin of it 25 m beside, where nothing but the reckoning can say that it is not.
+The third has how right a confidence is, with what is reckoned, on all these drives but those over a twin: frames on the
+map count as much as all frames off it.
 --page writes all of it between the marks of a page.
 """
 
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +27,7 @@ from edge.config import AcceptanceConfig
 from edge.descriptor.network import Network
 from edge.sequence import Direction
 from sim.compare.scores import at_threshold, joined
+from sim.research.evaluation.reliability import TENTHS, Claims, rows_of
 from sim.research.evaluation.roads import (
     CUTS,
     FIRST_FRAME,
@@ -52,6 +56,9 @@ CAR_PARK_M = 15.0
 """Radius of the rounds that are driven on it."""
 FORK_RAD = 0.5
 OFF_MAP = slice(FIRST_FRAME, None)
+TWIN = "its twin, 25 m beside"
+LEAST_CLAIMED = 0.5
+"""From which confidence on it is looked at how right it is."""
 Layout = Callable[[Floats, Described, Described], tuple[Described, slice]]
 """A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction
 of travel, a drive over it, and a drive over another road."""
@@ -105,7 +112,7 @@ LAYOUTS: dict[str, Layout] = {
     "across it": _elsewhere(lambda line_m, driven_m: _onward(line_m, driven_m, np.pi / 2, float(driven_m[-1]) / 2)),
     "a car park beside it": _elsewhere(_parked),
     "a fork": _forked,
-    "its twin, 25 m beside": lambda line_m, own, other: (
+    TWIN: lambda line_m, own, other: (
         replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)),
         OFF_MAP,
     ),
@@ -113,7 +120,7 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def main() -> None:
-    """Print both tables for each network, or write them into a page."""
+    """Print the tables for each network, or write them into a page."""
     parser = options(__doc__, 1000.0)
     parser.add_argument("--networks", nargs="+", default=["grid"], help="names, files or folders of networks")
     parser.add_argument("--draws", type=int, default=4, help="of the reckoning's errors, for each drive (default 4)")
@@ -124,10 +131,10 @@ def main() -> None:
 
 
 def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
-    """Of each network: parts of the roads mapped, then roads that are on no map."""
+    """Of each network: parts of the roads mapped, then roads that are on no map, then how right a confidence is."""
     yield "| network, drive | mapped | by the votes alone | with GPS before | lowest recall of a drive |"
     yield "|---|---|---|---|---|"
-    wrong = []
+    wrong, answers = [], {}
     for name, of_network in seen.items():
         judged: dict[Case, list[tuple[Judged, list[Judged]]]] = {}
         for road, drives in of_network:
@@ -135,16 +142,25 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
                 judged.setdefault(case, []).append((alone, drawn))
         yield from _rows(name, judged)
         found = [one for of_case in judged.values() for one in of_case]
-        counts = [
-            (sum(wrong_frames(one) for one in ones), sum(len(one.belief.correct) for one in ones))
-            for ones in ([alone for alone, _ in found], [one for _, drawn in found for one in drawn])
-        ]
-        words = " and ".join(f"{bad} of {frames} frames" for bad, frames in counts)
+        of_votes, answers[name] = [alone for alone, _ in found], [one for _, drawn in found for one in drawn]
+        words = " and ".join(
+            f"{sum(map(wrong_frames, ones))} of {sum(len(one.belief.correct) for one in ones)} frames"
+            for ones in (of_votes, answers[name])
+        )
         wrong.append(f"- {name}: {words} are believed and wrong, by the votes alone and with GPS before.")
     yield from ["", *wrong, "", "| network, a road that is not mapped | GPS | frames | believed alone | with it |"]
     yield "|---|---|---|---|---|"
+    claims, least = {}, AcceptanceConfig().confidence_from
     for name, of_network in seen.items():
-        yield from off_map_rows(name, of_network)
+        off_map = []
+        for (where, layout), (gps, lost_m) in product(LAYOUTS.items(), GPS.items()):
+            alone, both = (np.concatenate(ones) for ones in zip(*_off_map(of_network, layout, lost_m), strict=True))
+            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (alone, both))
+            yield f"| {name}, {where} | {gps} | {len(both)} | {' | '.join(cells)} |"
+            off_map += [both] * (where != TWIN)
+        claims[name] = Claims.of(joined([one.belief for one in answers[name]]), np.concatenate(off_map))
+    head, rule, *of_tenths = rows_of(claims)
+    yield from ["", head, rule, *of_tenths[round(TENTHS * LEAST_CLAIMED) :]]
 
 
 def wrong_frames(judged: Judged) -> int:
@@ -172,16 +188,6 @@ def _cell(judged: Sequence[Judged]) -> str:
     parts = max(len(one.first_m) for one in judged)
     first_m = [np.median([one.first_m[part] for one in judged if len(one.first_m) > part]) for part in range(parts)]
     return f"{recall:.3f}; {', '.join(f'{one:.0f}' for one in first_m)} m"
-
-
-def off_map_rows(name: str, seen: Sequence[World]) -> Iterator[str]:
-    """How many frames are believed where none is right."""
-    for where, layout in LAYOUTS.items():
-        for gps, lost_m in GPS.items():
-            alone, both = (np.concatenate(ones) for ones in zip(*_off_map(seen, layout, lost_m), strict=True))
-            least = AcceptanceConfig().confidence_from
-            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (alone, both))
-            yield f"| {name}, {where} | {gps} | {len(both)} | {' | '.join(cells)} |"
 
 
 def _off_map(seen: Sequence[World], layout: Layout, lost_m: float) -> Iterator[tuple[Floats, Floats]]:
