@@ -3,15 +3,19 @@
 GPS and odometry reckon where the vehicle is, to one standard deviation. Three hypotheses explain that, and the votes:
 
     here        it is at the place that they speak for
-    beside      it is near there, on none of the map's roads: on one that looks like that one (ALIKE)
+    beside      it is near there, on none of the map's roads: on one of which the votes say the same
     elsewhere   it is off the map, or at another place, and they speak for any of those that are searched
 
     road = likelihood of the reckoning on the nearest road of the map / evenly within BESIDE_M of that road
     near = likelihood of the reckoning at the place / mean of that at all places that are searched
-    odds of the place = odds by the votes * road * near / (1 + ALIKE * near), within LEAST and MOST
+    odds of the place = odds by the votes * road * near / max(1, near), at least LEAST
 
-Nothing is cut off: where the reckoning is far less certain than the map is large, road and near are 1, and the belief
-is what the votes alone say. Where it lies away from all roads of the map, road is far below 1, and so is the belief.
+Against the place counts the likelier of the two others, which is `beside` from near = 1 on: that a place is where the
+vehicle is reckoned does not speak for it, only that a road is. Where near counted as well, up to 11.5 in all, 70 of
+7,260 frames were believed on a road 20 m beside the map's, 500 m and more after GPS was lost; so, none, as by the votes
+alone. On the map .970 of the frames were believed, and .969; in snow .921, and .899 (three roads).
+Where the reckoning is far less certain than the map is large, road and near are 1, and the belief is what the votes
+alone say. Where it lies away from all roads of the map, road is far below 1, and so is the belief.
 """
 
 from __future__ import annotations
@@ -28,12 +32,10 @@ ACROSS_M = 5.0
 """The same across the road: another lane, and the GPS of the drive that made the map."""
 BESIDE_M = 100.0
 """Within so many meters of its roads, a vehicle is as often on the map as off it."""
-ALIKE = 0.1
-"""Of the roads beside the map's, so many look like the one that is next to them."""
-LEAST, MOST = 0.25, 11.5
-"""No place is believed to which the votes alone give less than even odds: 0.92 is 11.5 to 1. The highest confidence by
-votes alone on 96 km of other roads was 0.957, 22 to 1, which LEAST brings below that; less would silence places of
-which the votes are certain where a reckoning is further off than it says (3.3 standard deviations: for 400 m)."""
+LEAST = 0.25
+"""No reckoning silences a place of which the votes are certain, since it may be further off than it says (by 3.3
+standard deviations: with less, for 400 m). The highest confidence by votes alone on 96 km of other roads was 0.957, 22
+to 1, which this brings below what is believed."""
 MEAN_OF = 1000
 """Places whose mean likelihood stands for that of all, a few of which are as near as ALONG_M."""
 STRAY_SHARE, STRAY = 0.01, 4.0
@@ -65,8 +67,7 @@ class Prior:
 
     def odds(self, away_m: Floats) -> Floats:
         """What the odds of places (n,) so far from the reckoning are to be multiplied by."""
-        near = self.near(away_m)
-        return np.asarray(np.clip(self.road * near / (1 + ALIKE * near), LEAST, MOST))
+        return np.asarray(np.maximum(self.road * np.minimum(1.0, self.near(away_m)), LEAST))
 
 
 def likelihood(squares_m2: NDArray[np.floating], sigma_m: float) -> Floats:
