@@ -154,8 +154,8 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
     for name, of_network in seen.items():
         off_map = []
         for (where, layout), (gps, lost_m) in product(LAYOUTS.items(), GPS.items()):
-            alone, both = (np.concatenate(ones) for ones in zip(*_off_map(of_network, layout, lost_m), strict=True))
-            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (alone, both))
+            by_votes, both = (np.concatenate(ones) for ones in zip(*_off_map(of_network, layout, lost_m), strict=True))
+            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (by_votes, both))
             yield f"| {name}, {where} | {gps} | {len(both)} | {' | '.join(cells)} |"
             off_map += [both] * (where != TWIN)
         claims[name] = Claims.of(joined([one.belief for one in answers[name]]), np.concatenate(off_map))
