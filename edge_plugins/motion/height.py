@@ -31,6 +31,9 @@ odometer."""
 LINE_M, MAP_SHARE, APART_M = 3.5, 0.01, 60.0
 """Standard deviation of where the line of a match lies along the map's drive, the same for all within APART_M, and that
 of the drive's own length, measured with GPS."""
+SLIPPED = 0.05
+"""What a mount may slip by, as a share: two windows in a row that are off by more begin anew, and one standard
+deviation while GPS does not measure, where only places show it. So a fifth is four of them, and still sent."""
 FORGOTTEN_M = 100.0  # driven within which a line's weight falls to a third: a mount may slip at any time
 CONTRADICTS = 2.0
 """Standard deviations that places may differ from what GPS said before: it is as uncertain as that asks for, since the
@@ -74,7 +77,7 @@ class CameraHeight:
         self._path, self._behind, self._saved_ns = path, Behind(), 0
         earlier = _by_windows(kept.heights_m)
         self._earlier = earlier and Measured(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
-        self._gps, self._places = _ByGps(), _ByPlaces(frames)
+        self._gps, self._places, self._is_by_gps = _ByGps(), _ByPlaces(frames), False
         self._combine()
 
     @property
@@ -85,7 +88,11 @@ class CameraHeight:
     @property
     def share(self) -> float:
         """One standard deviation, as a share of the height; infinite where nothing is known."""
-        return math.inf if self._best is None else self._best.share
+        if self._best is None:
+            return math.inf
+        places = self._places.measured
+        off = math.inf if places is None else math.hypot(places.share, places.height_m / self._best.height_m - 1)
+        return max(self._best.share, 0.0 if self._is_by_gps else (SLIPPED**-2 + off**-2) ** -0.5)
 
     def _combine(self) -> None:
         gps, places = self._gps.measured, self._places.measured
@@ -100,17 +107,19 @@ class CameraHeight:
         self._best = Measured(mean_m, math.hypot(LEAST_SHARE, sum(weights) ** -0.5)) if known else None
 
     def drive(self, heights_per_s: float, now_ns: int) -> None:
-        """It moves ahead so fast now, in heights a second."""
+        """It moves ahead so fast now, in heights a second; `compare` follows where GPS measures it as well."""
+        self._is_by_gps = False
         self._places.drive(heights_per_s, now_ns)
 
     def compare(self, gps_m: float, heights: float, pitch_rad: float, now_ns: int) -> None:
         """A step was so many meters long by GPS, and so many heights by the camera of this pitch."""
+        self._is_by_gps = True
         window_m = self._gps.add(gps_m, heights)
         if window_m is None:
             return
         self._places.begin()  # they tell whether it still holds from here on
         self._combine()
-        heights_m = (*self.kept.heights_m, window_m)[-WINDOWS_MOST:]
+        heights_m = _newest(self.kept.heights_m, window_m)
         self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
         self.kept = KeptHeight(self.kept.camera, self.pitch_rad, heights_m)
         if self._path is not None and len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
@@ -136,7 +145,7 @@ class _ByGps:
         if self._meters < WINDOW_M:
             return None
         window_m = self._meters / max(self._heights, 1e-9)
-        self.windows_m = (*self.windows_m, window_m)[-WINDOWS_MOST:]
+        self.windows_m = _newest(self.windows_m, window_m)
         self._meters = self._heights = 0.0
         return window_m
 
@@ -205,6 +214,13 @@ def read_height(path: Path | None, camera: str, pitch_rad: float) -> KeptHeight:
     kept = path and read_kept(path, KeptHeight, "ignored, the camera's height is learned again")
     is_known = kept and kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m)
     return kept if kept and is_known else KeptHeight(camera, pitch_rad)
+
+
+def _newest(windows_m: tuple[float, ...], window_m: float) -> tuple[float, ...]:
+    """With one more, those since the mount last slipped."""
+    windows_m = (*windows_m, window_m)[-WINDOWS_MOST:]
+    off = np.abs(np.array(windows_m[-WINDOWS:]) / np.median(windows_m) - 1)
+    return windows_m[-WINDOWS:] if off.min() > SLIPPED else windows_m
 
 
 def _by_windows(heights_m: tuple[float, ...]) -> Measured | None:

@@ -16,6 +16,7 @@ from edge.journal.records import Record
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion, CameraSpeed, MotionMeasured
 from edge_plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
+from edge_plugins.motion.velocity_sender import MOST_SCALE
 from tests.files_written import wait_for_files
 from tests.plugins.motion.road import FOV_DEG, HEIGHT, WIDTH, picture
 
@@ -64,7 +65,7 @@ def test_the_height_is_learned_from_gps_and_kept(tmp_path: Path) -> None:
     wait_for_files()
     again = CameraMotion(config(tmp_path))
     assert again.height.kept == motion.height.kept
-    assert again.height.share > 0.1 > 5 * motion.height.share, "it may have been mounted anew"
+    assert again.height.share > 0.1 > motion.height.share, "it may have been mounted anew"
     assert CameraMotion(config(tmp_path, "rear")).height.height_m is None, "another camera has another height"
     seen = [one for one in records if isinstance(one, MotionMeasured)]
     assert seen[-1].speed_mps == pytest.approx(MPS, rel=0.05) and seen[0].why
@@ -78,7 +79,7 @@ def test_the_stamp_is_the_middle_between_two_exposures_and_the_speed_honest() ->
         assert speed is not None
         assert speed.stamp_ns == (step + 0.5) * STEP_NS
         assert abs(speed.speed_mps - MPS) < 3 * speed.sigma_mps
-        assert speed.sigma_mps < 0.05 * MPS
+        assert speed.sigma_mps < 0.06 * MPS
 
 
 def test_the_same_pictures_give_the_same_speeds_to_the_last_bit() -> None:
@@ -147,7 +148,9 @@ def behind_a_truck(north_m: float, away_m: float, seed: int) -> NDArray[np.uint8
     top, bottom = (round(HEIGHT / 2 + focal_px * (1.4 - high_m) / away_m) for high_m in (3.5, 0.4))
     rear = cv2.resize(REAR, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     image = picture(north_m, seed=seed, light=0.3, noise=4.0).copy()
-    image[max(top, 0) : bottom, left:right] = rear[max(-top, 0) : HEIGHT - top, :, None]
+    image[max(top, 0) : bottom, max(left, 0) : right] = rear[max(-top, 0) : HEIGHT - top, max(-left, 0) :, None][
+        :, : WIDTH - max(left, 0)
+    ]
     return image
 
 
@@ -158,14 +161,18 @@ def beside_water(flown_m: float, from_px: int, seed: int) -> NDArray[np.uint8]:
     return image
 
 
-def test_a_truck_that_fills_most_of_the_picture_is_hardly_ever_what_is_measured() -> None:
-    """In 9 of 40 pictures it said 0.3 to 0.6 m/s, up to 48 standard deviations off: the truck closed at 0.3 m/s."""
-    motion, wrong = known(CameraMotion(config())), 0
-    for step in range(40):
-        image = behind_a_truck(5.0 + 3.0 * step / 10, 3.0 - 0.3 * step / 10, step)
-        speed = motion.follow(image, (1 + step) * STEP_NS, None)
-        wrong += speed is not None and abs(speed.speed_mps - 3.0) > 4 * speed.sigma_mps
-    assert wrong <= 2
+@pytest.mark.parametrize(("mps", "away_m", "closes_mps"), [(3.0, 3.0, 0.3), (2.0, 3.0, 0.3), (2.0, 4.0, 0.5)])
+def test_a_truck_that_fills_most_of_the_picture_is_not_what_is_measured(
+    mps: float, away_m: float, closes_mps: float
+) -> None:
+    """In up to 22 of 40 pictures it said 0.3 to 0.6 m/s, up to 48 standard deviations off."""
+    motion, far = known(CameraMotion(config())), 0
+    for step in range(41):
+        now_m = away_m - closes_mps * step / 10
+        speed = motion.follow(behind_a_truck(5.0 + mps * step / 10, now_m, step), (1 + step) * STEP_NS, None)
+        assert speed is None or abs(speed.speed_mps - mps) < 4 * speed.sigma_mps
+        far += speed is not None and now_m > 3.2
+    assert far >= (5 if away_m > 3.2 else 0), "where the road is most of the picture, it is measured"
 
 
 @pytest.mark.parametrize("from_px", [WIDTH // 7, WIDTH // 4])
@@ -174,6 +181,28 @@ def test_it_is_silent_where_it_stands_beside_water_that_flows(from_px: int) -> N
     motion = known(CameraMotion(config()))
     for step in range(25):
         assert motion.follow(beside_water(step / 10, from_px, step), (1 + step) * STEP_NS, None) is None
+
+
+@pytest.mark.parametrize("times_a_second", [5.0, 3.3, 1.7])
+def test_a_mount_that_shakes_as_no_gyroscope_feels_changes_no_speed(times_a_second: float) -> None:
+    """It was measured in a third of the pictures, 0.7 m/s (6.3 standard deviations) too slow."""
+    motion, off_mps = known(CameraMotion(config(), turned_rad=lambda since_ns, until_ns: (0.0, 0.0))), []
+    for step in range(25):
+        pitch_rad = math.radians(0.5) * math.cos(2 * math.pi * times_a_second * step / 10)
+        speed = motion.follow(picture(20.0 + STEP_M * step, pitch_rad=pitch_rad), (1 + step) * STEP_NS, None)
+        if speed is not None:
+            off_mps.append(speed.speed_mps - MPS)
+    assert len(off_mps) > 20 and max(map(abs, off_mps)) < 0.03 * MPS and abs(np.mean(off_mps)) < 0.01 * MPS
+
+
+@pytest.mark.parametrize("lower", [0.9, 0.8])
+def test_a_camera_that_sank_after_gps_is_within_what_it_says(lower: float) -> None:
+    """It was 9 and 17 standard deviations off."""
+    motion = known(CameraMotion(config()))
+    for step in range(5):
+        speed = motion.follow(picture(20.0 + STEP_M * step, high_m=lower * 1.4), (1 + step) * STEP_NS, None)
+    assert speed is not None and speed.speed_mps == pytest.approx(MPS / lower, rel=0.03)
+    assert abs(speed.speed_mps - MPS) < 4 * speed.sigma_mps and speed.scale_share <= MOST_SCALE
 
 
 def test_dirt_on_the_lens_in_the_dark_is_no_halt_and_a_halt_is_one() -> None:

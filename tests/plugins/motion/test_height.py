@@ -87,6 +87,22 @@ def test_a_camera_that_sinks_after_gps_is_contradicted_by_places_and_corrected()
         assert found is not None and found * 1.1 / TRUE_M == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.parametrize("sinks", [1.1, 1.25])
+def test_a_camera_that_sinks_is_within_what_it_says_and_gps_measures_it_anew(sinks: float) -> None:
+    for seed in range(5):
+        camera = height()
+        road = Road(camera, seed)
+        road.drive(200.0, gps=True)
+        road.true_m = TRUE_M / sinks
+        for _ in range(20):
+            road.drive(20.0)
+            found = camera.height_m
+            assert found is not None and abs(found - road.true_m) < 4.3 * camera.share * found
+        road.true_m = TRUE_M
+        road.drive(3 * WINDOW_M + STEP_M, gps=True)
+        assert abs(off(camera)) < 0.02 and camera.share < 0.03
+
+
 def test_while_gps_measures_it_places_say_nothing_though_a_map_be_a_tenth_too_long() -> None:
     camera = height()
     Road(camera).drive(400.0, gps=True, map_scale=1.1)
