@@ -45,7 +45,8 @@ class Track:
         agreed with it for a correlation length.
 
         After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m, which
-        had a confidence of 0.92, moved a recorded drive from 20 m off to 41.
+        had a confidence of 0.92, moved a recorded drive from 20 m off to 41 (with fc6). Of 36 recorded drives with the
+        grid, three wait for it, with 47 positions instead of 131; of neither is one beyond three standard deviations.
         """
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
