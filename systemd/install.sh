@@ -139,8 +139,9 @@ choose_extras() {
             for old in "$root$prefix"/lib/python3*/site-packages/edge/descriptor/models/alexnet_places100; do
                 [ ! -d "$old" ] || kept=$kept${kept:+,}fc6
             done
-            for one in $(echo "$kept" | tr , ' '); do
-                has_extra "$one" || extras=$one${extras:+,}$extras
+            given=$extras extras=$kept
+            for one in $(echo "$given" | tr , ' '); do
+                has_extra "$one" || extras=$extras${extras:+,}$one
             done
             ;;
     esac
