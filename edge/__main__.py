@@ -111,6 +111,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def _flushed(code: str | int | None) -> str | int | None:
+    """Write what is still buffered; the exit code, 1 where standard output cannot take it.
+
+    The interpreter would try again at its end, print what it raises, and end with 120.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            if stream is sys.stdout:
+                code = code or 1
+                if not isinstance(error, BrokenPipeError):
+                    print(f"lookback: {reason(error)}", file=sys.stderr)
+    return code
+
+
 def command() -> NoReturn:
     """`main`, and the end of the process.
 
@@ -125,10 +142,9 @@ def command() -> NoReturn:
     except SystemExit as stop:
         code = stop.code
     hanging = [one for one in threading.enumerate() if one.daemon and not type(one).__module__.startswith("tqdm.")]
+    code = _flushed(code)
     if isinstance(code, int) and (hanging or code == INTERRUPTED):  # a library may be half loaded, or half closed
         logging.shutdown()
-        sys.stdout.flush()
-        sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
 

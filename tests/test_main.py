@@ -70,11 +70,12 @@ def test_what_needs_no_conversion_and_what_is_no_recording(
     assert "test_main.py: neither a feed folder nor a video" in refused(capsys, "import", __file__, *output)
 
 
-def test_a_full_disk_behind_standard_output() -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_behind_standard_output(unbuffered: str) -> None:
+    command = [sys.executable, "-m", "edge", "config"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "edge", "config"], stdout=full, stderr=subprocess.PIPE, check=False
-        )
+        done = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, check=False)
     assert done.returncode == 1
     assert done.stderr == b"lookback: No space left on device\n"
 

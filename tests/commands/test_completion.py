@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +10,7 @@ pytest.importorskip("shtab")
 from edge.__main__ import main
 
 
-def test_bash_completes_commands_options_and_files(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bash_completes_commands_options_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
     ask = (
@@ -26,7 +27,8 @@ def test_bash_completes_commands_options_and_files(capsys: pytest.CaptureFixture
     assert "record" in complete("re")
     assert complete("map", "bu") == {"build"}
     assert "--confidence-from" in complete("replay", "--conf")
-    assert "/etc/hosts" in complete("run", "/etc/host")
+    (tmp_path / "rover.toml").touch()
+    assert complete("run", f"{tmp_path}/rov") == {f"{tmp_path}/rover.toml"}
 
 
 def test_a_script_for_each_shell(capsys: pytest.CaptureFixture[str]) -> None:

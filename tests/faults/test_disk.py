@@ -55,7 +55,10 @@ def test_no_room_from_the_start(
     prlimit = shutil.which("prlimit")
     if prlimit is None:
         pytest.skip("needs prlimit")
-    process = start(write_config(camera={"device": str(calm_feed)}), wrapper=[prlimit, "--fsize=0"])
+    buffered = {"PYTHONUNBUFFERED": ""}  # or nothing of the log would be left to be written at the end
+    process = start(
+        write_config(camera={"device": str(calm_feed)}), wrapper=[prlimit, "--fsize=0"], environment=buffered
+    )
     while not (status := process.wait_for_word("STATUS=degraded")).endswith("; on the map"):
         pass
     assert WORDS in status
