@@ -37,7 +37,6 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
-from edge.telemetry.source_selection import MAY_IGNORE
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
@@ -122,13 +121,11 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        is_new = self._gps_news.publish(verdict)
-        if not (is_new and self.drive.known.ignores_gps):
-            return
-        if not self.velocity_aid.is_known(self.clock_ns()):
+        is_ignored = self._gps_news.publish(verdict) and self.drive.known.ignores_gps
+        if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
-        elif self.vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4 and not self.positions.selects_sources:
-            self._warn(MAY_IGNORE)
+        elif is_ignored and not self.positions.selects_sources:
+            self.positions.sources.warn_that_gps_stays()
 
     @property
     def why_no_position(self) -> str:

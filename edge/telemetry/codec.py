@@ -24,32 +24,19 @@ MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
 
 
 class FusionStatus(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink has no types
-    """ESTIMATOR_SENSOR_FUSION_STATUS (514) of PX4 1.18, which pymavlink's dialects do not have yet.
-
-    Of each source, GPS first, the instances that the filter is set to fuse, and those that it fuses: a bit for each.
-    """
+    """ESTIMATOR_SENSOR_FUSION_STATUS of PX4 1.18, which pymavlink does not have yet: which instances of each source,
+    GPS first, the filter is set to fuse, and which it fuses, a bit for each."""
 
     id, msgname, crc_extra = 514, "ESTIMATOR_SENSOR_FUSION_STATUS", 197
-    fieldnames = ("intended", "active", "test_ratio")
-    ordered_fieldnames = ("test_ratio", "intended", "active")
-    fieldtypes = ("uint8_t", "uint8_t", "float")
-    native_format, unpacker = bytearray(b"<fBB"), struct.Struct("<9f9B9B")
-    orders, lengths, array_lengths = (1, 2, 0), (9, 9, 9), (9, 9, 9)
+    unpacker, orders, lengths = struct.Struct("<9f9B9B"), (1, 2, 0), (9, 9, 9)
 
     def __init__(self, intended: Sequence[int], active: Sequence[int], test_ratio: Sequence[float]) -> None:
         super().__init__(self.id, self.msgname)
-        self._fieldnames = self.fieldnames
+        self._fieldnames = ["intended", "active", "test_ratio"]
         self.intended, self.active, self.test_ratio = intended, active, test_ratio
-
-    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
-        """As pymavlink's messages do it."""
-        payload = self.unpacker.pack(*self.test_ratio, *self.intended, *self.active)
-        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
 
 mavlink.mavlink_map.setdefault(FusionStatus.id, FusionStatus)
-
-
 Stream: TypeAlias = tuple[int, int, int]
 """Link, system, component: all three are covered by a signature."""
 

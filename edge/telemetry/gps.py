@@ -144,8 +144,7 @@ class Gps:
 
     def __init__(self) -> None:
         self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
-        self.is_fusion_on: bool | None = None
-        """Whether the filter is set to fuse them, by PX4's own report; None where it reports nothing of it."""
+        self.is_fusion_on: bool | None = None  # whether PX4 is set to fuse them; None where it does not report it
         self._alternation = Alternation()  # of the filter's flags
         self._used_ns: int | None = None
         self._flags_ns: int | None = None

@@ -42,7 +42,6 @@ STREAMS_HZ = {
 }
 """In the order in which they are requested."""
 ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
-FUSION_HZ = 2.0
 SILENT_NS = 3_000_000_000
 ANSWER_NS = 500_000_000
 AGAIN_LAST_NS = 60_000_000_000
@@ -138,7 +137,7 @@ class Requests:
         self._vehicle, self.session = vehicle, vehicle.session
         autopilot = self.session.autopilot or 0
         attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
-        fusion_hz = {FusionStatus.id: FUSION_HZ} if autopilot == PX4 else {}
+        fusion_hz = {FusionStatus.id: 2.0} if autopilot == PX4 else {}
         self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz | fusion_hz)
         # What aids the velocity, and whether positions are used, matters only where some are sent.
         names = *AID_PARAMETERS.get(autopilot, ()), *USE_PARAMETERS.get(autopilot, ())

@@ -11,7 +11,6 @@ PX4        43006 sets GPS off or on, which it keeps when it reboots; done when F
 from __future__ import annotations
 
 import contextlib
-import logging
 from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -26,8 +25,6 @@ from edge.telemetry.vehicle import Vehicle
 GPS_SET, SET_WITHOUT_GPS = 1, 2
 AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
 DONE, NOT_READ_BACK = "ACCEPTED", "NOT_READ_BACK"
-MAY_IGNORE = "Lookback: PX4 uses GPS, may ignore positions"
-log = logging.getLogger(__name__)
 
 
 class SourceSelection:
@@ -44,6 +41,7 @@ class SourceSelection:
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: which set it uses is not known."""
+        self._is_px4 = bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
         self._command = Command(AGAIN_NS)
         self._asked: int | None = None  # which set was asked for last
         self._selected: int | None = None
@@ -68,8 +66,7 @@ class SourceSelection:
         if self._is_px4 and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
             self._command.give_up()
             self._done(wanted)
-            return []
-        if not self._command.allows(now_ns):
+        if wanted == self._selected or not self._command.allows(now_ns):
             return []
         if self._is_accepted:
             self._publish(NOT_READ_BACK)
@@ -93,24 +90,18 @@ class SourceSelection:
         if not was_asked:  # of two answers, a stranger may have forged the first: ask again where they differ
             self._selected = self._selected if verdict == "accepted" else None
             return
-        if verdict == "accepted":
-            self._done(self._asked or GPS_SET)
-            return
         if verdict == "never" and self._asked == SET_WITHOUT_GPS:
             self._remember(GPS_SET)
-        self._publish(result_name(result))
-
-    @property
-    def _is_px4(self) -> bool:
-        return bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
+        if verdict == "accepted":
+            self._done(self._asked or GPS_SET)
+        else:
+            self._publish(result_name(result))
 
     def _select(self, number: int, now_ns: int) -> list[Message]:
         self._asked, self._is_accepted = number, False
         self._command.sent(now_ns)
         self._remember(max(self.in_use, number))
-        if self._is_px4:
-            return [encoders.gps_fusion(self._vehicle.target_id, is_on=number == GPS_SET)]
-        return [encoders.source_set(self._vehicle.target_id, number)]
+        return [encoders.source_set(self._vehicle.target_id, number, is_px4=self._is_px4)]
 
     def _done(self, number: int) -> None:
         """It is selected: by us, or by somebody else, whose choice set 2 then is."""
@@ -134,5 +125,10 @@ class SourceSelection:
         self._publisher.record(SourceSetAnswered(number, result))
         what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_px4 else f"source set {number}"
         self._publisher.warn(f"Lookback: {what} {result}")
-        if self._is_px4 and number == SET_WITHOUT_GPS and result != DONE:
-            self._publisher.warn(MAY_IGNORE)
+        if number == SET_WITHOUT_GPS and result != DONE:
+            self.warn_that_gps_stays()
+
+    def warn_that_gps_stays(self) -> None:
+        """A PX4 that uses GPS ignores positions far from it."""
+        if self._is_px4:
+            self._publisher.warn("Lookback: PX4 uses GPS, may ignore positions")

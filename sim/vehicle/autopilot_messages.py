@@ -152,10 +152,19 @@ def _estimator_status(state: Snapshot) -> Message:
     )
 
 
+class _FusionStatus(FusionStatus):
+    """With what only an autopilot needs."""
+
+    def pack(self, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        """As pymavlink's messages do it."""
+        payload = self.unpacker.pack(*self.test_ratio, *self.intended, *self.active)
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
+
+
 def _fusion_status(state: Snapshot) -> Message:
     """GPS, and what a recorded PX4 was set to fuse besides."""
     others = [1, 0, 1, 1, 1, 1, 0, 0]
-    return FusionStatus([int(state.is_fusion_on), *others], [int(state.uses_gps), *others], [math.nan] * 9)
+    return _FusionStatus([int(state.is_fusion_on), *others], [int(state.uses_gps), *others], [math.nan] * 9)
 
 
 def _origin(state: Snapshot) -> Message | None:

@@ -124,7 +124,7 @@ def test_origin_source_set_and_requests() -> None:
     assert origin.altitude == 20_000
     chosen = carried(encoders.source_set(5, 2))
     assert (chosen.command, chosen.param1, chosen.target_component) == (42007, 2, 1)
-    off = carried(encoders.gps_fusion(5, is_on=False))
+    off = carried(encoders.source_set(5, 2, is_px4=True))
     assert (off.command, off.param1, off.param2, off.param3, off.target_component) == (43006, 0, 0, 0, 1)
     asked = carried(encoders.message_request(5, 148))
     assert (asked.command, asked.param1) == (512, 148)
