@@ -237,11 +237,11 @@ def told_after(from_m: float) -> Rule:
     """The rule that the pilot reads of GPS or the map soon after the two begin to disagree, at a meter of the way."""
 
     def told_soon(run: CourseRun) -> str:
-        told_s = min((_called_s(run, text) for text in TOLD), default=math.inf)
-        if math.isinf(told_s):
-            return "not told"
-        after_m = float(np.interp(told_s, run.track.time_s, run.track.along_m)) - from_m
-        return f"told after {after_m:.0f} m" if after_m > LINE_M + TOLD_M else ""
+        warnings = [(at_s, text) for at_s, severity, text in run.texts if severity <= WARNING]
+        told_s = [at_s for at_s, text in warnings if any(one in text for one in TOLD)]
+        after_m = np.interp(told_s, run.track.time_s, run.track.along_m) - from_m
+        told_m = min(after_m[after_m >= 0], default=math.inf)
+        return f"told after {told_m:.0f} m" if told_m > LINE_M + TOLD_M else ""
 
     return told_soon
 
