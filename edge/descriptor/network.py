@@ -1,8 +1,8 @@
 """Descriptors with ONNX Runtime: pictures in, descriptors out.
 
 The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
-import; a test watches the calls of the system. 1.28 to 1.32 crash at import on a Cortex-A76 (emulated by qemu 7.2), so
-on aarch64 pyproject.toml requires an earlier version; tests/descriptor/test_processors.py is the check of a later one.
+import; a test watches the calls of the system. tests/descriptor/test_processors.py checks its answers on other
+processors.
 """
 
 from __future__ import annotations
