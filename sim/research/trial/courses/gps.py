@@ -101,25 +101,29 @@ def _gps_back(draft: CourseDraft) -> None:
 @course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0, rules=(*HONEST, called_on_map))
 def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     """GPS agrees with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
-    agreed_m = draft.length_m - 400.0
-    draft.map = [Stretch(0.0, agreed_m - 250.0), Stretch(agreed_m, draft.length_m)]
-    from_s, (east_m, north_m) = (400.0 + 125.0) / 8.0, draft.side(value)
-    wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
-    draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
-    draft.steers, draft.doubted_gps = False, "switch"
+    _wrong_in_gap(draft, 250.0, value)
+    draft.doubted_gps = "switch"
 
 
 @course("D", "gps-30-m-off-after-{}", "gap", "far-gap", "gap-unaided", least_m=1600.0)
 def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
-    """The same by 30 m, after a gap of 250 m or 800 m, also where nothing but GPS measures the velocity."""
+    """GPS agrees with the map for 400 m; in a gap of the map of 250 m or 800 m it begins to be 30 m off, also where
+    nothing but GPS measures the velocity. A person drives, who must read of it soon."""
     gap_m = 800.0 if value == "far-gap" else 250.0
-    agreed_m = draft.length_m - 400.0
-    draft.map = [Stretch(0.0, agreed_m - gap_m), Stretch(agreed_m, draft.length_m)]
-    from_s, (east_m, north_m) = (400.0 + gap_m / 2) / 8.0, draft.side(30.0)
-    draft.gps_at = lambda time_s: GpsReport(east_off_m=east_m, north_off_m=north_m) if time_s > from_s else GpsReport()
-    draft.steers, draft.rules = False, (*HONEST, told_after(400.0 + gap_m))
+    _wrong_in_gap(draft, gap_m, 30.0)
+    draft.rules = (*HONEST, told_after(400.0 + gap_m))
     if value == "gap-unaided":
         draft.errors = replace(draft.errors, source="none")
+
+
+def _wrong_in_gap(draft: CourseDraft, gap_m: float, off_m: float) -> None:
+    """A gap of the map after 400 m, in the middle of which GPS begins to be so far to the side."""
+    agreed_m = draft.length_m - 400.0
+    draft.map = [Stretch(0.0, agreed_m - gap_m), Stretch(agreed_m, draft.length_m)]
+    from_s, (east_m, north_m) = (400.0 + gap_m / 2) / 8.0, draft.side(off_m)
+    wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
+    draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
+    draft.steers = False
 
 
 @course("D", "gps-turned-twice", rules=(never_called, never_sent))
