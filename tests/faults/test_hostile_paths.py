@@ -233,7 +233,9 @@ def test_another_model_is_refused_by_its_checksum(
     model = onnx.load(tmp_path / shipped.name)
     model.doc_string = "a remark"
     onnx.save(model, tmp_path / shipped.name)
-    assert "belongs to the network" in refused(config, capsys)
+    why = refused(config, capsys)
+    assert f"made with model {network.info.name} ({network.info.sha256[:12]}" in why
+    assert "but the model here is" in why
 
 
 def test_a_map_made_with_another_model_is_refused(
