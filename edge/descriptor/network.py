@@ -1,8 +1,7 @@
 """Descriptors with ONNX Runtime: pictures in, descriptors out.
 
 The only module that imports ONNX Runtime. From 1.29 on it sends telemetry unless the environment forbids it before the
-import; a test watches the calls of the system. tests/descriptor/test_processors.py checks its answers on other
-processors.
+import; a test watches the calls of the system.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ FADES_M, EXPECTED = 300.0, 1.0
 drive ardupilot_dusk912, 2 of 5 positions are beyond three standard deviations with it, 4 of 6 without (`lookback dev
 ablate`). Of 44 other drives it changes only the positions of one that is 12 m beside the map's."""
 
-BY_CHANCE = STRETCH_WRONG
-"""Probability of agreeing with reckoning by chance up to which a first match is as certain as any stretch of a map."""
+BY_CHANCE = STRETCH_WRONG  # probability of agreeing with reckoning by chance, up to which a first match is certain
 
 
 @dataclass
@@ -44,9 +43,9 @@ class Track:
         """Whether reckoning makes its first match as certain as any stretch of a map is assumed to be, or matches have
         agreed with it for a correlation length.
 
-        After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m, which
-        had a confidence of 0.92, moved a recorded drive from 20 m off to 41 (with fc6). Of 36 recorded drives with the
-        grid, three wait for it, with 47 positions instead of 131; of neither is one beyond three standard deviations.
+        After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
+        recorded drive from 20 m off to 41 (fc6, confidence 0.92). Of 36 recorded drives with the grid, three wait for
+        it, with 47 positions instead of 131; none is beyond three standard deviations either way.
         """
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M

@@ -37,6 +37,7 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
+from edge.telemetry.source_selection import GPS_SET
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
@@ -304,7 +305,8 @@ class AutopilotConnection:
     def _update_aid(self, now_ns: int) -> None:
         gps, positions = self.vehicle.session.gps.state(now_ns), self.positions
         is_by_gps = gps == "healthy" and not self.drive.known.ignores_gps
-        self.vehicle.velocity.is_by_gps = gps != "not healthy" and positions.sources.uses_gps
+        may_be_fused = self.vehicle.session.gps.may_be_fused(is_selected=positions.sources.in_use == GPS_SET)
+        self.vehicle.velocity.is_by_gps = gps != "not healthy" and may_be_fused
         self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
     def _send_due(self, now_ns: int) -> None:

@@ -151,6 +151,10 @@ class Gps:
         self._unused_ns: int | None = None  # since when the filter has not used it
         self._absent: tuple[int, int] | None = None  # since when SYS_STATUS says so, and when it did last
 
+    def may_be_fused(self, *, is_selected: bool) -> bool:
+        """Whether the filter may use them: by its own report, else as was selected."""
+        return is_selected if self.is_fusion_on is None else self.is_fusion_on
+
     def read_filter(self, flags: int, autopilot: int | None, now_ns: int) -> None:
         """The flags of EKF_STATUS_REPORT (ArduPilot) or ESTIMATOR_STATUS (PX4)."""
         is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)

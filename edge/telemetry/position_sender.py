@@ -217,7 +217,7 @@ class PositionSender:
         if self._telemetry.emit == "auto" and self.message is None:
             self._choose()
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
-        messages = self.sources.due(now_ns)
+        messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
         self.use.check(now_ns)
         return messages
 

@@ -41,7 +41,6 @@ class SourceSelection:
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: which set it uses is not known."""
-        self._is_px4 = bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
         self._command = Command(AGAIN_NS)
         self._asked: int | None = None  # which set was asked for last
         self._selected: int | None = None
@@ -49,10 +48,8 @@ class SourceSelection:
         self._published = ""
 
     @property
-    def uses_gps(self) -> bool:
-        """Whether the filter may use GPS: by its own report, else by what was selected."""
-        reported = self._vehicle.session.gps.is_fusion_on
-        return self.in_use == GPS_SET if reported is None else reported
+    def _is_px4(self) -> bool:
+        return bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
 
     def due(self, now_ns: int) -> list[Message]:
         """The command, if the wanted set is not selected yet and none is waiting for its answer."""

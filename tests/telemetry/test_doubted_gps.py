@@ -10,6 +10,7 @@ from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, FixWithheld, GpsJudged, SourceSetAnswered
 from edge.localization import GpsVerdict
 from edge.telemetry.encoders import SENSOR_ENABLE
+from edge.telemetry.source_selection import GPS_SET
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.positions import AGREES, OFF_M, WRONG, offer_for, spoofed
 from tests.telemetry.rig import OpenRig, Rig
@@ -161,7 +162,8 @@ def test_a_px4_that_cannot_leave_its_gps_is_asked_once_and_the_pilot_warned(open
         "Lookback: GPS fusion off UNSUPPORTED",
         "Lookback: PX4 uses GPS, may ignore positions",
     ]
-    assert rig.connection.positions.sources.uses_gps
+    sources, gps = rig.connection.positions.sources, rig.connection.vehicle.session.gps
+    assert gps.may_be_fused(is_selected=sources.in_use == GPS_SET)
 
 
 def test_nothing_is_switched_where_no_positions_are_sent(open_rig: OpenRig) -> None:

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE
+from edge.telemetry.source_selection import GPS_SET
 from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
 from tests.files_written import wait_for_files
@@ -177,7 +178,8 @@ def test_gps_is_given_back_to_px4_after_a_crash_and_a_reboot_once_it_agrees(doub
     doubted_px4.connect()
     doubted_px4.run(10.0)
     assert doubted_px4.autopilot.inputs.source_set == 2
-    assert not doubted_px4.connection.positions.sources.uses_gps
+    sources, gps = doubted_px4.connection.positions.sources, doubted_px4.connection.vehicle.session.gps
+    assert not gps.may_be_fused(is_selected=sources.in_use == GPS_SET)
     doubted_px4.off_m = 0.0
     doubted_px4.judge_gps(AGREES)
     doubted_px4.run(3.0)
