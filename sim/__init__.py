@@ -13,7 +13,7 @@ coverage     `lookback map coverage`: before departure, where a map will be reco
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback model`: import, quantize, verify
 bench        `lookback dev bench`: this board
-research     what was measured to build Lookback: its belief, training, `make bench`; not in the wheel
+research     what was measured to build Lookback: its belief, its network, `make bench`; not in the wheel
 journal      reads a journal
 traverse     a feed as the places of a traverse
 completion   `lookback completion`

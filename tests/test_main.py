@@ -176,6 +176,7 @@ def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         ("sim import kitti x", "`lookback sim import` is now `lookback import`"),
         ("sim drive x", "`lookback sim` is now `lookback dev sim`"),
         ("dev golden x", "`lookback dev golden` is now `lookback replay`"),
+        ("dev train x", "`lookback dev train` is gone: the source of version 0.3.0 has it"),
     ],
 )
 def test_a_command_of_an_older_version_says_where_it_went(

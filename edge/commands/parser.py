@@ -46,7 +46,6 @@ DEV_COMMANDS = {
     "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",
     "sim": "sim.commands",
-    "train": "sim.research.training.command",
 }
 """The same, below `lookback dev`."""
 RESEARCH = "sim.research"
@@ -61,10 +60,12 @@ MOVED = {
     "sim gps": "dev gps",
     "sim flights": "dev flights",
     **dict.fromkeys((f"{DEV} paper", "eval match", "eval networks", "eval run"), "compare"),
-    **{name: f"{DEV} {name}" for name in ("bench", "mcap", "sim", "train")},
+    **{name: f"{DEV} {name}" for name in ("bench", "mcap", "sim")},
     **dict.fromkeys(("golden", "dev golden"), "replay"),  # whose output is the same, byte for byte
 }
 """Commands of earlier versions, and what they are now."""
+GONE = dict.fromkeys(("train", "dev train"), "the source of version 0.3.0 has it")
+"""Commands of earlier versions that nothing replaces."""
 
 
 def moved(words: Sequence[str]) -> str | None:
@@ -73,6 +74,8 @@ def moved(words: Sequence[str]) -> str | None:
         old = " ".join(words[:length])
         if old in MOVED:
             return f"`lookback {old}` is now `lookback {MOVED[old]}`"
+        if old in GONE:
+            return f"`lookback {old}` is gone: {GONE[old]}"
     return None
 
 
@@ -120,7 +123,7 @@ def build_parser(words: Sequence[str] | None = None) -> argparse.ArgumentParser:
     asked = None if words is None else [word for word in words if not word.startswith("-")]
     plug_ins = {point.name: point.module for point in entry_points(group="lookback.commands")}
     fill_all(commands, {**COMMANDS, **plug_ins, **COMMANDS}, asked)  # ours first, and none of them replaced
-    about = "for work on Lookback itself: simulation, benchmarks, training"
+    about = "for work on Lookback itself: simulation, benchmarks, recorded drives"
     dev = commands.add_parser(DEV, help=about, description=about)
     if asked is None or asked[:1] == [DEV]:
         fill_all(dev.add_subparsers(required=True, metavar="COMMAND"), DEV_COMMANDS, asked and asked[1:])

@@ -32,13 +32,6 @@ class Pass:
     along_m: NDArray[np.float64]
     believed: NDArray[np.bool_]
 
-    def longest_gap(self) -> tuple[float, float]:
-        """Where the longest stretch without a believed frame begins and ends along the segment."""
-        at = np.concatenate([[0], np.flatnonzero(self.believed), [len(self.along_m) - 1]])
-        ends = self.along_m[at]
-        longest = int(np.abs(np.diff(ends)).argmax())
-        return float(min(ends[longest : longest + 2])), float(max(ends[longest : longest + 2]))
-
     def until_believed_m(self, from_m: float, to_m: float) -> float:
         """Meters from where the drive enters [from_m, to_m) to the next believed frame; NaN where it does not pass."""
         inside = np.flatnonzero((self.along_m >= from_m) & (self.along_m < to_m))

@@ -3,6 +3,5 @@
 evaluation  the place belief: on other roads, at any spacing, by light
 trial       `lookback dev gps`, `flights` and `ablate`: errors of GPS; recorded drives anew, and without each rule
 alexnet     `lookback dev alexnet`: networks from weights of AlexNet, as the shipped one was made
-training    `lookback dev train`: the shipped network trained again
 bench       `make bench`: what each stage costs
 """

@@ -37,8 +37,6 @@ LIT_WINDOW = (1.0, 0.86, 0.58)
 
 SNOW_TOP: Picture = np.full((8, 8, 4), (230, 233, 240, 255), np.uint8)
 
-Vertices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-
 
 def build_static(things: Iterable[Thing], light: Light, lamps_m: NDArray[np.float64], window_seed: int) -> NodePath:
     """All that stands still, with the light of the condition in its colors."""

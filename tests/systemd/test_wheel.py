@@ -99,12 +99,12 @@ def test_every_command_of_the_readme_is_one(python: Path) -> None:
 
 
 def test_research_says_where_it_is(python: Path) -> None:
-    done = run(python, "-m", "edge", "dev", "train", "x")
+    done = run(python, "-m", "edge", "dev", "alexnet", "x")
     assert (done.returncode, done.stderr) == (
         78,
-        "lookback: train: only in a clone of the repository, not in the package\n",
+        "lookback: alexnet: only in a clone of the repository, not in the package\n",
     )
     done = run(python, "-m", "edge", "dev", "--help")
     assert done.returncode == 0, done.stderr
-    assert re.search(r"train +only in a clone", done.stdout)
+    assert re.search(r"alexnet +only in a clone", done.stdout)
     assert re.search(r"bench +measure this board", done.stdout)

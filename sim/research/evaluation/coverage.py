@@ -1,22 +1,16 @@
 """How well the coverage of a route is predicted from its map alone: simulated worlds, rehearsed and then driven.
 
     python -m sim.research.evaluation.coverage --seeds 4501 4502 --cache FOLDER
-    python -m sim.research.evaluation.coverage --similarity --seeds 4201 4202 --cache FOLDER
 
 Each world is driven once with the rear camera by day (the map), home at night and again at dusk with the front camera.
 Of every second world the middle third is not mapped. For each 100 m, the share of frames that are believed, as it is
 rehearsed (`sim.coverage`) and as it is found; for each drive, its longest gap. Descriptors are kept in FOLDER.
-
---similarity prints how alike a place is to its place of the map after normalization (cosine), by where the map's camera
-looked, by direction and by light, in the worlds and in rehearsed drives over their maps: what the constants of
-`sim.coverage.rehearsal` rest on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +18,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config
-from edge.descriptor.normalize import normalize
-from edge.feed import View
 from edge.reference_map import Drives
 from edge.sequence import Direction
 from sim.coverage import Conditions, Pass, Rehearsal, Sheet
-from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import longest_gap, spans_of
 from sim.research.evaluation.roads import (
     SPACING_M,
@@ -48,10 +39,6 @@ from sim.world.scenario import Scenario
 STRETCH_M, REHEARSALS, FACTOR = 100.0, 8, 1.5
 DRIVEN: tuple[tuple[Conditions, int], ...] = ((Conditions("home", "night"), 2), (Conditions("again", "dusk"), 3))
 """Conditions, and the seed of the drive."""
-VIEWS: tuple[View, ...] = ("rear", "front")
-AROUND_M = 8.0
-DEAD = 0.1
-"""Share of the mean deviation below which a dimension says nothing of a shift."""
 Floats = NDArray[np.float64]
 
 
@@ -113,56 +100,6 @@ def driven(road: Scenario, conditions: Conditions, drive_seed: int, folder: Path
     return described(seen, folder)
 
 
-def similarity(roads: Sequence[Scenario], folder: Path) -> Iterator[str]:
-    """A table: cosine of a place with its place of the map, mean and standard deviation, found and rehearsed."""
-    yield "| map | way | light | found: mean / deviation | rehearsed | mean shifted by |\n|---|---|---|---|---|---|"
-    for view, way, light in product(VIEWS, WAYS, LIGHTS):
-        found, rehearsed, shifts = [], [], []
-        for scenario in roads:
-            road, conditions = described(replace(scenario, view=view), folder), Conditions(way, light)
-            query = driven(scenario, conditions, 5, folder)
-            shifts.append(_shift(road, query))
-            with mapped(road, "whole", view, to_north=True) as maps:
-                rehearsal = Rehearsal(maps, Config(), conditions)
-                swapped = not rehearsal.look_alike(0)
-                found.append(_similarity(road, query, swapped=swapped))
-                raw = np.concatenate(list(rehearsal.frames(0, seed=0)))
-                driven_m = road.route_m[::-1] if way == "home" else road.route_m
-                rehearsed.append(_similarity(road, Described(raw, driven_m, road.route_m), swapped=swapped))
-        cells = (f"{np.mean(values):.2f} / {np.std(values):.2f}" for values in map(np.concatenate, (found, rehearsed)))
-        yield f"| {view} | {way} | {light} | {' | '.join(cells)} | {np.mean(shifts):.2f} |"
-
-
-def _similarity(road: Described, query: Described, *, swapped: bool) -> Floats:
-    """Of each frame, to the most similar place within AROUND_M of the offset at which it is highest in the mean."""
-    places, frames = (_unit(one.raw.astype(np.float32)) for one in (road, query))
-    if swapped:
-        frames = frames[:, ::-1]
-    values = []
-    for ahead_m in np.arange(-40.0, 41.0, 2.0):
-        rows = np.abs(road.route_m - (query.route_m + ahead_m)[:, np.newaxis]).argmin(axis=1)
-        values.append(np.einsum("nrd,nrd->n", frames, places[rows]))
-    at, around = int(np.argmax(np.mean(values, axis=1))), round(AROUND_M / 2.0)
-    best: Floats = np.max(values[max(0, at - around) : at + around + 1], axis=0)
-    return best
-
-
-def _shift(road: Described, query: Described) -> float:
-    """Root mean square by which the mean of a drive differs from the road's, in the road's standard deviations."""
-    mean, deviation = road.raw.astype(np.float64).mean((0, 1)), road.raw.astype(np.float64).std(0).mean(0)
-    sound = deviation > DEAD * deviation.mean()
-    off = (query.raw.astype(np.float64).mean((0, 1)) - mean)[sound] / deviation[sound]
-    return float(np.sqrt(np.mean(off**2)))
-
-
-def _unit(raw: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Normalized over the whole set, each of length 1."""
-    mean, deviation = (np.broadcast_to(one, raw.shape[1:]) for one in (raw.mean((0, 1)), raw.std(0).mean(0)))
-    found = normalize(raw, mean.astype(np.float64), deviation.astype(np.float64))
-    unit: NDArray[np.float32] = found / np.sqrt(np.einsum("nrd,nrd->n", found, found))[:, np.newaxis, np.newaxis]
-    return unit
-
-
 def predictions(roads: Sequence[Scenario], folder: Path) -> Iterator[str]:
     """For each drive its shares and gaps, and for all the correlation of shares and how many gaps are right."""
     judged = []
@@ -187,12 +124,10 @@ def predictions(roads: Sequence[Scenario], folder: Path) -> Iterator[str]:
 
 
 def main() -> None:
-    """Print the predictions, or what they rest on."""
-    parser = options(__doc__, 1200.0)
-    parser.add_argument("--similarity", action="store_true", help="print what the constants rest on")
-    args = parser.parse_args()
+    """Print the predictions."""
+    args = options(__doc__, 1200.0).parse_args()
     roads = [Scenario(seed=seed, length_m=args.length, view="rear", drive_seed=1) for seed in args.seeds]
-    publish("coverage", (similarity if args.similarity else predictions)(roads, args.cache), args.page)
+    publish("coverage", predictions(roads, args.cache), args.page)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
-from edge.feed import View
 from edge.geodesy import moved
 from edge.localization import GPS_SIGMA_M, Displacement
 from edge.localization.dead_reckoning import TurnAround
@@ -145,8 +144,8 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
 
 
 @contextmanager
-def mapped(road: Described, cut: Cut, view: View = "rear", *, to_north: bool = False) -> Iterator[MapSet]:
-    """The map of a part of the road; view: where its camera looked. to_north: along a meridian, not where it was."""
+def mapped(road: Described, cut: Cut, *, to_north: bool = False) -> Iterator[MapSet]:
+    """The map of a part of the road, by the rear camera. to_north: along a meridian, not where it was."""
     along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
     if to_north:
         ground_m = np.column_stack([np.zeros(len(along_m)), road.route_m])
@@ -155,7 +154,7 @@ def mapped(road: Described, cut: Cut, view: View = "rear", *, to_north: bool = F
     positions = [moved(*ORIGIN, *at_m) if at_m[0] == at_m[0] else (NAN, NAN) for at_m in ground_m.tolist()]
     places = [Place(row, *at, route_m=one) for row, (at, one) in enumerate(zip(positions, along_m, strict=True))]
     drives = [
-        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
+        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], "rear")
         for start, end in kept(cut, len(places))
     ]
     with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2]), DescriptorConfig()) as maps:

@@ -64,7 +64,6 @@ def test_frames_that_are_not_believed_count_where_they_were(
     found = Sheet.of(maps, drives, spans_of(maps, drives, 100.0), [], [first, second], 500.0).stretches
     assert [one.share for one in found] == [0.5, 1.0, 0.5, pytest.approx(0.75, abs=0.01), None, None, None, None]
     assert [(one.drives, one.believed_in) for one in found[:4]] == [(2, 1), (2, 2), (2, 1), (2, 2)]
-    assert first[0].longest_gap() == pytest.approx((198.0, 300.0))
 
 
 def test_each_segment_has_its_own_frames(maps: MapSet) -> None:
