@@ -1,42 +1,29 @@
-"""Every method on every pair: tables and curves of figs. 5 to 9, and max-F1 over the length of a sequence (fig. 12)."""
+"""Every method on every pair: tables and curves of figs. 5 to 9."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.compare import plots
 from sim.compare.method_runner import MethodRunner, Outcome
-from sim.compare.plan import Pair, Plan
-from sim.compare.scores import (
-    at_threshold,
-    interval,
-    intervals,
-    max_f1_of_places,
-    of_curve,
-    recall_at_1,
-    recall_at_100,
-    scores,
-)
+from sim.compare.plan import Pair
+from sim.compare.scores import at_threshold, intervals, max_f1_of_places, of_curve, recall_at_1, recall_at_100
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
-from sim.evaluation.metrics import OFFSET_SHARE, precision_recall, recall_at_precision
+from sim.evaluation.metrics import OFFSET_SHARE, precision_recall
 from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell
 
 Results = dict[tuple[str, str], Outcome]
 """Outcome by the names of pair and method."""
 
+SCORES = ("method", "precision", "recall", "offset", "median ahead")
 SCORE_NOTE = (
-    "Accuracy: right best matches over all frames that have a true place. Max-F1 (places): recall counts every frame"
-    " with a true place; its interval is a block bootstrap's at 95 %. Max-F1 (correct): recall counts only best matches"
-    " that are right, accepted or not, so that it reaches 1 by construction; it reads higher. AP: area under the curve."
-    " R@P100, R@P99: recall of places at 100 % and 99 % precision; within twice: the tolerance. Precision, recall: of"
-    " what is accepted at the default threshold. Offset: how far ahead of the vehicle a match is"
+    "Precision, recall: of what is accepted at the default threshold. Offset: how far ahead of the vehicle a match is"
     " expected, meters or frames; what is right is judged there. Median ahead: how far ahead right answers lie. Without"
-    " an offset it is limited to the tolerance. Published: the paper's max-F1, of its own data sets: compare the order,"
-    " not the numbers; it does not say by which recall."
+    " an offset it is limited to the tolerance."
 )
 
 
@@ -61,7 +48,7 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
-        tables=[table_of(f"{slug}_scores", "Scores", [_scores_of(runner, pair, one) for one in outcomes], SCORE_NOTE)],
+        tables=[Table(f"{slug}_scores", "At the threshold", SCORES, list(map(_scores_of, outcomes)), SCORE_NOTE)],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
             Figure(
@@ -164,43 +151,12 @@ def networks_section(runner: MethodRunner, results: Results) -> Section:
 def overview(runner: MethodRunner, results: Results) -> Section:
     """All scores in one table, and max-F1 of every method on every pair."""
     pairs = [pair.name for pair in runner.plan.pairs]
-    heights = {text: [max_f1_of_places(results[pair, text].answers) for pair in pairs] for text in runner.plan.methods}
-    rows: list[Sequence[Cell]] = [[text, *values] for text, values in heights.items()]
+    rows: list[list[Cell]] = [
+        [text, *(max_f1_of_places(results[pair, text].answers) for pair in pairs)] for text in runner.plan.methods
+    ]
     table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
-    plot = Figure("overview", "Max-F1 (places)", plots.bar_plot(pairs, heights, "max-F1 (places)"))
     text = f"{_methods_text(runner)} {SUMMARY_NOTE}"
-    return Section("Overview", text, [summary(runner, results), means(runner, results), table], [plot])
-
-
-def sweep_pairs(plan: Plan) -> list[Pair]:
-    """The pairs of the sweeps; pairs that differ in the length only count once."""
-    wanted = plan.experiments.sweep_pairs
-    chosen = [pair for pair in plan.pairs if not wanted or pair.name in wanted]
-    apart = {(pair.reference, pair.query, pair.tolerance): pair for pair in reversed(chosen)}
-    return list(reversed(apart.values()))
-
-
-def sequence_lengths(runner: MethodRunner, step: Callable[[str], None]) -> Section:
-    """Max-F1 over the length of a sequence (fig. 12), judged on the same frames at every length."""
-    lengths = sorted(runner.plan.experiments.sequence_lengths)
-    rows: list[Sequence[Cell]] = []
-    drawn = []
-    for number, pair in enumerate(sweep_pairs(runner.plan)):
-        lines: dict[str, tuple[Sequence[float], Sequence[float]]] = {}
-        for text in runner.plan.experiments.sweep_methods:
-            values = []
-            for length in lengths:
-                step(f"{pair.name}: {text}, length {length}")
-                values.append(_f1_from(runner.run(pair, text, length=length), lengths[-1]))
-            rows.append([pair.name, text, *values])
-            lines[text] = (lengths, values)
-        plot = plots.line_plot(lines, "frames in a sequence", "max-F1 (places)")
-        drawn.append(Figure(f"sequence_length_{number}", pair.name, plot))
-    columns = ("pair", "method", *(f"{length}" for length in lengths))
-    text = "Frames are judged from the first whole sequence of the greatest length on, so that all lengths share them."
-    return Section(
-        "Sequence length (fig. 12)", text, [Table("sequence_length", "Max-F1 (places)", columns, rows)], drawn
-    )
+    return Section("Overview", text, [summary(runner, results), means(runner, results), table])
 
 
 def median_ahead(outcome: Outcome) -> float:
@@ -222,30 +178,10 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
     )
 
 
-def table_of(name: str, title: str, rows: Sequence[Mapping[str, Cell]], note: str) -> Table:
-    """A table of rows by its columns."""
-    return Table(name, title, tuple(rows[0]), [list(row.values()) for row in rows], note)
-
-
-def _scores_of(runner: MethodRunner, pair: Pair, outcome: Outcome) -> dict[str, Cell]:
-    """A row of the table by its columns."""
-    found, block = scores(outcome.answers), 2 * outcome.length  # sequences that far apart share no frame
+def _scores_of(outcome: Outcome) -> list[Cell]:
+    """A row of the table of a pair."""
     precision, recall = at_threshold(outcome.answers, outcome.threshold)
-    return {
-        "method": outcome.method.name,
-        "accuracy": found.accuracy,
-        "max-F1 (places)": interval(max_f1_of_places, outcome.answers, block, runner.plan.resamples),
-        "max-F1 (correct)": found.max_f1_of_correct,
-        "AP": found.average_precision,
-        "R@P100": found.recall_at_100,
-        "R@P100 within twice": recall_at_precision(precision_recall(outcome.within_twice()), 1.0),
-        "R@P99": found.recall_at_99,
-        "precision": precision,
-        "recall": recall,
-        "offset": outcome.ahead,
-        "median ahead": median_ahead(outcome),
-        "published max-F1": pair.published.get(outcome.method.name, ""),
-    }
+    return [outcome.method.name, precision, recall, outcome.ahead, median_ahead(outcome)]
 
 
 def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
@@ -264,8 +200,3 @@ def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
 
 def _methods_text(runner: MethodRunner) -> str:
     return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)
-
-
-def _f1_from(outcome: Outcome, length: int) -> float:
-    """Max-F1 on the frames that a sequence of `length` can end at."""
-    return max_f1_of_places(outcome.answers.take(np.flatnonzero(outcome.judged >= length - 1)))

@@ -35,7 +35,7 @@ from sim.compare.methods import SEQUENCES, Method, find_method, query_rows, refe
 from sim.compare.plan import Pair, Plan
 from sim.compare.traverses import Traverse, place_coordinates, true_errors
 from sim.compare.truth import read_matrix
-from sim.evaluation.metrics import Answers, answers_within
+from sim.evaluation.metrics import Answers
 
 FEWEST = 10
 """Matches that an offset is measured on at least, as `lookback calibrate` does."""
@@ -86,11 +86,6 @@ class Outcome:
         """(Q,) true distance of each answer, inf where there is none."""
         return errors_of(self.matches.place, self.errors)
 
-    def within_twice(self) -> Answers:
-        """The same answers by twice the tolerance."""
-        answers, error = self.answers, self.error_of_best()[self.judged]
-        return answers_within(answers.confidence, error, answers.has_truth, 2 * self.pair.tolerance)
-
     @property
     def threshold(self) -> float:
         """The default confidence from which a match is accepted; SeqSLAM has the inverse of a uniqueness."""
@@ -134,11 +129,11 @@ class MethodRunner:
         """Frames of a sequence of this pair."""
         return pair.length or max(1, round((pair.length_m or 0.0) / self.plan.sampling.spacing_m))
 
-    def run(self, pair: Pair, text: str, length: int | None = None) -> Outcome:
-        """One method on one pair; length: frames of a sequence, where they are others than the plan has."""
+    def run(self, pair: Pair, text: str) -> Outcome:
+        """One method on one pair."""
         method = self.method(text)
         reference, query = self.traverse(pair.reference), self.traverse(pair.query)
-        length = length or self.sequence_length(pair)
+        length = self.sequence_length(pair)
         described_ms, began_s = self._described_ms(method, reference, query), process_time()
         matches = self.match(pair, method, reference, query, length)
         matched_ms = 1e3 * (process_time() - began_s) / len(query.rows)

@@ -1,4 +1,4 @@
-"""A plan: which traverses, which pairs of them, which methods, which experiments. One TOML file, checked whole.
+"""A plan: which traverses, which pairs of them, which methods. One TOML file, checked whole.
 
 title = "My street"
 methods = ["Raw-single", "Raw-fc6", "NSD-CR", "Lookback", "NSD-single@cosplace", "SeqSLAM"]   # NAME or NAME@NETWORK
@@ -31,9 +31,6 @@ tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
 ahead = 28.0                # how far ahead the matched place lies, or: calibration = "another traverse"
 length_m = 40.0             # of a sequence; or length = 20, in frames
 figure = "fig. 5"           # the paper's figure of the same comparison
-
-[experiments]               # all optional, see `Experiments`
-sequence_lengths = [5, 10, 20, 40]
 """
 
 from __future__ import annotations
@@ -104,7 +101,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
     kind: pairs of one kind are one column of the means (default: its name).
-    figure: of the paper. published: method -> max-F1 in the paper, of its own data sets.
+    figure: of the paper.
     """
 
     name: str
@@ -124,18 +121,6 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     loops: dict[str, Annotated[int, Meta(ge=2)]] = {}
     kind: str = ""
     figure: str = ""
-    published: dict[str, float] = {}
-
-
-class Experiments(Struct, frozen=True, forbid_unknown_fields=True):
-    """[experiments]: what is run besides every method on every pair.
-
-    sequence_lengths: frames (fig. 12), with sweep_methods on sweep_pairs (all).
-    """
-
-    sequence_lengths: list[Length] = []
-    sweep_methods: tuple[str, ...] = ("Raw-fc6", "NSD-fc6", "NSD-CR")
-    sweep_pairs: list[str] = []
 
 
 class Plan(Struct, frozen=True, forbid_unknown_fields=True):
@@ -156,7 +141,6 @@ class Plan(Struct, frozen=True, forbid_unknown_fields=True):
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
     resamples: Annotated[int, Meta(ge=10, le=100000)] = 1000
     notes: str = ""
-    experiments: Experiments = Experiments()
 
 
 def load_plan(path: Path) -> Plan:
@@ -199,11 +183,8 @@ def _check_names(path: Path, plan: Plan) -> None:
             raise ConfigError(f"{path}: traverses.{name}: last_row needs feed, not feeds")
     for index, pair in enumerate(plan.pairs):
         _check_pair(f"{path}: pairs[{index}] {pair.name!r}", plan, pair)
-    if plan.seeds and (plan.experiments.sequence_lengths or any(pair.calibration for pair in plan.pairs)):
-        raise ConfigError(f"{path}: seeds: not with calibration, nor with experiments")
-    experiments, pairs = plan.experiments, {pair.name: pair for pair in plan.pairs}
-    for name in experiments.sweep_pairs:
-        named(f"{path}: experiments", name, pairs)
+    if plan.seeds and any(pair.calibration for pair in plan.pairs):
+        raise ConfigError(f"{path}: seeds: not with calibration")
 
 
 def _check_pair(where: str, plan: Plan, pair: Pair) -> None:

@@ -1,4 +1,4 @@
-"""What `lookback compare` does: all comparisons and experiments of a plan, in one report."""
+"""What `lookback compare` does: all comparisons of a plan, in one report."""
 
 from __future__ import annotations
 
@@ -20,15 +20,7 @@ from tqdm import tqdm
 import edge
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
-from sim.compare.comparison import (
-    as_short,
-    compare,
-    networks_section,
-    overview,
-    pair_section,
-    sequence_lengths,
-    sweep_pairs,
-)
+from sim.compare.comparison import as_short, compare, networks_section, overview, pair_section
 from sim.compare.descriptions import Descriptions
 from sim.compare.method_runner import MethodRunner
 from sim.compare.options import plan_of, with_options
@@ -42,10 +34,9 @@ PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplo
 
 
 def run_plan(runner: MethodRunner) -> Iterator[Section]:
-    """All comparisons and experiments of a plan, section by section."""
-    plan, wanted = runner.plan, runner.plan.experiments
-    sweeps = len(sweep_pairs(plan)) * len(wanted.sweep_methods) * len(wanted.sequence_lengths)
-    with tqdm(total=len(plan.methods) * len(plan.pairs) + sweeps, unit="step", desc="plan") as progress:
+    """All comparisons of a plan, section by section."""
+    plan = runner.plan
+    with tqdm(total=len(plan.methods) * len(plan.pairs), unit="step", desc="plan") as progress:
 
         def step(what: str) -> None:
             progress.set_postfix_str(what)
@@ -55,8 +46,6 @@ def run_plan(runner: MethodRunner) -> Iterator[Section]:
         yield overview(runner, results)
         for pair in plan.pairs:
             yield pair_section(runner, pair, results)
-        if wanted.sequence_lengths:
-            yield sequence_lengths(runner, step)
         yield networks_section(runner, results)
 
 
@@ -94,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         plan = plan_of(args)
     plan = with_options(plan, args)
     runner = open_runner(plan, folders_of(args, path))
-    for text in [*plan.methods, *plan.experiments.sweep_methods]:
+    for text in plan.methods:
         runner.method(text)
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(source, plan, runner), sections)

@@ -7,7 +7,6 @@ Blocks of contiguous frames are drawn instead (circular block bootstrap, Politis
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,37 +22,6 @@ def joined(several: Sequence[Answers]) -> Answers:
     """The answers of several traverses, one after the other."""
     columns = ((one.confidence, one.correct, one.has_truth) for one in several)
     return Answers(*(np.concatenate(column) for column in zip(*columns, strict=True)))
-
-
-@dataclass(frozen=True)
-class Scores:
-    """The curve in numbers.
-
-    accuracy: correct best matches over the queries that have a true place, at any confidence (recall@1).
-    average_precision: sum over thresholds of precision times the gain in recall_of_places. max_f1_*: highest harmonic
-    mean of precision and that recall. recall_at_100, recall_at_99: highest recall_of_places at any threshold with at
-    least that precision in percent.
-    """
-
-    accuracy: float
-    average_precision: float
-    max_f1_of_correct: float
-    max_f1_of_places: float
-    recall_at_100: float
-    recall_at_99: float
-
-
-def scores(answers: Answers) -> Scores:
-    """All single numbers of one method on one pair of traverses."""
-    curve = precision_recall(answers)
-    return Scores(
-        accuracy=recall_at_1(answers),
-        average_precision=average_precision(curve),
-        max_f1_of_correct=_max_f1(curve.precision, curve.recall_of_correct),
-        max_f1_of_places=_max_f1(curve.precision, curve.recall_of_places),
-        recall_at_100=recall_at_precision(curve, 1.0),
-        recall_at_99=recall_at_precision(curve, 0.99),
-    )
 
 
 def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
@@ -96,17 +64,10 @@ def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[n
     return np.asarray(runs.ravel()[:count] % count, dtype=np.intp)
 
 
-def interval(
-    statistic: Callable[[Answers], float], answers: Answers, block: int, resamples: int, seed: int = 0
-) -> Interval:
-    """The interval of one method's score, by resamples of blocks of so many frames."""
-    return intervals(lambda one: (statistic(one),), answers, block, resamples, seed)[0]
-
-
 def intervals(
     statistics: Callable[[Answers], tuple[float, ...]], answers: Answers, block: int, resamples: int, seed: int = 0
 ) -> list[Interval]:
-    """The same of several scores, by the same resamples: what they have in common is computed once."""
+    """The intervals of several scores, by resamples of blocks of so many frames."""
     rng, count = np.random.default_rng(seed), len(answers.confidence)
     drawn = np.array([statistics(answers.take(block_indices(count, block, rng))) for _ in range(resamples)])
     found = []

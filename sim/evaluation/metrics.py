@@ -1,12 +1,8 @@
 """Precision and recall of a method's answers, at exact thresholds.
 
-Two definitions of recall are in use in the field, and papers seldom say which. With the first the same answers read
-higher, since it reaches 1 by construction; both are computed here, under different names:
-
-    recall_of_correct   correct and accepted / (correct and accepted + correct and rejected): of what the method could
-                        have got right by accepting everything, how much is accepted. Reaches 1 at the lowest threshold.
-    recall_of_places    correct and accepted / queries that have a true place in the map. A query whose best match is
-                        wrong is missed at every threshold.
+Two definitions of recall are in use in the field, and papers seldom say which. Here it is recall_of_places: correct and
+accepted / queries that have a true place in the map. A query whose best match is wrong is missed at every threshold.
+The other, of all correct best matches, reads higher, since it reaches 1 at the lowest threshold by construction.
 """
 
 from __future__ import annotations
@@ -66,13 +62,12 @@ class PrecisionRecall:
     """The whole curve: one point for every distinct confidence, from the highest to the lowest.
 
     thresholds: (T,) a match is accepted if its confidence is at least this. precision: (T,) correct of accepted;
-    accepted queries that are off the map count as wrong. recall_of_correct, recall_of_places: (T,) see the module;
-    NaN where nothing is correct, or nothing is on the map.
+    accepted queries that are off the map count as wrong. recall_of_places: (T,) see the module; NaN where nothing
+    is on the map.
     """
 
     thresholds: Floats
     precision: Floats
-    recall_of_correct: Floats
     recall_of_places: Floats
 
 
@@ -84,12 +79,11 @@ def precision_recall(answers: Answers) -> PrecisionRecall:
     confidence, hits = confidence[order], correct[order].cumsum()
     # Equal confidences are accepted together: a point lies after the last of each run of equals.
     last = np.flatnonzero(np.diff(confidence, append=np.nan) != 0)
-    true_positives = hits[last].astype(np.float64)
+    true_positives, on_map = hits[last].astype(np.float64), int(answers.has_truth.sum())
     return PrecisionRecall(
         thresholds=confidence[last],
         precision=true_positives / (last + 1.0),
-        recall_of_correct=_share(true_positives, int(correct.sum())),
-        recall_of_places=_share(true_positives, int(answers.has_truth.sum())),
+        recall_of_places=true_positives / on_map if on_map else np.full_like(true_positives, np.nan),
     )
 
 
@@ -102,7 +96,3 @@ def average_precision(curve: PrecisionRecall) -> float:
     """Area under the steps of the curve over recall_of_places; nothing is interpolated."""
     gains = np.diff(curve.recall_of_places, prepend=0.0)
     return float(gains @ curve.precision) if gains.size else 0.0
-
-
-def _share(part: Floats, whole: int) -> Floats:
-    return part / whole if whole else np.full_like(part, np.nan)

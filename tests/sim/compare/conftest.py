@@ -73,14 +73,14 @@ def write_feed(tmp_path: Path) -> WriteFeed:
 
 
 @pytest.fixture
-def write_plan(tmp_path: Path, write_feed: WriteFeed) -> Callable[[str, str], Path]:
-    """write(first lines of a plan, what follows its one pair) makes the plan `there` and `here`, and their feeds."""
+def write_plan(tmp_path: Path, write_feed: WriteFeed) -> Callable[[str], Path]:
+    """write(the lines of a plan before its one pair) makes the plan `there` and `here`, and their feeds."""
 
-    def write(first: str, rest: str = "") -> Path:
+    def write(first: str) -> Path:
         write_feed("there", THERE_M)
         write_feed("here", HERE_M, light=0.5)
         path = tmp_path / "plan.toml"
-        path.write_text(f"{first}\n{PAIR}\n{rest}")
+        path.write_text(f"{first}\n{PAIR}")
         return path
 
     return write

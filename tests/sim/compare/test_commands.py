@@ -21,17 +21,11 @@ sampling = { by = "frames" }
 there = { feed = "there" }
 here = { feed = "here" }
 """
-EXPERIMENTS = """
-published = { "NSD-CR" = 0.5 }
-[experiments]
-sequence_lengths = [2, 4]
-sweep_methods = ["NSD-CR"]
-"""
 
 
 @pytest.fixture
-def plan_path(write_plan: Callable[[str, str], Path]) -> Path:
-    return write_plan(PLAN, EXPERIMENTS)
+def plan_path(write_plan: Callable[[str], Path]) -> Path:
+    return write_plan(PLAN)
 
 
 def test_a_shipped_plan_goes_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -48,7 +42,10 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     out = plan_path.parent / "out"
     assert main(["compare", str(plan_path), "-o", str(out)]) == 0
     scores = read_table(out / "there_and_here_scores.csv")
-    assert scores["NSD-CR"][-1] == "0.5" and scores["Raw-fc6"][-1] == ""
+    assert scores["method"] == ["precision", "recall", "offset", "median ahead"] and scores["NSD-CR"][:2] == [
+        "1.0",
+        "1.0",
+    ]
     overview = read_table(out / "overview.csv")
     assert f"{float(overview['Raw-fc6'][0]):.3f}" in capsys.readouterr().out
     with (out / "scores.csv").open(newline="") as stream:
@@ -58,7 +55,7 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
         assert float(row["CPU ms a frame"]) > 0
     assert rows["Lookback"]["R@5"] == "nan"
     page = (out / "report.html").read_text()
-    for heading in ("Overview", "Sequence length"):
+    for heading in ("Overview", "there and here", "Networks"):
         assert heading in page
 
 
@@ -74,7 +71,7 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
 def test_what_is_wrong_is_one_line(
     plan_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
 ) -> None:
-    plan_path.write_text(plan_path.read_text().replace(old, new, 1).partition("[experiments]")[0])
+    plan_path.write_text(plan_path.read_text().replace(old, new, 1))
     assert main(["compare", str(plan_path), "-o", str(plan_path.parent / "out")]) == 78
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("lookback: ") and says in error

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.compare.scores import block_indices, interval
+from sim.compare.scores import block_indices, intervals
 from sim.evaluation.metrics import Answers
 
 
-def accuracy(answers: Answers) -> float:
-    return float(answers.correct.mean())
+def accuracy(answers: Answers) -> tuple[float]:
+    return (float(answers.correct.mean()),)
 
 
 def answers_that_are(correct: list[bool]) -> Answers:
@@ -38,8 +38,8 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     covered_by_blocks = covered_by_frames = 0
     for seed in range(100):
         answers = runs_of_luck(rng, 600, 20, share=0.6)
-        by_blocks = interval(accuracy, answers, 40, 200, seed)
-        by_frames = interval(accuracy, answers, 1, 200, seed)
+        (by_blocks,) = intervals(accuracy, answers, 40, 200, seed)
+        (by_frames,) = intervals(accuracy, answers, 1, 200, seed)
         covered_by_blocks += by_blocks.low <= 0.6 <= by_blocks.high
         covered_by_frames += by_frames.low <= 0.6 <= by_frames.high
     assert covered_by_blocks >= 80
@@ -49,4 +49,4 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
 
 def test_the_same_seed_gives_the_same_interval() -> None:
     answers = runs_of_luck(np.random.default_rng(3), 200, 10, 0.5)
-    assert interval(accuracy, answers, 20, 50, seed=7) == interval(accuracy, answers, 20, 50, seed=7)
+    assert intervals(accuracy, answers, 20, 50, seed=7) == intervals(accuracy, answers, 20, 50, seed=7)

@@ -108,7 +108,6 @@ def test_the_offset_is_measured_on_another_drive_and_moves_what_is_right(tmp_pat
         assert abs(outcome.ahead - 16.0) < 0.5 and outcome.answers.correct.mean() > 0.9
         assert abs(median_ahead(outcome) - 16.0) < 0.5
         assert not offset_warnings(runner, {("p", "Raw-fc6"): outcome})
-        assert outcome.within_twice().correct.sum() >= outcome.answers.correct.sum()
 
 
 def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:

@@ -29,9 +29,7 @@ length = 5
 @pytest.mark.parametrize("path", sorted(PLANS.glob("*.toml")), ids=lambda path: path.stem)
 def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> None:
     plan = load_plan(path)
-    experiments = plan.experiments
-    wanted = [*plan.methods, *experiments.sweep_methods]
-    assert set(wanted) <= set(METHODS)
+    assert set(plan.methods) <= set(METHODS)
     for traverse in plan.traverses.values():
         assert not traverse.scenario or (path.parent / traverse.scenario).is_file()
 
@@ -50,7 +48,6 @@ def test_shipped_plans_name_methods_and_scenarios_that_are_there(path: Path) -> 
         ('{ feed = "here" }', "{ }", "traverses.here: needs one of feed, feeds and scenario"),
         ('feed = "here"', 'feeds = ["a", "b"], last_row = 3', "last_row needs feed, not feeds"),
         ("length = 5", 'length = 5\ncalibration = "here"', "calibration needs another drive than the query"),
-        ("length = 5", 'length = 5\n[experiments]\nsweep_pairs = ["x"]', "experiments: no 'x'; there are p"),
         ("title", "title = [", "not TOML"),
         ("length = 5", "length = 5\n[networks.x]", "networks.x: needs model or descriptors"),
         ('title = "t"', 'title = "t"\nseeds = [1]', "seeds: need a scenario for every traverse; here has none"),

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.compare.scores import at_threshold, scores
+from sim.compare.scores import at_threshold, max_f1_of_places, of_curve
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 
 
@@ -24,18 +24,14 @@ def some_answers(draw: st.DrawFn) -> Answers:
     return Answers(confidence, (rng.random(count) < 0.7) & has_truth, has_truth)
 
 
-def count_at(answers: Answers, threshold: float) -> tuple[int, int, int]:
-    """True positives, false positives and correct but rejected queries, one query at a time."""
-    true_positives = false_positives = rejected = 0
+def count_at(answers: Answers, threshold: float) -> tuple[int, int]:
+    """True positives and false positives, one query at a time."""
+    true_positives = false_positives = 0
     for confidence, correct in zip(answers.confidence.tolist(), answers.correct.tolist(), strict=True):
-        if math.isnan(confidence):
-            continue
-        if confidence >= threshold:
+        if confidence >= threshold:  # NaN is not
             true_positives += correct
             false_positives += not correct
-        else:
-            rejected += correct
-    return true_positives, false_positives, rejected
+    return true_positives, false_positives
 
 
 def ratio(part: float, whole: float) -> float:
@@ -47,41 +43,28 @@ def ratio(part: float, whole: float) -> float:
 def test_scores_are_those_counted_by_hand(answers: Answers) -> None:
     thresholds = sorted({c for c in answers.confidence.tolist() if not math.isnan(c)}, reverse=True)
     on_map = int(answers.has_truth.sum())
-    precision, of_correct, of_places = [], [], []
+    precision, of_places = [], []
     for threshold in thresholds:
-        true_positives, false_positives, rejected = count_at(answers, threshold)
+        true_positives, false_positives = count_at(answers, threshold)
         precision.append(true_positives / (true_positives + false_positives))
-        of_correct.append(ratio(true_positives, true_positives + rejected))
         of_places.append(ratio(true_positives, on_map))
     curve = precision_recall(answers)
     np.testing.assert_array_equal(curve.thresholds, thresholds)
     np.testing.assert_allclose(curve.precision, precision)
-    np.testing.assert_allclose(curve.recall_of_correct, of_correct)
     np.testing.assert_allclose(curve.recall_of_places, of_places)
 
-    def best_f1(recalls: list[float]) -> float:
-        points = zip(precision, recalls, strict=True)
-        return max((2 * p * r / (p + r) for p, r in points if p + r > 0), default=0.0)
-
-    found = scores(answers)
-    assert found.max_f1_of_correct == pytest.approx(best_f1(of_correct))
-    assert found.max_f1_of_places == pytest.approx(best_f1(of_places))
-    for least, recall in ((1.0, found.recall_at_100), (0.99, found.recall_at_99)):
+    points = zip(precision, of_places, strict=True)
+    best_f1 = max((2 * p * r / (p + r) for p, r in points if p + r > 0), default=0.0)
+    accuracy, area, at_100, max_f1 = of_curve(answers)
+    assert max_f1 == max_f1_of_places(answers) == pytest.approx(best_f1)
+    for least, recall in ((1.0, at_100), (0.99, recall_at_precision(curve, 0.99))):
         reached = [r for p, r in zip(precision, of_places, strict=True) if p >= least and not math.isnan(r)]
         assert on_map == 0 or recall == pytest.approx(max(reached, default=0.0))
     if on_map:
-        area = sum((r - before) * p for p, r, before in zip(precision, of_places, [0.0, *of_places], strict=False))
-        assert found.average_precision == pytest.approx(area)
+        steps = zip(precision, of_places, [0.0, *of_places], strict=False)
+        assert area == pytest.approx(sum((r - before) * p for p, r, before in steps))
         answered = ~np.isnan(answers.confidence)
-        assert found.accuracy == pytest.approx((answers.correct & answered).sum() / on_map)
-
-
-def test_the_recall_that_reaches_one_by_construction_reads_higher() -> None:
-    # Half of the best matches are wrong, all less sure than the right ones: 1.0 under one name, 0.67 under the other.
-    answers = Answers(np.array([4.0, 3.0, 2.0, 1.0]), np.array([True, True, False, False]), np.ones(4, dtype=bool))
-    assert scores(answers).max_f1_of_correct == 1.0
-    assert scores(answers).max_f1_of_places == pytest.approx(2 * 0.5 / 1.5)
-    assert scores(answers).recall_at_100 == 0.5
+        assert accuracy == pytest.approx((answers.correct & answered).sum() / on_map)
 
 
 def test_off_map_queries_count_against_a_method_that_accepts_them() -> None:
@@ -90,9 +73,7 @@ def test_off_map_queries_count_against_a_method_that_accepts_them() -> None:
     silent = Answers(np.array([1.0, 1.0, np.nan]), np.array([True, True, False]), np.array([True, True, False]))
     assert recall_at_precision(precision_recall(bold), 1.0) == 0.0
     assert recall_at_precision(precision_recall(silent), 1.0) == 1.0
-    bold_f1, silent_f1, right_f1 = (
-        scores(one).max_f1_of_correct for one in (bold, silent, Answers(np.ones(2), flags, flags))
-    )
+    bold_f1, silent_f1, right_f1 = (max_f1_of_places(one) for one in (bold, silent, Answers(np.ones(2), flags, flags)))
     assert bold_f1 < silent_f1 == right_f1
 
 
