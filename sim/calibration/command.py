@@ -36,8 +36,9 @@ from sim.calibration.offset import (
 from sim.calibration.sightings import Sighting, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.command import add_tolerance_option
-from sim.evaluation.replay import config_for_map, load_config_for_map
+from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
+from sim.traverse import config_as_mapped
 
 Lines = Mapping[tuple[str, str], float]
 """Values for the config, by section and key."""
@@ -78,7 +79,7 @@ def measure_rig(
 
     network: instead of the one that the config names.
     """
-    config = config or config_for_map(reference_map.header)
+    config = config or config_as_mapped(reference_map.header)
     network = network or open_network(config.descriptor)
     seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
     return measure_offsets(seen), seen
@@ -91,7 +92,7 @@ def _run(args: argparse.Namespace) -> int:
     reference_map = open_map(args.map)
     settings = args.config or args.write
     made = reference_map.header
-    config = load_config_for_map(settings, made) if settings else config_for_map(made)
+    config = load_config_for_map(settings, made) if settings else config_as_mapped(made)
     lines: dict[tuple[str, str], float] = {}
     off_map: list[float] = []
     if args.feeds:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from tqdm import tqdm
 
@@ -19,15 +18,13 @@ from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, pas
 from sim.coverage.aliases import Span
 from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
-from sim.coverage.sheet import KNOWN_M, SOON_M, Gap, Stretch, spans_of
-from sim.evaluation.replay import config_for_map
+from sim.coverage.sheet import KNOWN_M, SOON_M, Stretch, spans_of
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
 from sim.output import refusing
+from sim.traverse import config_as_mapped
 
-POINTS = 12
 VIEWS = 5  # pictures on the sheet
-"""Of a stretch on the page."""
 MOST_PLACES = 50_000
 """A larger map would take hours, and more memory than this computer may have."""
 
@@ -48,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rehearsals", type=int, default=8, metavar="N", help="rehearsed drives (8); 0: only journals")
     parser.add_argument("--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default 100)")
     parser.add_argument("--within-m", type=float, default=20.0, metavar="M", help="drift that is accepted (default 20)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="write the sheet as a page of A4 (SVG, PDF, PNG)")
     parser.set_defaults(run=_run)
@@ -70,16 +66,12 @@ def _run(args: argparse.Namespace) -> int:
     spans = spans_of(maps, drives, args.stretch_m)
     sheet = Sheet.of(maps, drives, spans, list(_rehearsed(args, maps)), driven, 100 / percent * args.within_m)
     found = aliases(maps, drives, spans)
-    if args.json:
-        print(msgspec.json.encode(_as_json(maps, sheet, found, percent)).decode())
-    else:
-        _print(args, sheet, found, percent)
-        for one in _advice(args, maps):
-            print(one)
+    _print(args, sheet, found, percent)
+    for one in _advice(args, maps):
+        print(one)
     if args.geojson:
         args.geojson.write_text(_geojson(maps, sheet.stretches, found), encoding="utf-8")
     if args.picture:
-        percent = GatesConfig().drift_percent
         lines = [_line(maps, one.span) for one in sheet.stretches]
         way = "home" if args.way == "home" else "the same way again"
         camera = "ahead" if args.view == "front" else "back"
@@ -121,8 +113,8 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
-    rehearsal = Rehearsal(maps, config_for_map(maps.headers[0]), Conditions(args.way, args.light, args.view))
-    for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=args.json or None):
+    rehearsal = Rehearsal(maps, config_as_mapped(maps.headers[0]), Conditions(args.way, args.light, args.view))
+    for seed in tqdm(range(args.rehearsals), desc="rehearsing", unit=" drives", disable=None):
         yield rehearsal.drive(seed)
 
 
@@ -169,19 +161,6 @@ def _alias(other: Span | None) -> str:
     return f"; resembles {_name(other)}" if other else ""
 
 
-def _as_json(maps: MapSet, sheet: Sheet, found: Sequence[Alias], percent: float) -> dict[str, Any]:
-    resembles = {one.stretch: one.other for one in found}
-    return {
-        "stretches": [
-            {**_properties(one, resembles.get(one.span)), "line": _thinned(_line(maps, one.span))}
-            for one in sheet.stretches
-        ],
-        "longest_gap": None if sheet.gap is None else {"length_m": sheet.gap.length_m, **_where(sheet.gap)},
-        "drift_m": None if sheet.gap is None else round(percent / 100 * sheet.gap.length_m, 1),
-        "completed": round(sheet.completed, 3),
-    }
-
-
 def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
     drives = {"drives": one.drives, "believed_in": one.believed_in}
@@ -189,7 +168,7 @@ def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
 
 
-def _where(one: Span | Gap) -> dict[str, Any]:
+def _where(one: Span) -> dict[str, Any]:
     """Drives of the map are counted from 1, as people read them."""
     return {"drive": one.segment + 1, "from_m": one.from_m, "to_m": one.to_m}
 
@@ -209,8 +188,3 @@ def _line(maps: MapSet, span: Span) -> list[list[float]]:
     here = (places["route_m"] >= span.from_m) & (places["route_m"] <= span.to_m) & ~np.isnan(places["lat_deg"])
     line: list[list[float]] = np.column_stack([places["lon_deg"][here], places["lat_deg"][here]]).tolist()
     return line
-
-
-def _thinned(line: list[list[float]]) -> list[list[float]]:
-    """About POINTS of its points, the first and the last among them."""
-    return [line[at] for at in sorted({round(at) for at in np.linspace(0, len(line) - 1, POINTS)})] if line else []

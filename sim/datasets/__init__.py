@@ -35,8 +35,7 @@ class Traverse:
     """One drive of a data set: rows as a feed has them, one for every picture, and the pictures.
 
     rows: `file` names the picture; unknown values are None. `extra` has `local_x_m` and `local_y_m` where a data set
-    has meters and no degrees; `route_m`, meters along a route that both directions share; `source_frame` where
-    pictures of the same place have the same number in all traverses.
+    has meters and no degrees; `source_frame` where pictures of the same place have the same number in all traverses.
     """
 
     name: str
@@ -102,16 +101,12 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "robotcar": _kind(
             "robotcar", "Oxford RobotCar: folder of one traverse", "camera", "positions", "crop_bottom", tolerance=40.0
         ),
-        "campus": _kind(
-            "campus", "frames and anchors.csv (University Campus)", "positions", "fps", truth="route_m", tolerance=20.0
-        ),
         "nordland": _kind(
             "equal_index", "Nordland: a season's frames or video", "names", "fps", truth="rows", tolerance=10.0
         ),
         "gardens-point": _kind(
             "equal_index", "Gardens Point: day_left, ...", "names", "fps", truth="rows", tolerance=2.0
         ),
-        "st-lucia": _kind("st_lucia", "St Lucia: folder with webcam_video.avi and fGPS.txt", "fps"),
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
         "nsavp": _kind("nsavp", "NSAVP: folder of one sequence's HDF5 files", "camera", "positions", "crop_bottom"),
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),

@@ -15,8 +15,6 @@ from sim.datasets.video_log import LOG_SUFFIXES, log_beside
 LAYOUTS = (
     ("stereo.timestamps", "robotcar"),
     ("mono_rear.timestamps", "robotcar"),
-    ("fGPS.txt", "st-lucia"),
-    ("anchors.csv", "campus"),
     ("times.txt", "kitti"),
     ("metadata.yaml", "rosbag"),
     ("*.h5", "nsavp"),

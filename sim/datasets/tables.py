@@ -70,14 +70,14 @@ def read_records(file: Path, columns: Sequence[str], hint: str) -> list[Record]:
     return records
 
 
-def read_numbers(file: Path, width: int, hint: str, separator: str | None = None) -> NDArray[np.float64]:
-    """Lines of `width` numbers each, (N, width) float64; None separates at white space. FeedError names the line."""
+def read_numbers(file: Path, width: int, hint: str) -> NDArray[np.float64]:
+    """Lines of `width` numbers each, between white space, (N, width) float64. FeedError names the line."""
     rows: list[list[float]] = []
     for line, text in enumerate(read_text(file, hint).splitlines(), start=1):
         if not text.strip():
             continue
         try:
-            row = [float(value) for value in text.split(separator)]
+            row = [float(value) for value in text.split()]
         except ValueError:
             row = []
         if len(row) != width or not all(map(math.isfinite, row)):

@@ -13,8 +13,9 @@ from edge.feed import read_feed
 from edge.reference_map import open_map_set
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
 from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
-from sim.evaluation.replay import config_for_map, load_config_for_map
+from sim.evaluation.replay import load_config_for_map
 from sim.output import needing
+from sim.traverse import config_as_mapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +46,7 @@ def _run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--tolerance-m: {args.tolerance_m:g} is not above 0")
     maps = open_map_set(args.map)
     made = maps.headers[0]
-    config = load_config_for_map(args.config, made) if args.config else config_for_map(made)
+    config = load_config_for_map(args.config, made) if args.config else config_as_mapped(made)
     seen = (recognize(maps, read_feed(path), config) for path in args.feeds)
     judged = [judge(maps, one, args.tolerance_m) for one in seen]
     rows = [one.row() for one in judged]

@@ -22,12 +22,12 @@ Points = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-def precision_recall_plot(curves: Mapping[str, PrecisionRecall], least: float = 0.0) -> bytes:
-    """Precision over recall_of_places, a line a method; least: where the axis of the precision begins."""
+def precision_recall_plot(curves: Mapping[str, PrecisionRecall]) -> bytes:
+    """Precision over recall_of_places, a line a method."""
     figure, axes = plt.subplots(figsize=(WIDTH_IN, 4.2))
     for name, curve in curves.items():
         axes.plot(curve.recall_of_places, curve.precision, drawstyle="steps-post", label=name, linewidth=1.4)
-    axes.set(xlabel="recall of places", ylabel="precision", xlim=(0, 1.01), ylim=(least, 1 + 0.03 * (1 - least)))
+    axes.set(xlabel="recall of places", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.03))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7, loc="lower left", ncols=2)
     return to_png(figure)

@@ -82,11 +82,6 @@ def as_line(used: FrameUsed) -> str:
     return msgspec.json.encode(fields).decode() + "\n"
 
 
-def config_for_map(header: MapHeader, length: int | None = None, confidence_from: float | None = None) -> Config:
-    """The default settings with regions, normalization and sampling as the map has them."""
-    return with_options(config_as_mapped(header), length, confidence_from)
-
-
 def with_options(config: Config, length: int | None, confidence_from: float | None) -> Config:
     """The config with the command's options in place of its own keys. ConfigError names a bad option."""
     sequence, acceptance = config.sequence, config.acceptance
@@ -118,12 +113,9 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command; network: in place of the one that its config names."""
     feed = read_feed(args.feed, feed_options(args))
     maps = open_map_set(args.map)
-    if args.config:
-        config = with_options(
-            load_config_for_map(args.config, maps.headers[0]), args.sequence_length, args.confidence_from
-        )
-    else:
-        config = config_for_map(maps.headers[0], args.sequence_length, args.confidence_from)
+    made = maps.headers[0]
+    config = load_config_for_map(args.config, made) if args.config else config_as_mapped(made)
+    config = with_options(config, args.sequence_length, args.confidence_from)
     feed = preprocessed_feed(feed, config.camera)
     config = config_for_feed(msgspec.structs.replace(config, sampling=sampling_from(args, config.sampling)), feed)
     network = Network.load(args.model) if args.model else network

@@ -26,11 +26,11 @@ from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.evaluation.recognition import judge, recognize
-from sim.evaluation.replay import as_line, config_for_map
+from sim.evaluation.replay import as_line
 from sim.first_try.verdict import Tried, Verdict, verdict
 from sim.maps.command import add_spacing_options, build_map, sampling_from
 from sim.output import needing, replacing
-from sim.traverse import driven_m
+from sim.traverse import config_as_mapped, driven_m
 
 ROLES = ("reference", "query")
 LOOKED_AT = SamplingConfig(by="time", interval_s=0.2)
@@ -113,7 +113,7 @@ def _try(
     print(f"2. Recognizing {args.query}", flush=True)
     network = MemoizingNetwork.load(Path(FIRST_NETWORK))  # the frames are recognized twice: for the offset, and with it
     offsets, why = _measure(folder / "map", query, network)
-    config = msgspec.structs.replace(config_for_map(maps.headers[0]), rig=rig_config(offsets))
+    config = msgspec.structs.replace(config_as_mapped(maps.headers[0]), rig=rig_config(offsets))
     if is_fitted:
         config = _fitted(config, maps, query, network)
     watch = _Watch()

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import NETWORK_FILE, ModelFile, ModelInfo, read_model_file
 from edge.descriptor.network import Network
-from edge.descriptor.open_network import NSD_COSINE_MIN
+from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
 from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
-from sim.model_tools.fidelity import compare
 from sim.model_tools.frames import kinds_of, pictures_of
 from sim.model_tools.torch_file import export_onnx
 from sim.output import refusing
@@ -43,9 +42,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     about = f"a network (.onnx, TorchScript .pt, exported .pt2), or {efficientnet.NAME}, of the extra efficientnet"
     parser.add_argument("weights", type=Path, metavar="MODEL", help=about)
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
-    ranges = parser.add_mutually_exclusive_group()
-    ranges.add_argument("--ranges", type=Path, metavar="JSON", help="measured ranges of the layers' outputs")
-    ranges.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help="measure the ranges on these feeds")
+    about = "measure the ranges of int8 on these feeds"
+    parser.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help=about)
     add_kept_texts(parser)
     parser.add_argument("--tap", help="the tensor to use (default: the network's output)")
     parser.add_argument("--float", action="store_true", help="write the float network beside it, for `model verify`")
@@ -91,8 +89,8 @@ def run(args: argparse.Namespace) -> int:
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
         raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file; AlexNet's weights: `lookback dev alexnet`")
-    if not (args.ranges or args.calibrate or args.float_only):
-        raise ConfigError("model import: give feeds to --calibrate, or --ranges, or --float-only")
+    if not (args.calibrate or args.float_only):
+        raise ConfigError("model import: give feeds to --calibrate, or --float-only")
     source = _recipe(args) if is_recipe else _file(args)
     found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, source.columns)
     info = _info(args, source, found)
@@ -103,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         written = file if args.float_only and args.output.suffix == ".onnx" else file.with_name("network_float32.onnx")
         write(exact, written)
     if not args.float_only:
-        write(_rounded(args, exact, info), file)
+        write(_rounded(args.calibrate, exact, info), file)
     return 0
 
 
@@ -155,33 +153,22 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         license=source.license,
         source=source.source,
         weights_sha256=source.sha256,
-        calibration="" if args.float_only else spell_calibration(args.calibrate, args.ranges),
+        calibration="" if args.float_only else spell_calibration(args.calibrate),
         pool=onnx_import.spell(source.pool) if source.pool else "",
         columns=found.columns,
     )
 
 
-def _rounded(args: argparse.Namespace, exact: onnx.ModelProto, info: ModelInfo) -> onnx.ModelProto:
+def _rounded(feeds: list[Path], exact: onnx.ModelProto, info: ModelInfo) -> onnx.ModelProto:
     """The int8 network, with as many of its first layers in float as it needs to pass the check on the feeds."""
     info = msgspec.structs.replace(info, precision="int8")
-    if args.calibrate:
-        images = [list(calibration_images([path], info)) for path in args.calibrate]
-        ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
-    else:
-        ranges = quantize.read_ranges(args.ranges)
-        ranges |= {f"{info.tap}.map": ranges[info.tap]} if info.tap in ranges else {}  # its name before the grid
-        images = []
-    missing = quantize.unknown_tensors(exact, ranges)
-    if missing:
-        raise ModelError(f"{args.ranges}: no range of the tensor {missing[0]!r}; use --calibrate")
-    tries = FLOAT_LAYERS if images else (0,)
+    images = [list(calibration_images([path], info)) for path in feeds]
+    ranges = quantize.measure_ranges(exact, chain.from_iterable(images))
     best = None
-    for count in tries:
+    for count in FLOAT_LAYERS:
         said = f"{info.calibration}, first {count} layers in float" if count else info.calibration
         as_made = msgspec.structs.replace(info, calibration=said)
         model = quantize.quantize(exact, ranges, as_made, float_layers=count)
-        if not images:
-            return model
         cosine = min(_agreement(exact, model, feed[:: -(-len(feed) // MAX_COMPARED)]) for feed in images)
         print(f"int8 with {count} layers in float: cosine to float after NSD {cosine:.4f}")
         if best is None or cosine > best[0]:
@@ -201,10 +188,10 @@ def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[ND
         data = model.SerializeToString()
         network = Network(ModelFile(Path("network"), data, onnx_graph.get_info(model)))
         described.append(np.stack([network.describe(image[np.newaxis]) for image in images]))
-    return compare(described[0], described[1]).nsd_mean
+    return float(nsd_cosines(*described).mean())
 
 
-def spell_calibration(feeds: list[Path] | None, ranges: Path | None, share: float = 1.0) -> str:
+def spell_calibration(feeds: list[Path] | None, ranges: Path | None = None, share: float = 1.0) -> str:
     """What the ranges are of. share: of the greatest values that int8 spans."""
     found = "feeds " + ", ".join(path.name for path in feeds) if feeds else ranges.name if ranges else ""
     return f"{share:g} of the greatest values in {found}"

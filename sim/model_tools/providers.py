@@ -10,10 +10,9 @@ import numpy as np
 
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import CPU, Network, installed_providers, provider_name
-from edge.descriptor.open_network import NSD_COSINE_MIN, check_pictures
+from edge.descriptor.open_network import NSD_COSINE_MIN, check_pictures, nsd_cosines
 from edge.errors import ModelError
 from sim.bench.timing import race
-from sim.model_tools.fidelity import compare
 
 ROUNDS = 21
 REMOTE = "AzureExecutionProvider"
@@ -49,7 +48,7 @@ def _compared(model: Path | None, provider: str) -> tuple[str, ...]:
         return label, provider, str(error), "no", "", ""
     pictures = check_pictures(exact.size)
     one, other = (np.stack([each.describe(pair) for pair in pictures]) for each in (exact, network))
-    cosine = compare(one, other).nsd_mean
+    cosine = float(nsd_cosines(one, other).mean())
     times = race(
         {"provider": lambda: network.describe(pictures[0]), "cpu": lambda: exact.describe(pictures[0])},
         ROUNDS,

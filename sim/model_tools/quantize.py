@@ -1,6 +1,6 @@
 """Float graph to int8: static QDQ, signed weights per output channel.
 
-The graph is quantized with given ranges, so that ranges measured elsewhere and ranges measured here take one way.
+The graph is quantized with given ranges: those of `lookback dev alexnet` may have been measured elsewhere.
 Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tensors that the ranges are given for.
 """
 
@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,36 +21,12 @@ from sim.model_tools.onnx_graph import NORMALIZE, set_info
 if TYPE_CHECKING:
     import onnx
 
-Decoded = TypeVar("Decoded")
 Ranges = dict[str, tuple[float, float]]
 """Least and greatest value by tensor name."""
 
 QUANTIZED_OPERATORS = ["Conv", "Relu", "Clip", "Add", "Mul", "MaxPool", "Flatten", "Gemm", "Concat"]
 _SAME_RANGE = ("MaxPool", "Flatten")
 _PIXELS = "input"  # the tensor of pixels less the gray that stands for nothing
-
-
-class TensorRange(msgspec.Struct, frozen=True):
-    """Least and greatest value of a tensor over all calibration images."""
-
-    min: float
-    max: float
-
-
-def read_ranges(path: Path) -> Ranges:
-    """Ranges by tensor from a JSON file {tensor: {min, max}}. ModelError names the file."""
-    given = decode_ranges(path, dict[str, TensorRange])
-    return {name: (one.min, one.max) for name, one in given.items()}
-
-
-def decode_ranges(path: Path, kind: type[dict[str, Decoded]]) -> dict[str, Decoded]:
-    """A JSON file of ranges by name. ModelError names it."""
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: {error}") from None
 
 
 def measure_ranges(float_model: onnx.ModelProto, images: Iterable[NDArray[np.uint8]]) -> Ranges:
@@ -121,13 +95,6 @@ def quantize(
         logging.disable(logging.NOTSET)
     set_info(quantized, info)
     return quantized
-
-
-def unknown_tensors(model: onnx.ModelProto, ranges: Ranges) -> list[str]:
-    """Tensors that are quantized and have no range."""
-    known = _tensor_ranges(model, ranges, 1.0)
-    dense = {node.output[0] for node in model.graph.node if node.op_type == "Gemm"}
-    return [name for name in _tensors(model) if name not in known and name not in dense]
 
 
 def _tensors(model: onnx.ModelProto) -> list[str]:

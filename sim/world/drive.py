@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north_of
-from sim import ORIGIN_ALT_M, Pose
+from sim import Pose
 from sim.world.route import Route
 
 Direction = Literal["forward", "reverse"]
@@ -80,11 +78,6 @@ class Drive:
         speed_mps = (self.distance_m(time_s + STEP_S) - self.distance_m(time_s - STEP_S)) / (2 * STEP_S)
         tilt_deg = self._tilt_deg(time_s) if self.shaking else (0.0, 0.0)
         return Pose(east, north, float(np.degrees(heading)) % 360.0, speed_mps, self.distance_m(time_s), *tilt_deg)
-
-    def error_m(self, time_s: float, lat_deg: float, lon_deg: float) -> float:
-        """Horizontal distance of a position from where the vehicle is at `time_s`."""
-        true_lat_deg, true_lon_deg = self.pose(time_s).geodetic()
-        return math.hypot(*east_north_of(lat_deg, lon_deg, (true_lat_deg, true_lon_deg), ORIGIN_ALT_M))
 
     def _tilt_deg(self, time_s: float) -> tuple[float, float]:
         """Pitch by the acceleration of the last half second, and bumps of 11 and 4 m, which also make it roll."""

@@ -24,8 +24,9 @@ from edge.reference_map.store import DESCRIPTORS, open_map
 from edge_plugins.doctor.command import examine
 from edge_plugins.layers.tally import read_tallies
 from edge_plugins.page.snapshot import map_view
-from sim.evaluation.replay import config_for_map, replay
+from sim.evaluation.replay import replay, with_options
 from sim.journal import records_of
+from sim.traverse import config_as_mapped
 from tests.faults.simulated_daemon import Bench, ScriptedFrames
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 120
@@ -107,7 +108,7 @@ def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     street: Path, damaged: Path, grid: Network, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Too large for a frame, so that the tiles are gone through: none is in use before a place of it is recognized."""
-    config = config_for_map(open_map(street / "map").header, 16)
+    config = with_options(config_as_mapped(open_map(street / "map").header), 16, None)
     acceptance = msgspec.structs.replace(config.acceptance, uniqueness_min=1.02, window_m=10.0)
     config = msgspec.structs.replace(config, map=MapConfig(places_per_frame=79), acceptance=acceptance)
     feed = read_feed(street / "again")
@@ -207,7 +208,7 @@ def test_the_page_shows_where_the_maps_are(street: Path) -> None:
 
 
 def test_a_frame_says_which_map(street: Path, grid: Network) -> None:
-    config = config_for_map(open_map(street / "map").header, 5)
+    config = with_options(config_as_mapped(open_map(street / "map").header), 5, None)
     tiles = open_map_set(street / "tiles")
     recognizer = open_recognizer(config, network=grid, map_set=tiles)
     *_, newest = replay(recognizer, read_feed(street / "last"), SamplingConfig(by="frames"))

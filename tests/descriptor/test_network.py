@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from edge.descriptor.model_file import FC6_FILE, fc6_folder
 from edge.descriptor.network import Network, Regions, cut_regions
-from edge.descriptor.open_network import NSD_COSINE_MIN
+from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB
 from sim.research.alexnet.graph import build_float
 from sim.research.alexnet.weights import read_weights
@@ -107,7 +106,7 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
     query, reference = (read_regions(shared / "feeds" / name, "left-right", 3) for name in names)
     exact, rounded = ((describe(each, query), describe(each, reference)) for each in (float_network, network))
     for pair in zip(exact, rounded, strict=True):
-        assert compare(*pair).nsd_mean >= NSD_COSINE_MIN
+        assert nsd_cosines(*pair).mean() >= NSD_COSINE_MIN
     rows = 3 * np.arange(len(query))
     correct = abs(rows[:, None] - rows) <= 3
     float_share, int8_share = matching_accuracy(*exact, correct), matching_accuracy(*rounded, correct)

@@ -11,7 +11,7 @@ import msgspec
 from edge.descriptor.model_file import ModelInfo
 from edge.errors import ModelError
 from sim.model_tools.import_command import add_kept_texts, calibration_images, network_file, spell_calibration, write
-from sim.model_tools.quantize import Ranges, decode_ranges, measure_ranges, quantize
+from sim.model_tools.quantize import Ranges, measure_ranges, quantize
 from sim.research.alexnet.graph import DIMENSIONS, alexnet_info, build_float
 from sim.research.alexnet.weights import CONVS, FC6, read_weights
 
@@ -78,7 +78,12 @@ class LayerRange(msgspec.Struct, frozen=True):
 
 def read_layer_ranges(path: Path) -> Ranges:
     """Ranges of AlexNet's layers after ReLU, of a JSON file {layer: {min, max}}. ModelError names file and layer."""
-    given = decode_ranges(path, dict[str, msgspec.Raw])
+    try:
+        given = msgspec.json.decode(path.read_bytes(), type=dict[str, msgspec.Raw])
+    except OSError as error:
+        raise ModelError(f"{path}: cannot read the ranges: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: {error}") from None
     ranges = {}
     for layer in LAYERS:
         if layer not in given:

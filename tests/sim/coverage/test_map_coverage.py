@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -214,12 +215,13 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert lines[0] == f"{maps.path}: 2 rehearsed drives again by day"
     assert len(lines) == 1 + 3 + 2 + 1
     assert lines[-1].startswith("No drive of a camera that looks ahead is in this map")
-    assert main(["map", "coverage", str(maps.path), *options, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert [(one["drive"], one["from_m"]) for one in found["stretches"]] == [(1, 0.0), (1, 100.0), (1, 200.0)]
-    assert found["stretches"][1]["share"] > 0.5
-    assert [one["is_mean"] for one in found["stretches"]] == [False, False, True], "of the third no more is known"
-    assert found["longest_gap"]["drive"] == 1, "as people read it"
+    assert re.fullmatch(r"longest gap: \d+ m, up to \d+ m of drive 1; .*", lines[-3]), "counted as people do"
+    output = tmp_path / "sheet.geojson"
+    assert main(["map", "coverage", str(maps.path), *options, "--geojson", str(output)]) == 0
+    found = [one["properties"] for one in json.loads(output.read_text())["features"]]
+    assert [(one["drive"], one["from_m"]) for one in found] == [(1, 0.0), (1, 100.0), (1, 200.0)]
+    assert found[1]["share"] > 0.5
+    assert [one["is_mean"] for one in found] == [False, False, True], "of the third no more is known"
 
 
 def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -249,9 +251,9 @@ def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pyte
     for given in ([], [str(journal), "--rehearsals", "0"]):
         capsys.readouterr()
         command = ["map", "coverage", str(corridor), *given, "--for", "again", "--light", "day", "--stretch-m", "10"]
-        assert main([*command, "--json"]) == 0
-        sheets.append(json.loads(capsys.readouterr().out))
-    predicted, found = ([one["share"] for one in sheet["stretches"]] for sheet in sheets)
+        assert main(command) == 0
+        sheets.append(capsys.readouterr().out)
+    predicted, found = ([int(share) for share in re.findall(r"(\d+) % of the frames", sheet)] for sheet in sheets)
     assert np.corrcoef(predicted, found)[0, 1] > 0.8
-    gaps = [sheet["longest_gap"]["length_m"] for sheet in sheets]
+    gaps = [int(gap) for sheet in sheets for gap in re.findall(r"longest gap: (\d+) m", sheet)]
     assert 1 / 1.5 < gaps[0] / gaps[1] < 1.5

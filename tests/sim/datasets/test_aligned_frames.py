@@ -1,4 +1,4 @@
-"""Frames without positions of their own: University Campus style, Nordland, Gardens Point."""
+"""Frames without positions of their own: Nordland, Gardens Point."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from edge.feed import FeedImages, read_feed
@@ -18,75 +17,6 @@ WriteVideo = Callable[[Path, int, float], None]
 IndexOf = Callable[[NDArray[np.uint8]], int]
 Import = Callable[..., int]
 Refused = Callable[..., None]
-
-
-@pytest.fixture
-def campus_path(tmp_path: Path, write_pictures: WritePictures) -> Path:
-    """Forward by day, and back at another pace; the frames of both are 30 and 20, and the route is 60 m."""
-    forward, back = tmp_path / "forward_day", tmp_path / "reverse_day"
-    write_pictures(forward, [f"{i}.jpg" for i in range(30)])  # 9.jpg comes before 10.jpg
-    write_pictures(back, [f"{i:05d}.png" for i in range(20)])
-    (forward / "anchors.csv").write_text("frame,route_m\n0,0\n10,30\n29,60\n")
-    (back / "anchors.csv").write_text("frame, route_m\n2, 60\n12, 40\n19, 5.0\n")
-    return tmp_path
-
-
-def test_campus_places_are_interpolated_between_the_anchors(campus_path: Path, index_of: IndexOf) -> None:
-    traverse = open_dataset("campus", campus_path / "reverse_day", ReadOptions(fps=2.0))
-    route = [float(row.extra["route_m"]) if row.extra else None for row in traverse.rows]
-    assert route[:4] == [None, None, 60.0, 58.0]
-    assert route[13:] == pytest.approx([35, 30, 25, 20, 15, 10, 5])
-    assert [row.distance_m for row in traverse.rows[2:4]] == [0.0, 2.0]
-    assert traverse.rows[19].distance_m == pytest.approx(55)
-    assert traverse.rows[3].stamp_ns == 1_500_000_000
-    assert index_of(open_dataset("campus", campus_path / "forward_day").pictures.read(9)) == 9
-
-
-def test_campus_traverses_in_both_directions_have_one_truth(campus_path: Path, sim_import: Import) -> None:
-    feeds = []
-    for name in ("forward_day", "reverse_day"):
-        sim_import("campus", campus_path / name, "-o", campus_path / "feeds" / name, "--spacing-m", 5)
-        feeds.append(read_feed(campus_path / "feeds" / name))
-    forward, back = feeds
-    is_right = errors_between(*points_of("route_m", forward, back)) <= 20.0
-    for query, row in enumerate(back.rows):
-        near = [
-            index
-            for index, reference in enumerate(forward.rows)
-            if abs(float(reference.extra["route_m"]) - float(row.extra["route_m"])) <= 20.0
-        ]
-        assert np.flatnonzero(is_right[query]).tolist() == near
-    assert is_right[0, -1]
-    assert is_right[-1, 0]
-
-
-def test_campus_frames_may_be_a_video_with_the_anchors_beside_it(tmp_path: Path, write_video: WriteVideo) -> None:
-    write_video(tmp_path / "walk.avi", 12, 4.0)
-    (tmp_path / "walk.csv").write_text("frame,route_m\n0,0\n11,22\n")
-    rows = open_dataset("campus", tmp_path / "walk.avi").rows
-    assert [(row.stamp_ns, row.distance_m) for row in rows[:3]] == [(0, 0.0), (250_000_000, 2.0), (500_000_000, 4.0)]
-
-
-@pytest.mark.parametrize(
-    ("anchors", "message"),
-    [
-        ("frame,route_m\n0,0\n0,5\n", r"anchors\.csv: line 3: frame 0 is not after the line before"),
-        ("frame,route_m\n0,0\n30,5\n", r"anchors\.csv: frame 30 is not among the 30 frames of .*forward_day"),
-        ("frame,route_m\n-1,0\n29,5\n", r"anchors\.csv: frame -1 is not among the 30 frames"),
-        ("frame,route_m\n0,0\n", r"anchors\.csv: one anchor, and two at least are needed"),
-        ("frame,route_m\n0,0\n7.5,3\n", r"anchors\.csv: line 3: frame: '7\.5' is not a whole number"),
-        ("frame,route_m\n0,0\n7,inf\n", r"anchors\.csv: line 3: route_m: 'inf' is not a number"),
-        (None, r"anchors\.csv: cannot read it: No such file"),
-    ],
-)
-def test_campus_anchors_that_cannot_be_are_named(
-    campus_path: Path, anchors: str | None, message: str, refused: Refused
-) -> None:
-    file = campus_path / "forward_day/anchors.csv"
-    file.unlink()
-    if anchors is not None:
-        file.write_text(anchors)
-    refused("campus", campus_path / "forward_day", f"^{campus_path}/forward_day/{message}")
 
 
 def test_nordland_seasons_are_the_same_frame_by_frame(

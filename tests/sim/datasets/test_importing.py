@@ -76,9 +76,13 @@ def test_meters_cannot_be_asked_of_frames_without_places(walk: Path, sim_import:
 
 
 def test_only_the_first_meters_of_a_drive(walk: Path, sim_import: Import) -> None:
-    (walk / "anchors.csv").write_text("frame,route_m\n0,0\n29,58\n")
-    sim_import("campus", walk, "-o", walk.parent / "feed", "--length-m", 21)
-    assert [row.distance_m for row in read_feed(walk.parent / "feed").rows] == list(range(0, 22, 2))
+    names = sorted(file.name for file in walk.iterdir())
+    lines = (f"{name},{number},{2.0 * number},0.0" for number, name in enumerate(names))
+    (walk.parent / "places.csv").write_text("\n".join(["file,time,x,y", *lines]))
+    positions = "--positions", walk.parent / "places.csv"
+    sim_import("pictures", walk, "-o", walk.parent / "feed", "--length-m", 21, *positions)
+    distances_m = [row.distance_m for row in read_feed(walk.parent / "feed").rows]
+    assert distances_m == pytest.approx(list(range(0, 22, 2)), rel=1e-3)
 
 
 def test_pictures_that_go_back_in_time_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
@@ -162,7 +166,7 @@ def test_an_option_out_of_range_is_named(walk: Path, sim_import: Import, option:
 
 
 def test_an_unknown_kind_and_an_option_that_means_nothing_are_named(walk: Path) -> None:
-    with pytest.raises(FeedError, match="pittsburgh: no such kind of data set; it is one of campus, fred, frodobots"):
+    with pytest.raises(FeedError, match="pittsburgh: no such kind of data set; it is one of fred, frodobots"):
         open_dataset("pittsburgh", walk)
     with pytest.raises(FeedError, match=r"^--crop-bottom: is no option of nordland$"):
         open_dataset("nordland", walk, ReadOptions(crop_bottom=3))

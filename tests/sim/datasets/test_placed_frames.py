@@ -1,4 +1,4 @@
-"""Frames with positions: St Lucia, KITTI odometry, and places in file names."""
+"""Frames with positions: KITTI odometry, and places in file names."""
 
 from __future__ import annotations
 
@@ -17,47 +17,9 @@ from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.track import from_local
 
 WritePictures = Callable[[Path, list[str]], None]
-WriteVideo = Callable[[Path, int, float], None]
 IndexOf = Callable[[NDArray[np.uint8]], int]
 Import = Callable[..., int]
 Refused = Callable[..., None]
-
-
-@pytest.fixture
-def st_lucia_path(tmp_path: Path, write_video: WriteVideo) -> Path:
-    """Thirty frames at 15 Hz; the receiver reports at every tenth frame, and the car stands at the end."""
-    path = tmp_path / "190809_0845"
-    write_video(path / "webcam_video.avi", 30, 15.0)
-    south = [27.5 + 0.0001 * min(frame // 10, 1) for frame in range(30)]
-    (path / "fGPS.txt").write_text("".join(f"{deg:.20f},153.00236500000000000000\n" for deg in south))
-    return path
-
-
-def test_st_lucia_is_south_and_moves_between_the_reports(st_lucia_path: Path, index_of: IndexOf) -> None:
-    traverse = open_dataset("st-lucia", st_lucia_path)
-    latitudes = [row.lat_deg for row in traverse.rows]
-    assert latitudes[:11] == pytest.approx([-27.5 - 0.00001 * frame for frame in range(11)], abs=1e-9)
-    assert latitudes[11:] == pytest.approx([-27.5001] * 19, abs=1e-9)
-    assert traverse.rows[7].lon_deg == pytest.approx(153.002365)
-    assert traverse.rows[15].stamp_ns == 1_000_000_000
-    assert index_of(traverse.pictures.read(15)) == 15
-
-
-def test_st_lucia_frames_may_be_pictures(st_lucia_path: Path, write_pictures: WritePictures) -> None:
-    (st_lucia_path / "webcam_video.avi").unlink()
-    write_pictures(st_lucia_path, [f"cam0_image{i:05d}.bmp" for i in range(1, 33)])
-    rows = open_dataset("st-lucia", st_lucia_path).rows
-    assert [row.lat_deg is None for row in rows] == [False] * 30 + [True] * 2
-
-
-def test_st_lucia_without_its_positions_or_with_a_bad_line_is_named(st_lucia_path: Path, refused: Refused) -> None:
-    file = st_lucia_path / "fGPS.txt"
-    file.write_text("27.5,153.0\n27.5;153.0\n")
-    refused("st-lucia", st_lucia_path, r"fGPS\.txt: line 2: not 2 numbers: '27\.5;153\.0'")
-    file.write_text("")
-    refused("st-lucia", st_lucia_path, r"fGPS\.txt: empty")
-    file.unlink()
-    refused("st-lucia", st_lucia_path, r"fGPS\.txt: cannot read it: No such file")
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.descriptor.network import Network, cut_regions
+from edge.descriptor.open_network import cosines, nsd_cosines
 from edge.feed import Feed, FeedImages, read_feed
-from sim.model_tools.fidelity import compare
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from sim.research.alexnet.weights import read_weights
 from tests.descriptor.accuracy import matching_accuracy
@@ -91,7 +91,7 @@ def test_trained_weights_in_the_published_shape(
     int8 = [described(feed, network.describe) for feed in feeds]
     floats = [described(feed, lambda images: float_fc6(exact, images)) for feed in feeds]
     for given, rounded in zip(floats, int8, strict=True):
-        assert compare(given, rounded).nsd_mean >= 0.99
+        assert nsd_cosines(given, rounded).mean() >= 0.99
     share = matching_accuracy(floats[0], floats[1], right)
     assert share > 0.8  # or agreeing would mean little
     assert matching_accuracy(int8[0], int8[1], right) == pytest.approx(share, abs=0.01)
@@ -108,4 +108,4 @@ def test_random_weights_in_the_published_shape(
     assert network.info.name == "alexnet_places365"
     int8, exact = network.describe, torch_network(file)
     floats = described(read_feed(feed), lambda images: float_fc6(exact, images))
-    assert compare(floats, described(read_feed(feed), int8)).raw_mean > 0.999
+    assert cosines(floats, described(read_feed(feed), int8)).mean() > 0.999
