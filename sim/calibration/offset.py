@@ -109,8 +109,8 @@ def _deviation(values: NDArray[np.float64]) -> float:
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
-def rig_config(offsets: Sequence[Offset], parallax: float | None = None) -> RigConfig:
-    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured, such as `parallax` where it is None.
+def rig_config(offsets: Sequence[Offset]) -> RigConfig:
+    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured, and for `parallax`.
 
     sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_across_m is at least
     LANE_SIGMA_M, however well these drives kept their lane.
@@ -120,8 +120,7 @@ def rig_config(offsets: Sequence[Offset], parallax: float | None = None) -> RigC
     along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
     keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
     across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_across_m)
-    keys |= {"parallax": round(parallax or 0.0, 2), "sigma_along_m": round(along_m, 1)}
-    return RigConfig(**keys, sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
+    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
 
 
 def rig_key(offset: Offset) -> str:

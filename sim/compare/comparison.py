@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sim.compare import plots
 from sim.compare.method_runner import MethodRunner, Outcome
 from sim.compare.plan import Pair
-from sim.compare.scores import at_threshold, intervals, max_f1_of_places, of_curve, recall_at_1, recall_at_100
+from sim.compare.scores import at_threshold, intervals, of_curve, recall_at_1, recall_at_100
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall
@@ -121,10 +121,10 @@ def as_short(cell: Cell) -> str:
     return format_cell(cell.value if isinstance(cell, Interval) else cell)
 
 
-def matched_pictures(outcome: Outcome, count: int = 6) -> list[list[Picture]]:
+def matched_pictures(outcome: Outcome) -> list[list[Picture]]:
     """Frames of the query, spread over the drive, each beside the place that was found."""
     answered = outcome.judged[outcome.matches.place[outcome.judged] >= 0]
-    chosen = answered[np.linspace(0, len(answered) - 1, min(count, len(answered))).round().astype(int)]
+    chosen = answered[np.linspace(0, len(answered) - 1, min(6, len(answered))).round().astype(int)]
     query, reference = (open_pictures(one.feed) for one in (outcome.query, outcome.reference))
     error, rows = outcome.error_of_best(), []
     for frame in chosen:
@@ -149,14 +149,10 @@ def networks_section(runner: MethodRunner, results: Results) -> Section:
 
 
 def overview(runner: MethodRunner, results: Results) -> Section:
-    """All scores in one table, and max-F1 of every method on every pair."""
-    pairs = [pair.name for pair in runner.plan.pairs]
-    rows: list[list[Cell]] = [
-        [text, *(max_f1_of_places(results[pair, text].answers) for pair in pairs)] for text in runner.plan.methods
-    ]
-    table = Table("overview", "Max-F1 (places) of every method on every pair", ("method", *pairs), rows)
-    text = f"{_methods_text(runner)} {SUMMARY_NOTE}"
-    return Section("Overview", text, [summary(runner, results), means(runner, results), table])
+    """All scores in one table, and the means of every method."""
+    described = [f"{text}: {runner.method(text).description}." for text in runner.plan.methods]
+    text = " ".join([*described, SUMMARY_NOTE])
+    return Section("Overview", text, [summary(runner, results), means(runner, results)])
 
 
 def median_ahead(outcome: Outcome) -> float:
@@ -196,7 +192,3 @@ def offset_warnings(runner: MethodRunner, results: Results) -> list[str]:
                 f" {shown.ahead:.0f} is expected, near the tolerance of {pair.tolerance:g}: set ahead or calibration."
             )
     return lines
-
-
-def _methods_text(runner: MethodRunner) -> str:
-    return " ".join(f"{text}: {runner.method(text).description}." for text in runner.plan.methods)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.evaluation.metrics import Answers, Floats, average_precision, precision_recall, recall_at_precision
+from sim.evaluation.metrics import Answers, average_precision, precision_recall, recall_at_precision
 from sim.evaluation.report import Interval
 
 LEVEL = 0.95
@@ -32,12 +32,6 @@ def at_threshold(answers: Answers, threshold: float) -> tuple[float, float]:
     return hits / total if total else float("nan"), hits / on_map if on_map else float("nan")
 
 
-def max_f1_of_places(answers: Answers) -> float:
-    """Highest F1 with recall_of_places; 0 if nothing is correct."""
-    curve = precision_recall(answers)
-    return _max_f1(curve.precision, curve.recall_of_places)
-
-
 def recall_at_1(answers: Answers) -> float:
     """Right best matches over the queries that have a true place, at any confidence; NaN without such a query."""
     right, on_map = answers.correct & ~np.isnan(answers.confidence), int(answers.has_truth.sum())
@@ -47,13 +41,6 @@ def recall_at_1(answers: Answers) -> float:
 def recall_at_100(answers: Answers) -> float:
     """Highest recall_of_places without a wrong answer."""
     return recall_at_precision(precision_recall(answers), 1.0)
-
-
-def _max_f1(precision: Floats, recall: Floats) -> float:
-    """Highest harmonic mean of (T,) and (T,); 0 where both are 0 or recall is undefined."""
-    total = precision + recall
-    f1 = np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
-    return float(f1.max(initial=0.0))
 
 
 def block_indices(count: int, block: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -79,7 +66,10 @@ def intervals(
 
 
 def of_curve(answers: Answers) -> tuple[float, float, float, float]:
-    """Recall@1, area, recall at 100 % precision, and highest F1 with recall_of_places."""
+    """Recall@1, area, recall at 100 % precision, and highest F1 with recall_of_places (0 if nothing is correct)."""
     curve = precision_recall(answers)
-    max_f1 = _max_f1(curve.precision, curve.recall_of_places)
-    return recall_at_1(answers), average_precision(curve), recall_at_precision(curve, 1.0), max_f1
+    precision, recall = curve.precision, curve.recall_of_places
+    total = precision + recall
+    f1 = np.divide(2 * precision * recall, total, out=np.zeros_like(precision), where=total > 0)
+    best = float(f1.max(initial=0.0))
+    return recall_at_1(answers), average_precision(curve), recall_at_precision(curve, 1.0), best

@@ -76,7 +76,7 @@ class Judged:
 
     believed (Q,) bool; error_m (Q,), NaN where no place was matched. within_twice: see `answers_within`.
     ahead_m: of the median believed place, from the vehicle in the direction of travel; NaN if there is none.
-    truth_m, found_m (Q, 2), places_m (P, 2): meters east and north of one origin, places those with a position.
+    truth_m (Q, 2), places_m (P, 2): meters east and north of one origin, places those with a position.
     """
 
     name: str
@@ -87,7 +87,6 @@ class Judged:
     error_m: NDArray[np.float64]
     ahead_m: float
     truth_m: NDArray[np.float64]
-    found_m: NDArray[np.float64]
     places_m: NDArray[np.float64]
 
     @property
@@ -147,6 +146,5 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
         error_m,
         float(np.median(ahead_m[believed])) if believed.any() else float("nan"),
         truth_m,
-        found_m,
         places_m,
     )

@@ -68,8 +68,8 @@ class Learning:
         self._process.wait()
 
 
-def frames_rows(folder: Path, network: Network, frames: int = FRAMES) -> Iterator[str]:
-    """A row for what runs beside the frames: medians of the rounds. frames: in each round, of both."""
+def frames_rows(folder: Path, network: Network) -> Iterator[str]:
+    """A row for what runs beside the frames: medians of the rounds."""
     for drive in range(DRIVES):
         write_simulated_map(folder / "learned" / f"{drive}", PLACES // LAYERS + drive, model_key(network))
     path = folder / "searched"
@@ -100,7 +100,7 @@ def frames_rows(folder: Path, network: Network, frames: int = FRAMES) -> Iterato
         block(beside=True)
         for _ in range(ROUNDS):
             blocks = []
-            for _ in range(max(1, frames // BLOCK)):
+            for _ in range(max(1, FRAMES // BLOCK)):
                 with learning.stopped():
                     alone_ms = block(beside=False)
                 began_s = time.monotonic()

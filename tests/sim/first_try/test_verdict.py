@@ -36,7 +36,7 @@ def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: ran
     states = ["warming up" if row < 16 else "on the map" if flags[0][row] else "off the map" for row in rows]
     seen = Recognition(a_feed("query"), used, states, np.zeros((FRAMES, 0), np.float32))  # type: ignore[arg-type]
     answers = Answers(np.full(FRAMES, 0.7), flags[1] & flags[2], flags[2])
-    judged = Judged("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, truth_m, road_m)
+    judged = Judged("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, road_m)
     gray, faults = np.full(FRAMES, 90.0), ("",) * FRAMES
     maps = SimpleNamespace(index=SimpleNamespace(places=FRAMES))
     return Tried(a_feed("out"), a_feed("query"), maps, Config(), seen, judged, 40.0, gray, faults)  # type: ignore[arg-type]
