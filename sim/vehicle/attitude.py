@@ -1,4 +1,4 @@
-"""The simulated autopilot's own attitude: the true one, wrong as gyroscopes and accelerometers make it."""
+"""The simulated autopilot's own attitude: the true one, wrong as its gyroscopes, accelerometers and compass make it."""
 
 from __future__ import annotations
 
@@ -36,3 +36,25 @@ class AttitudeEstimate:
         turned_deg = [math.remainder(now - then, 360.0) for now, then in zip(truth_deg, before[1], strict=True)]
         roll, pitch, yaw = (turned_deg[axis] / (time_s - before[0]) + float(noise_dps[axis]) for axis in range(3))
         self.rates_dps = roll, pitch, yaw
+
+
+class HeadingWander:
+    """An error of the heading that changes while driving: a Gauss-Markov process of second order over the distance.
+
+    Of standard deviation `sigma_rad`; after `d` meters its autocorrelation is (1 + d / l) exp(-d / l), with `l` of
+    `within_m`, so that it is smooth, as recorded ones are.
+    """
+
+    def __init__(self, sigma_rad: float, within_m: float, rng: np.random.Generator) -> None:
+        self._within_m, self._rng, self._aim_sigma_rad = within_m, rng, math.sqrt(2) * sigma_rad
+        self.error_rad = sigma_rad * rng.standard_normal()
+        """The error of the heading now, clockwise."""
+        self._aim_rad = self.error_rad + sigma_rad * rng.standard_normal()
+
+    def move(self, driven_m: float) -> float:
+        """Radians by which the error has changed after so many more meters."""
+        kept = math.exp(-driven_m / self._within_m)
+        self._aim_rad = kept * self._aim_rad + math.sqrt(1 - kept**2) * self._aim_sigma_rad * self._rng.normal()
+        change_rad = (1 - kept) * (self._aim_rad - self.error_rad)
+        self.error_rad += change_rad
+        return change_rad

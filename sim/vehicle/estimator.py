@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import Pose
+from sim.vehicle.attitude import HeadingWander
 
 VelocitySource: TypeAlias = Literal["wheels", "velocity sensor", "camera", "none"]
 """With "camera" it is what a companion computer sends, and nothing else."""
@@ -42,6 +43,7 @@ class OdometryErrors:
 
     scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
     autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
+    turns_deg, turns_within_m: see `HeadingWander`, of that heading besides, from `seed`.
     spins: times by which the wheels turn too fast besides for SPIN_S of every SPIN_EVERY_S. slips: the same from
     `slips_from_m` driven on, as on another surface. acceleration_mps2: the forward bias of an accelerometer that no
     velocity aids; wander_mps: by how much that changes the velocity besides within a second, each way, from `seed`.
@@ -55,6 +57,8 @@ class OdometryErrors:
     heading_deg: float = 0.0
     reported_deg: float = 0.0
     settled_deg: float = 0.0
+    turns_deg: float = 0.0
+    turns_within_m: float = math.inf
     acceleration_mps2: float = 0.15
     wander_mps: float = 0.0
     seed: int = 0
@@ -88,7 +92,9 @@ class Estimator:
         self._pose, self._time_s = pose, time_s
         self._past: list[tuple[float, float, float]] = [(time_s, pose.east_m, pose.north_m)]
         self._shift_m = (0.0, 0.0)  # to be added to all that is past: what positions have moved the estimate by
-        self._heading_rad = math.radians(errors.heading_deg)
+        turns_rad, wander_rng = math.radians(errors.turns_deg), np.random.default_rng([errors.seed, 2])
+        self._wander = HeadingWander(turns_rad, errors.turns_within_m, wander_rng)
+        self._heading_rad = self._compass_rad
         self._reported_rad = math.radians(errors.reported_deg)
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
         self._felt_mps2 = np.zeros(2)  # the bias of the accelerometers, as found
@@ -150,6 +156,11 @@ class Estimator:
         )
 
     @property
+    def _compass_rad(self) -> float:
+        """The error, clockwise, of the heading by the compass."""
+        return math.radians(self._errors.heading_deg) + self._wander.error_rad
+
+    @property
     def _scale(self) -> float:
         errors = self._errors
         slips = errors.slips if self._pose.distance_m >= errors.slips_from_m else 1.0
@@ -158,7 +169,7 @@ class Estimator:
     def boot(self) -> None:
         """Begin anew: how far it is from its origin is not known, and what it drove before counts no more."""
         self.driven_m = 0.0
-        self._heading_rad = math.radians(self._errors.heading_deg)
+        self._heading_rad = self._compass_rad
         self._bias_mps = (0.0, 0.0)
         self._felt_mps2 = np.zeros(2)
         self._restart(GPS_SIGMA_M)
@@ -168,7 +179,9 @@ class Estimator:
         elapsed_s, self._time_s = time_s - self._time_s, time_s
         unsettled_rad = math.radians(self._errors.settled_deg) - self._reported_rad
         self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
-        self.driven_m += (pose.distance_m - self._pose.distance_m) * self._scale
+        driven_m = pose.distance_m - self._pose.distance_m
+        self.driven_m += driven_m * self._scale
+        self._heading_rad += self._wander.move(driven_m)
         self._pose, self._gps = pose, gps is not None
         self._motions.append((time_s, math.radians(pose.heading_deg), pose.speed_mps))
         if gps is not None:
@@ -287,7 +300,7 @@ class Estimator:
 
     def _fuse_compass(self, step_s: float) -> None:
         """The compass turns the heading, and moves the position by what the heading's error had done to it."""
-        innovation = math.radians(self._errors.heading_deg) - self._heading_rad
+        innovation = self._compass_rad - self._heading_rad
         variance = self._covariance[HEADING, HEADING] + self._noise.heading_rad**2 * self._noise.compass_s / step_s
         self._correct(np.array([innovation]), self._covariance[:, [HEADING]] / variance, HEADING)
 
