@@ -1,4 +1,9 @@
-"""How far an autopilot's heading is off without GPS: on recorded drives, and as the trial draws it."""
+"""How far an autopilot's heading is off without GPS: on recorded drives, and as the trial draws it.
+
+The filter takes its error to stay alike for longer (`HEADING_M`, 3 km). With 200 m, one of the two drives by the
+camera's speed was 5.6 m off (95 %) instead of 6.7; but in the trial drives that steer themselves left their lane as
+before, and on the bench one whose heading error is constant was 28 m off instead of 7, with 400 m too.
+"""
 
 from __future__ import annotations
 
