@@ -6,10 +6,10 @@ No I/O: the time comes in as an argument.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import MAX_SPEED_MPS, DeadReckoning, Integral
+from edge.localization import DeadReckoning, Integral
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
@@ -25,14 +25,6 @@ ALIKE_MPS, ALIKE = 0.5, 0.1
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
 
 
-class OwnDriven(NamedTuple):
-    """Meters driven by a moment, less those backwards, by what GPS has no part in; gaps: how often nobody counted."""
-
-    stamp_ns: int
-    driven_m: float
-    gaps: int
-
-
 class VehicleVelocity:
     """What is known of the velocity in this session, and which of it counts for the motion."""
 
@@ -41,8 +33,8 @@ class VehicleVelocity:
         self._motion = motion
         self.without_gps = DeadReckoning()
         """The displacement by what GPS has no part in: wheels, odometry or our camera, or the autopilot without GPS."""
-        self.own_driven: OwnDriven | None = None
-        """By the wheels, else by odometry, else by our camera; None before the first of them has counted."""
+        self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
+        """Gets what GPS has no part in, stamped: meters by WHEELS, m/s by ODOMETRY or CAMERA; None: a session ended."""
         self.is_by_gps = True
         """Whether GPS may have a part in the autopilot's velocity."""
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
@@ -64,6 +56,7 @@ class VehicleVelocity:
         """The session has ended."""
         for motion in (self._motion, self.without_gps):
             motion.end_leg(is_same_vehicle=is_same_vehicle)
+        self.listen(0, 0.0, None)
         self._wheels = None
         self._speeds.clear()
         self.is_aided, self.runs_away = True, False
@@ -77,7 +70,7 @@ class VehicleVelocity:
     def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
         """The speed ahead by the camera or by another program; of use where neither autopilot nor wheels report one."""
         if math.isfinite(speed_mps):
-            self._count_speed(stamp_ns, speed_mps, source)
+            self.listen(stamp_ns, speed_mps, source)
             self._speeds[source] = stamp_ns, speed_mps
         if _newest(self._speeds.get(WHEELS), stamp_ns) is None:
             self._motion.add_speed(stamp_ns, speed_mps, source)
@@ -90,25 +83,6 @@ class VehicleVelocity:
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
         east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, may_slip=False)
-
-    def _count_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
-        fresh = ((WHEELS, SPEED_FRESH_NS), (ODOMETRY, CAMERA_FRESH_NS))
-        if any(source > better and _newest(self._speeds.get(better), stamp_ns, ns) is not None for better, ns in fresh):
-            return
-        since_ns, before_mps = self._speeds.get(source, (stamp_ns, speed_mps))
-        apart_ns = stamp_ns - since_ns
-        is_counted = 0 < apart_ns <= CAMERA_FRESH_NS
-        self._count(stamp_ns, since_ns if is_counted else None, (before_mps + speed_mps) / 2 * apart_ns / 1e9)
-
-    def _count(self, stamp_ns: int, since_ns: int | None, moved_m: float) -> None:
-        """What GPS has no part in has counted so many meters since a moment; None: not since when it had last."""
-        before = self.own_driven
-        if before is not None and stamp_ns <= before.stamp_ns:
-            return
-        last_ns, driven_m, gaps = before or (stamp_ns, 0.0, 0)
-        if since_ns != last_ns or not abs(moved_m) <= MAX_SPEED_MPS * (stamp_ns - last_ns) / 1e9:
-            moved_m, gaps = 0.0, gaps + 1
-        self.own_driven = OwnDriven(stamp_ns, driven_m + moved_m, gaps)
 
     def turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
         """The body turns so fast by the autopilot's gyroscopes."""
@@ -147,12 +121,10 @@ class VehicleVelocity:
 
     def turn_wheels(self, stamp_ns: int, driven_m: float) -> None:
         """Meters that the wheels have turned since some moment."""
+        self.listen(stamp_ns, driven_m, WHEELS)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
-        is_next = before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS
-        since_ns, since_m = before if before is not None and is_next else (None, driven_m)
-        self._count(stamp_ns, since_ns, driven_m - since_m)
-        if since_ns is not None:
-            speed_mps = (driven_m - since_m) / (stamp_ns - since_ns) * 1e9
+        if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
+            speed_mps = (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9
             self._speeds[WHEELS] = stamp_ns, speed_mps
             self._motion.add_speed(stamp_ns, speed_mps, WHEELS)
 

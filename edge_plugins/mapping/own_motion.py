@@ -8,12 +8,63 @@ these have counted: wheels do so once a second (ArduPilot 4.6.3), in which a car
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from edge.geodesy import VehiclePosition, east_north_of
+from edge.localization import MAX_SPEED_MPS
 from edge.reference_map.gps_motion import GpsMotion
-from edge.telemetry.vehicle_velocity import WHEELS_APART_NS, OwnDriven
+from edge.telemetry.vehicle_velocity import CAMERA_FRESH_NS, ODOMETRY, SPEED_FRESH_NS, WHEELS, WHEELS_APART_NS
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.outage import why_no_truth
+
+
+class OwnDriven(NamedTuple):
+    """Meters driven by a moment, less those backwards, by what GPS has no part in; gaps: how often nobody counted."""
+
+    stamp_ns: int
+    driven_m: float
+    gaps: int
+
+
+class OwnMeters:
+    """Meters by the wheels, else by odometry, else by our camera."""
+
+    def __init__(self) -> None:
+        self.driven: OwnDriven | None = None
+        """None before the first of them has counted."""
+        self._newest: dict[int, tuple[int, float]] = {}
+        self._moving: dict[int, int] = {}  # when each was last known to say a speed
+
+    def hear(self, stamp_ns: int, value: float, source: int | None) -> None:
+        """See `VehicleVelocity.listen`."""
+        if source is None:
+            self._newest.clear()
+            self._moving.clear()
+            return
+        before = self._newest.get(source)
+        self._newest[source] = stamp_ns, value
+        longest_ns = WHEELS_APART_NS if source == WHEELS else CAMERA_FRESH_NS
+        is_next = before is not None and 0 < stamp_ns - before[0] <= longest_ns
+        if source != WHEELS or is_next:
+            self._moving[source] = stamp_ns
+        fresh = ((WHEELS, SPEED_FRESH_NS), (ODOMETRY, CAMERA_FRESH_NS))
+        if any(source > better and stamp_ns - self._moving.get(better, -ns - 1) <= ns for better, ns in fresh):
+            return
+        if before is None or not is_next:
+            self._count(stamp_ns, None, 0.0)
+        elif source == WHEELS:
+            self._count(stamp_ns, before[0], value - before[1])
+        else:
+            self._count(stamp_ns, before[0], (before[1] + value) / 2 * (stamp_ns - before[0]) / 1e9)
+
+    def _count(self, stamp_ns: int, since_ns: int | None, moved_m: float) -> None:
+        """So many meters since a moment; None: not since when it had last."""
+        if self.driven is not None and stamp_ns <= self.driven.stamp_ns:
+            return
+        last_ns, driven_m, gaps = self.driven or (stamp_ns, 0.0, 0)
+        if since_ns != last_ns or not abs(moved_m) <= MAX_SPEED_MPS * (stamp_ns - last_ns) / 1e9:
+            moved_m, gaps = 0.0, gaps + 1
+        self.driven = OwnDriven(stamp_ns, driven_m + moved_m, gaps)
 
 
 class OwnMotion:

@@ -26,10 +26,10 @@ from edge.plugin import Parts, Plugin, UsedFrame
 from edge.recognizer import model_key
 from edge.reference_map import MapSoFar, RegionsKey
 from edge.telemetry.position_history import Awaiting
-from edge.telemetry.vehicle_velocity import OwnDriven
 from edge_plugins.layers.learner import Learner, learn_command
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.live_map import LiveMap
+from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters
 from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
 
@@ -87,7 +87,8 @@ class Mapping(Plugin):
             self._open(config, opened)
             self._opened = opened.pop_all()
         self._awaiting: Awaiting[MappedFrame] = Awaiting(parts.autopilot.history)
-        self._counted: Awaiting[OwnDriven] = Awaiting(parts.autopilot.history)
+        self._meters, self._counted = OwnMeters(), Awaiting[OwnDriven](parts.autopilot.history)
+        parts.autopilot.vehicle.velocity.listen = self._meters.hear
         self._driven: OwnDriven | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
         self._newest = self.live.so_far()
@@ -178,7 +179,7 @@ class Mapping(Plugin):
         newest = autopilot.history.newest
         if newest is not None:
             self.live.go_on(newest, autopilot.vehicle.motion.distance_m(newest.stamp_ns))
-        own = autopilot.vehicle.velocity.own_driven
+        own = self._meters.driven
         if own is not None and own != self._driven:
             self._driven = own
             self._counted.add(own.stamp_ns, own)

@@ -70,25 +70,6 @@ def test_wheels_that_pause_for_long_say_no_speed(apart_s: int, is_known: bool) -
     assert (vehicle.motion.speed_mps((5 + apart_s) * S) is not None) == is_known
 
 
-def test_what_gps_has_no_part_in_counts_without_its_velocity() -> None:
-    """The camera until wheels do; where the one followed the other, were silent or damaged, nobody counted."""
-    speaker = Speaker()
-    vehicle = connect(speaker)
-    velocity = vehicle.velocity
-    for tenth in range(10, 60):
-        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-        velocity.use_speed(tenth * S // 10, 7.0)
-    told = [(6, 9.0, 34.3, 1), (7, 18.0, 43.3, 1), (8, 26.0, 51.3, 1), (8, 26.0, 51.3, 1), (9, 24.0, 49.3, 1),
-            (12, 54.0, 49.3, 2), (13, math.nan, 49.3, 3), (14, 1e9, 49.3, 4), (15, 1e9 + 1, 50.3, 4)]  # fmt: skip
-    for now_s, wheels_m, driven_m, gaps in told:
-        message = mavlink.MAVLink_wheel_distance_message(now_s * 1_000_000, 1, [wheels_m] + [0.0] * 15)
-        vehicle.handle(speaker.say(message), now_s * S)
-        velocity.use_speed(now_s * S, 7.0)
-        assert velocity.own_driven is not None
-        assert velocity.own_driven.driven_m == pytest.approx(driven_m)
-        assert velocity.own_driven == (now_s * S, velocity.own_driven.driven_m, 1 + gaps)
-
-
 def test_wheels_that_reported_before_the_link_was_lost_say_nothing_afterwards() -> None:
     """Another vehicle may be on the port."""
     speaker = Speaker()

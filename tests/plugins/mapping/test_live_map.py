@@ -24,7 +24,6 @@ from edge.files import wait_for_writes
 from edge.geodesy import VehiclePosition
 from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
 from edge.reference_map.learned import Learned, LearnedFolder
-from edge.telemetry.vehicle_velocity import OwnDriven
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
 from edge_plugins.layers.stored import KEEP_FILE, delete_oldest, stored_maps
@@ -32,6 +31,7 @@ from edge_plugins.layers.tally import DriveTally, read_tallies
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.live_map import LiveMap
+from edge_plugins.mapping.own_motion import OwnDriven
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.plugins.layers.drives import count

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import gzip
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.reference_map import read_header
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.position_history import Awaiting, PositionHistory
 from edge.telemetry.vehicle import Vehicle
-from edge.telemetry.vehicle_velocity import OwnDriven
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.mapping.own_motion import OwnMotion
+from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters, OwnMotion
 from tests.plugins.mapping.test_live_map import IMAGE, START_S, live, raw_of
 from tests.plugins.mapping.test_outage import at
 from tests.reference_map.test_gps_motion import STEP_M
 from tests.reference_map.test_gps_motion import drive as gps_drive
+from tests.telemetry.speaker import S, Speaker, connect
 
 PLACES, SPEED_MPS = 400, 8.0
 
@@ -94,6 +96,8 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
     data, codec, at_byte, now_ns = gzip.decompress(file.read_bytes()), MavlinkCodec(1, 191), 0, 0
     vehicle, own, history = Vehicle(), OwnMotion(MappingConfig(folder="maps"), STEP_M), PositionHistory(lambda: now_ns)
     counted: Awaiting[OwnDriven] = Awaiting(history)
+    meters = OwnMeters()
+    vehicle.velocity.listen = meters.hear
     found, newest = [], None
     while at_byte < len(data):
         end = at_byte + 20 + data[at_byte + 9] + 13 * (data[at_byte + 10] & 1)
@@ -105,8 +109,8 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
             if position is not None and receiver is not None:
                 history.add(replace(position, sigma_m=receiver.accuracy_m, source=receiver.source))
                 found.append(own.vouches(position.stamp_ns))
-            if vehicle.velocity.own_driven not in (None, newest):
-                newest = vehicle.velocity.own_driven
+            if meters.driven not in (None, newest):
+                newest = meters.driven
                 assert newest is not None
                 counted.add(newest.stamp_ns, newest)
             for each, there in counted.known():
@@ -114,3 +118,23 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
         at_byte = end
     assert len(found) > 1000
     assert found[-1] == is_vouched
+
+
+def test_what_gps_has_no_part_in_counts_without_its_velocity() -> None:
+    """The camera until wheels do; where the one followed the other, were silent or damaged, nobody counted."""
+    speaker = Speaker()
+    vehicle = connect(speaker)
+    velocity, meters = vehicle.velocity, OwnMeters()
+    velocity.listen = meters.hear
+    for tenth in range(10, 60):
+        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
+        velocity.use_speed(tenth * S // 10, 7.0)
+    told = [(6, 9.0, 34.3, 1), (7, 18.0, 43.3, 1), (8, 26.0, 51.3, 1), (8, 26.0, 51.3, 1), (9, 24.0, 49.3, 1),
+            (12, 54.0, 49.3, 2), (13, math.nan, 49.3, 3), (14, 1e9, 49.3, 4), (15, 1e9 + 1, 50.3, 4)]  # fmt: skip
+    for now_s, wheels_m, driven_m, gaps in told:
+        message = mavlink.MAVLink_wheel_distance_message(now_s * 1_000_000, 1, [wheels_m] + [0.0] * 15)
+        vehicle.handle(speaker.say(message), now_s * S)
+        velocity.use_speed(now_s * S, 7.0)
+        assert meters.driven is not None
+        assert meters.driven.driven_m == pytest.approx(driven_m)
+        assert meters.driven == (now_s * S, meters.driven.driven_m, 1 + gaps)
