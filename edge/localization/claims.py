@@ -26,9 +26,6 @@ SAME_ROAD, SAME_RECORDING = 1.5, 5.0
 own pace, whatever recording shows it; 410 m of one recording that were 150 m wrong once confirmed themselves."""
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
-LESS_CERTAIN = 0.9
-"""Share of its deviation below which a further fix replaces the first observation. With 1, it moved along with the
-vehicle: without GPS from boot, a perfect drive was confirmed after 766 to 1,006 m instead of 584."""
 CLAIMS, KEPT = 8, 64
 """The newest claims, and observations of each, that are kept: as many of those as 4 km have."""
 SPREAD_M = 1000.0
@@ -56,8 +53,8 @@ Stretch: TypeAlias = list[Observation]
 class Claim:
     """Observations that moved as the vehicle did, oldest first, and the most that has spoken against them.
 
-    likelihood: the least that the autopilot's position gave to a fix, 1 / m. may_be_shifted: whether GPS had bounded
-    the autopilot where a fix contradicted it.
+    likelihood: the least that `Facts.by_reckoning` gave to a fix, 1 / m. may_be_shifted: whether all
+    places may be off alike.
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -89,19 +86,12 @@ class Claims:
             self._claims.append(claim)
         claim.likelihood = min(claim.likelihood, likelihood)
         claim.may_be_shifted |= may_be_shifted
-        older, newest = [None, None, *claim.observations][-2:]
+        newest = claim.observations[-1] if claim.observations else None
         if _is_after_silence(newest, displacement) or all(
             _apart_m(one, displacement) >= CORRELATION_M for one in claim.observations
         ):
             claim.observations.append(self._observed(fix, displacement, newest))
             del claim.observations[:-KEPT]
-        # The first fixes of a track are the least certain ones, and move by more than fixes of one claim may.
-        elif (
-            newest
-            and fix.sigma_m < LESS_CERTAIN * newest.sigma_m
-            and (older is None or _is_after_silence(older, displacement))
-        ):
-            claim.observations[-1] = self._observed(fix, displacement, older)
 
     def _observed(self, fix: PlaceFix, displacement: Displacement, older: Observation | None) -> Observation:
         assert fix.lat_deg is not None and fix.lon_deg is not None
