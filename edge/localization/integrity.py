@@ -6,7 +6,8 @@ The autopilot has no such checks, and a wrong position does more harm than none.
     right   the place is right, and the autopilot is wrong by that distance: as its own uncertainty says, or, where
             what bounded it last was wrong, by anything
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
-            to bound the autopilot, the map as a whole is shifted (MAP_SHIFTED, SHIFT_M)
+            to bound the autopilot, the map as a whole is shifted, or, where matches begin beside where the last ones
+            have the vehicle, its street looks the same (MAP_SHIFTED, SHIFT_M)
 
 `place_wrong` is STRETCH_WRONG for each stretch that is independent evidence (`claims`). Evidence is gathered from every
 match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
@@ -33,7 +34,8 @@ ONE_MORE = 20.0
 """What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
-"""Probability that a map is shifted as a whole, and by how much then: judgments, see docs/integrity.md."""
+"""Probability that a map is shifted as a whole, or that a street beside looks the same, and by how much then:
+judgments, see docs/integrity.md."""
 GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
 """A reset is not sent where it is less certain than the autopilot; GROWS is by how much one position becomes so after
 another on recorded drives (of 551, two by more). Of one that is less accurate than ACCURATE_M the autopilot must be
@@ -49,7 +51,7 @@ class Facts:
     moment. own: what the autopilot reports, without what is known to be wrong of it. position: the autopilot's own,
     None where it says nothing. uncertainty_m: its standard deviation, None if unbounded. bound_by_gps, bound_wrong:
     whether GPS bounded it last, and the probability that what did was wrong. reckoned: where the vehicle is at the
-    position's moment without any place, None if unknown.
+    position's moment without any place, None if unknown. aside: see `LostTrack`.
     """
 
     now_ns: int
@@ -64,6 +66,7 @@ class Facts:
     bound_wrong: float
     reckoned: Reckoned | None
     claims: Claims
+    aside: tuple[float, float] | None
 
     @property
     def place(self) -> PlaceFix:
@@ -112,24 +115,26 @@ class Facts:
         """
         if not self.claim.observations:
             return 1.0
-        likelihood, is_shift = self.by_autopilot
-        is_bounded = self.uncertainty_m is not None and self.distance_m is not None
-        likelihood = min(self.claim.likelihood, likelihood if is_bounded else 1 / SPREAD_M)
+        likelihood, is_shift = self.by_reckoning
+        likelihood = min(self.claim.likelihood, 1 / SPREAD_M if math.isinf(likelihood) else likelihood)
         is_shift |= self.claim.may_be_shifted
         return wrong_probability(self.place_wrong, likelihood, may_be_shifted=is_shift)
 
     @property
-    def by_autopilot(self) -> tuple[float, bool]:
-        """How likely the autopilot makes the position, 1 / m, and whether a shifted map may be why they differ.
+    def by_reckoning(self) -> tuple[float, bool]:
+        """How likely the autopilot and the last matches make the position, 1 / m; whether all places may be shifted.
 
         Infinite where nothing bounds that position.
         """
         fix = self.place
-        if self.position is None or self.uncertainty_m is None:
-            return math.inf, False
-        distance_m = distance_from(self.position, fix)
-        likelihood = likelihood_of(distance_m, math.hypot(self.uncertainty_m, fix.sigma_m), self.bound_wrong)
-        return likelihood, self.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
+        likelihood, is_shift = math.inf, False
+        if self.position is not None and self.uncertainty_m is not None:
+            distance_m = distance_from(self.position, fix)
+            likelihood = likelihood_of(distance_m, math.hypot(self.uncertainty_m, fix.sigma_m), self.bound_wrong)
+            is_shift = self.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
+        if self.aside is not None:
+            likelihood, is_shift = min(likelihood, likelihood_of(*self.aside, STRETCH_WRONG)), True
+        return likelihood, is_shift
 
     @cached_property
     def level(self) -> ProtectionLevel:
@@ -168,7 +173,7 @@ class Facts:
     def observe(self) -> None:
         """Keep what the position shows of the places, whether or not it may be published now."""
         if self.motion is not None and self.place.is_position and not self.place.disputed:
-            likelihood, is_shift = self.by_autopilot
+            likelihood, is_shift = self.by_reckoning
             self.claims.observe(self.place, self.motion, likelihood, may_be_shifted=is_shift)
 
 

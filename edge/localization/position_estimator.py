@@ -236,6 +236,7 @@ class PositionEstimator:
             bound_wrong=wrong,
             reckoned=reckoned,
             claims=self._claims,
+            aside=None if self._filter is None else self._filter.aside,
         )
 
 

@@ -167,9 +167,3 @@ def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:
         return None
     level = facts.level if rule.is_certain else None
     return Refusal(rule.reason, rule.detail(facts), facts.fix, facts.distance_m, level)
-
-
-def as_table() -> str:
-    """The rules for people, as a table in Markdown."""
-    rows = (f"| {one.reason} | {one.when} | {one.hazard} |" for one in RULES)
-    return "\n".join(["| reason | when | what it prevents |", "|---|---|---|", *rows])

@@ -193,11 +193,14 @@ class RouteEstimate:
         row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
         return self._innovation(passed, passed.along, row, sigma_m)
 
-    def is_on_road(self, passed: Passed, road_sigma_m: float) -> bool:
-        """Whether the vehicle may be on the road of a match; far beside it, what its regions show means nothing."""
+    def aside(self, passed: Passed, road_sigma_m: float) -> tuple[float, float]:
+        """Meters that the vehicle is expected beside the road of a match, and one standard deviation.
+
+        road_sigma_m: of the position across the road.
+        """
         left = left_of(passed.along)
         off_m, sigma_m = self._innovation(passed, left, self._row(left, passed.since_m, OF_ROAD), road_sigma_m)
-        return abs(off_m) <= AGREE_SIGMAS * sigma_m
+        return abs(off_m), sigma_m
 
     def correct(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> None:
         """Correct by the along part of a match; sigma_m: what is independent in each match; faint: see `Sighting`."""

@@ -27,7 +27,7 @@ from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
-from edge.localization.track import RecentInnovations, Track
+from edge.localization.track import LostTrack, RecentInnovations, Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
@@ -58,7 +58,7 @@ class RouteFilter:
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
         self._since_gps: RouteEstimate | None = None
-        self._since_lost: RouteEstimate | None = None
+        self._since_lost: LostTrack | None = None
         """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
 
     def bind(self, position: VehiclePosition, sigma_m: float) -> None:
@@ -74,6 +74,8 @@ class RouteFilter:
             )
         for estimate in self._estimates():
             estimate.bound(position_m, sigma_m)
+        if self._since_lost is not None:
+            self._since_lost.aside = None
         self._choose_origin()
 
     def reject_gps(self) -> None:
@@ -85,7 +87,8 @@ class RouteFilter:
 
     @property
     def _reckoned(self) -> list[RouteEstimate]:
-        return [estimate for estimate in (self._since_lost, self._since_gps) if estimate is not None]
+        since_lost = None if self._since_lost is None else self._since_lost.estimate
+        return [estimate for estimate in (since_lost, self._since_gps) if estimate is not None]
 
     def update(
         self,
@@ -116,8 +119,8 @@ class RouteFilter:
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
             self._track, self._exposure = None, None
-            if track.is_confirmed:
-                self._since_lost = track.estimate
+            if track.is_confirmed and self.aside is None:
+                self._since_lost = LostTrack(track.estimate)
         if match is None or not match.accepted:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
@@ -127,6 +130,11 @@ class RouteFilter:
         if sighting is not None:
             self._use(sighting, stamp_ns)
             self._choose_origin()
+
+    @property
+    def aside(self) -> tuple[float, float] | None:
+        """See `LostTrack`."""
+        return None if self._since_lost is None else self._since_lost.aside
 
     def at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
@@ -194,6 +202,8 @@ class RouteFilter:
             self._innovations.add(known.innovation(sighting))
         if tracks:
             track.by_chance = track.agrees_by_chance(sighting) if track is tracks[0] else math.inf
+        if self._since_lost is not None:
+            self._since_lost.compare_across(sighting, road_sigma_m)
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
 

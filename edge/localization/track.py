@@ -59,7 +59,9 @@ class Track:
 
     def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
-        return self.estimate.is_on_road(sighting.passed, road_sigma_m) and self._agrees_along(sighting)
+        # Far beside the road, what its regions show means nothing.
+        off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
+        return off_m <= AGREE_SIGMAS * sigma_m and self._agrees_along(sighting)
 
     def _agrees_along(self, sighting: Sighting) -> bool:
         if sighting.regions is not None and not self._begins_drive(sighting):
@@ -111,6 +113,25 @@ class Track:
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches += 1
         self.confidence = max(self.confidence, sighting.match.confidence)
+
+
+@dataclass
+class LostTrack:
+    """Where the vehicle is by reckoning alone since no match agreed.
+
+    aside: how far beside the road of the matches since then, and one standard deviation, meters; None where they agree.
+    """
+
+    estimate: RouteEstimate
+    aside: tuple[float, float] | None = None
+
+    def compare_across(self, sighting: Sighting, road_sigma_m: float) -> None:
+        """A vehicle that went to the side is there until reckoning contradicts that."""
+        off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
+        if off_m > AGREE_SIGMAS * sigma_m:
+            self.aside = off_m, sigma_m
+        elif self.aside is not None and self.aside[0] - off_m > AGREE_SIGMAS * sigma_m:
+            self.aside = None
 
 
 class RecentInnovations:

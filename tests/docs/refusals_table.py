@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.localization.refusals import as_table
+from edge.localization.refusals import RULES
 from sim.research.trial.table import put_between
 
 PAGE = Path(__file__).parents[2] / "docs/positions.md"
+
+
+def as_table() -> str:
+    """The rules for people, as a table in Markdown."""
+    rows = (f"| {one.reason} | {one.when} | {one.hazard} |" for one in RULES)
+    return "\n".join(["| reason | when | what it prevents |", "|---|---|---|", *rows])
+
 
 if __name__ == "__main__":
     put_between("refusals", PAGE, as_table())
