@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,12 +74,13 @@ def matched(road: NDArray[np.float32], home: NDArray[np.float32]) -> NDArray[np.
     return np.array(found, np.float64)
 
 
-def answers(drives: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Descriptors of the pictures by the grid, and what is found with those that are given: costs and matches."""
+def main() -> None:
+    """Describe the pictures by the grid, search with the descriptors that are given, and print what is exact."""
+    drives = np.load(sys.argv[1])
     road, home = drives["road"], drives["home"]
-    return {"raw": by_grid(drives["pictures"]), "costs": costs_of(road, home), "matched": matched(road, home)}
+    np.savez(sys.argv[2], raw=by_grid(drives["pictures"]), costs=costs_of(road, home), matched=matched(road, home))
+    print_exact()
 
 
 if __name__ == "__main__":
-    np.savez(sys.argv[2], **answers(np.load(sys.argv[1])))
-    print_exact()
+    main()
