@@ -119,14 +119,14 @@ class Track:
 class LostTrack:
     """Where the vehicle is by reckoning alone since no match agreed.
 
-    aside: how far beside the road of the matches since then, and one standard deviation, meters; None where they agree.
+    aside: how far beside the road of matches since then, and one standard deviation, meters; None where they agree.
     """
 
     estimate: RouteEstimate
     aside: tuple[float, float] | None = None
 
     def compare_across(self, sighting: Sighting, road_sigma_m: float) -> None:
-        """A vehicle that went to the side is there until reckoning contradicts that."""
+        """A vehicle that went to the side is there until reckoning contradicts that, which it can for about 100 m."""
         off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
         if off_m > AGREE_SIGMAS * sigma_m:
             self.aside = off_m, sigma_m

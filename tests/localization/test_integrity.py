@@ -395,3 +395,5 @@ def test_a_street_beside_that_looks_the_same_is_contradicted_by_the_vehicles_own
     one.go(50)
     one.aside_m = 0.0
     assert None not in one.go(500)
+    one.go(30, gps=True)
+    assert None in one.go(10)
