@@ -51,7 +51,7 @@ class Facts:
     moment. own: what the autopilot reports, without what is known to be wrong of it. position: the autopilot's own,
     None where it says nothing. uncertainty_m: its standard deviation, None if unbounded. bound_by_gps, bound_wrong:
     whether GPS bounded it last, and the probability that what did was wrong. reckoned: where the vehicle is at the
-    position's moment without any place, None if unknown. aside: see `LostTrack`.
+    position's moment without any place, None if unknown. aside: see `ReckonedTrack`.
     """
 
     now_ns: int

@@ -27,7 +27,7 @@ from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
-from edge.localization.track import LostTrack, RecentInnovations, Track
+from edge.localization.track import RecentInnovations, ReckonedTrack, Track
 from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
@@ -57,8 +57,8 @@ class RouteFilter:
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
-        self._since_gps: RouteEstimate | None = None
-        self._since_lost: LostTrack | None = None
+        self._since_gps: ReckonedTrack | None = None
+        self._since_lost: ReckonedTrack | None = None
         """Where the vehicle is by reckoning alone, since GPS, and since the last track that was lost."""
 
     def bind(self, position: VehiclePosition, sigma_m: float) -> None:
@@ -69,13 +69,12 @@ class RouteFilter:
         moved_m = apart_s * np.array([position.east_mps, position.north_mps])
         position_m = self._sightings.local(position) + moved_m
         if self._since_gps is None:
-            self._since_gps = RouteEstimate(
-                position_m, sigma_m**2 * np.eye(2), self._velocity_errors(MatchErrors(self._rig.sigma_along_m))
-            )
+            errors = self._velocity_errors(MatchErrors(self._rig.sigma_along_m))
+            self._since_gps = ReckonedTrack(RouteEstimate(position_m, sigma_m**2 * np.eye(2), errors))
         for estimate in self._estimates():
             estimate.bound(position_m, sigma_m)
-        if self._since_lost is not None:
-            self._since_lost.aside = None
+        for one in self._reckoned:
+            one.aside = None
         self._choose_origin()
 
     def reject_gps(self) -> None:
@@ -83,12 +82,11 @@ class RouteFilter:
         self._exposure = self._track = self._since_gps = self._since_lost = None
 
     def _estimates(self) -> list[RouteEstimate]:
-        return [*([] if self._track is None else [self._track.estimate]), *self._reckoned]
+        return [one.estimate for one in (self._track, *self._reckoned) if one is not None]
 
     @property
-    def _reckoned(self) -> list[RouteEstimate]:
-        since_lost = None if self._since_lost is None else self._since_lost.estimate
-        return [estimate for estimate in (since_lost, self._since_gps) if estimate is not None]
+    def _reckoned(self) -> list[ReckonedTrack]:
+        return [one for one in (self._since_lost, self._since_gps) if one is not None]
 
     def update(
         self,
@@ -120,7 +118,7 @@ class RouteFilter:
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
             self._track, self._exposure = None, None
             if track.is_confirmed and self.aside is None:
-                self._since_lost = LostTrack(track.estimate)
+                self._since_lost = ReckonedTrack(track.estimate)
         if match is None or not match.accepted:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
@@ -133,8 +131,8 @@ class RouteFilter:
 
     @property
     def aside(self) -> tuple[float, float] | None:
-        """See `LostTrack`."""
-        return None if self._since_lost is None else self._since_lost.aside
+        """See `ReckonedTrack`."""
+        return next((one.aside for one in self._reckoned if one.aside is not None), None)
 
     def at_exposure(self) -> PlaceFix | None:
         """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
@@ -173,11 +171,13 @@ class RouteFilter:
             self._innovations.move(float(np.hypot(*moved_m[:2])))
             if self._track is not None:
                 self._track.move(moved_m)
-            for estimate in self._reckoned:
-                estimate.predict(moved_m)
+            for one in self._reckoned:
+                one.estimate.predict(moved_m)
         self._at = displacement
 
     def _use(self, sighting: Sighting, stamp_ns: int) -> None:
+        for one in self._reckoned:
+            one.compare_across(sighting, self._rig.sigma_across_m)
         track = self._track
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
@@ -193,7 +193,7 @@ class RouteFilter:
         road_sigma_m = self._rig.sigma_across_m
         errors = self._velocity_errors(sighting.errors)
         estimate = RouteEstimate.on_road(sighting.passed, road_sigma_m, errors)
-        tracks = [Track(reckoned.copy(), sighting, stamp_ns) for reckoned in self._reckoned]
+        tracks = [Track(one.estimate.copy(), sighting, stamp_ns) for one in self._reckoned]
         for one in tracks:
             one.estimate.begin_drive(sighting.errors)
         known = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
@@ -202,8 +202,6 @@ class RouteFilter:
             self._innovations.add(known.innovation(sighting))
         if tracks:
             track.by_chance = track.agrees_by_chance(sighting) if track is tracks[0] else math.inf
-        if self._since_lost is not None:
-            self._since_lost.compare_across(sighting, road_sigma_m)
         track.add(sighting, road_sigma_m, stamp_ns)
         return track
 

@@ -116,8 +116,8 @@ class Track:
 
 
 @dataclass
-class LostTrack:
-    """Where the vehicle is by reckoning alone since no match agreed.
+class ReckonedTrack:
+    """Where the vehicle is by reckoning alone, since GPS or since no match agreed.
 
     aside: how far beside the road of matches since then, and one standard deviation, meters; None where they agree.
     """
