@@ -6,8 +6,8 @@ The autopilot has no such checks, and a wrong position does more harm than none.
     right   the place is right, and the autopilot is wrong by that distance: as its own uncertainty says, or, where
             what bounded it last was wrong, by anything
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
-            to bound the autopilot, the map as a whole is shifted, or, where matches begin beside where the last ones
-            have the vehicle, its street looks the same (MAP_SHIFTED, SHIFT_M)
+            to bound the autopilot, the map as a whole is shifted, or, where own motion since GPS or since the last
+            matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, SHIFT_M)
 
 `place_wrong` is STRETCH_WRONG for each stretch that is independent evidence (`claims`). Evidence is gathered from every
 match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
@@ -122,9 +122,9 @@ class Facts:
 
     @property
     def by_reckoning(self) -> tuple[float, bool]:
-        """How likely the autopilot and the last matches make the position, 1 / m; whether all places may be shifted.
+        """How likely the autopilot and own motion make the position, 1 / m; whether all places may be shifted.
 
-        Infinite where nothing bounds that position.
+        Infinite where nothing bounds it.
         """
         fix = self.place
         likelihood, is_shift = math.inf, False

@@ -126,7 +126,7 @@ class ReckonedTrack:
     aside: tuple[float, float] | None = None
 
     def compare_across(self, sighting: Sighting, road_sigma_m: float) -> None:
-        """A vehicle that went to the side is there until reckoning contradicts that, which it can for about 100 m."""
+        """A vehicle that went aside is there until reckoning contradicts that: else no position follows a false one."""
         off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
         if off_m > AGREE_SIGMAS * sigma_m:
             self.aside = off_m, sigma_m

@@ -83,12 +83,14 @@ class Mapping(Plugin):
     def __init__(self, config: MappingConfig, parts: Parts) -> None:
         """SetupError for its camera."""
         self._parts = parts
+        self._meters, velocity = OwnMeters(), parts.autopilot.vehicle.velocity
         with ExitStack() as opened:
             self._open(config, opened)
+            opened.callback(setattr, velocity, "listen", velocity.listen)
             self._opened = opened.pop_all()
+        velocity.listen = self._meters.hear
         self._awaiting: Awaiting[MappedFrame] = Awaiting(parts.autopilot.history)
-        self._meters, self._counted = OwnMeters(), Awaiting[OwnDriven](parts.autopilot.history)
-        parts.autopilot.vehicle.velocity.listen = self._meters.hear
+        self._counted: Awaiting[OwnDriven] = Awaiting(parts.autopilot.history)
         self._driven: OwnDriven | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
         self._newest = self.live.so_far()

@@ -397,3 +397,13 @@ def test_a_street_beside_that_looks_the_same_is_contradicted_by_the_vehicles_own
     assert None not in one.go(500)
     one.go(30, gps=True)
     assert None in one.go(10)
+
+
+def test_a_street_beside_that_looks_the_same_is_contradicted_by_own_motion_since_gps(long_road: Road) -> None:
+    """It left the mapped road before anything was recognized without GPS."""
+    one = Vehicle(long_road)
+    one.go(200, nothing, gps=True)
+    one.aside_m = 1.0
+    one.go(50, nothing)
+    one.aside_m = 0.0
+    assert None not in one.go(500)
