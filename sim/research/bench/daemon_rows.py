@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import statistics
 import subprocess
 import sys
 import time
@@ -64,14 +63,21 @@ def measure(folder: Path, places: int, seconds: int, models: Sequence[str], size
         path = folder / f"{model}.map"
         write_simulated_map(path, places, model_key(open_network(DescriptorConfig(model=model))))
         for column in columns:
-            taken_ms: dict[int, float] = {}
-            for hz in (USED_HZ, QUICK_HZ):
-                file = _write_config(folder / column, path, model, hz, BEGUN_S + seconds)
-                taken_ms[hz] = _cpu_ms(load_config(file), seconds)
-                what = f"{model}: a second of {hz} pictures, {USED_HZ} of them used"
-                rows.append(Row(what, Times((taken_ms[hz],)), size=column))
-            unused_ms = (taken_ms[QUICK_HZ] - taken_ms[USED_HZ]) / (QUICK_HZ - USED_HZ)
-            rows.append(Row(f"{model}: one picture that is not used", Times((unused_ms,)), size=column))
+            with ExitStack() as parts:
+                driven: dict[str, _Driven] = {}
+                for hz in (USED_HZ, QUICK_HZ):
+                    file = _write_config(folder / column, path, model, hz, BEGUN_S + 1 + seconds)
+                    daemon = _Driven(load_config(file), parts)
+                    for _ in range(BEGUN_S):
+                        daemon.second()
+                    driven[f"{model}: a second of {hz} pictures, {USED_HZ} of them used"] = daemon
+                taken = race({what: one.second for what, one in driven.items()}, seconds, time.process_time_ns)
+                for daemon in driven.values():
+                    daemon.check()
+            rows += [Row(what, times, size=column) for what, times in taken.items()]
+            slow, quick = (times.runs_ms for times in taken.values())
+            unused = ((more - less) / (QUICK_HZ - USED_HZ) for less, more in zip(slow, quick, strict=True))
+            rows.append(Row(f"{model}: one picture that is not used", Times(tuple(unused)), size=column))
         start = race({"start": partial(_start, file)}, STARTS, wall_ns)["start"]
         rows.append(Row(f"{model}: start to the first picture used, wall-clock", start, size=column))
         shutil.rmtree(path)
@@ -106,7 +112,7 @@ def _write_config(feed: Path, map_path: Path, model: str, hz: int, seconds: int)
         "map": {"path": str(map_path)},
         "sampling": {"by": "frames", "spacing_frames": hz // USED_HZ},
         "sequence": {"length": LENGTH},
-        "telemetry": {"connection": f"udpin:127.0.0.1:{_free_port()}", "journal": str(feed / "events.jsonl")},
+        "telemetry": {"connection": f"udpin:127.0.0.1:{_free_port()}", "journal": str(feed / f"events-{hz}.jsonl")},
         "page": {"port": 0},
     }
     (feed / "lookback.toml").write_text(tomli_w.dumps(config), encoding="utf-8")
@@ -140,19 +146,23 @@ class _Camera:
         self._camera.close()
 
 
-def _cpu_ms(config: Config, seconds: int) -> float:
-    """Median of the milliseconds of CPU time, of all threads, in a second of the daemon, once it has begun."""
-    camera, taken_ms = _Camera(Path(config.camera.device)), []
-    with ExitStack() as parts:
-        daemon = Daemon(OpenedParts(config, parts, lambda: camera.now_ns, frames=camera))
-        for second in range(BEGUN_S + seconds):
-            before_ns = time.process_time_ns()
-            while camera.now_ns < (second + 1) * 1_000_000_000:
-                daemon.turn()
-            taken_ms.append((time.process_time_ns() - before_ns) / 1e6)
-        wanted = USED_HZ * (BEGUN_S + seconds)
-        assert daemon.last_words().frames_used == wanted, f"{wanted} pictures are to be used"
-    return statistics.median(taken_ms[BEGUN_S:])
+class _Driven:
+    """A daemon, driven second by second; two of them in turns are alike affected by other load."""
+
+    def __init__(self, config: Config, parts: ExitStack) -> None:
+        self._camera, self._second = _Camera(Path(config.camera.device)), 0
+        self._daemon = Daemon(OpenedParts(config, parts, lambda: self._camera.now_ns, frames=self._camera))
+
+    def second(self) -> None:
+        """The next second of the drive."""
+        self._second += 1
+        while self._camera.now_ns < self._second * 1_000_000_000:
+            self._daemon.turn()
+
+    def check(self) -> None:
+        """All pictures that are to be used were used."""
+        wanted = USED_HZ * self._second
+        assert self._daemon.last_words().frames_used == wanted, f"{wanted} pictures are to be used"
 
 
 def _start(config: Path) -> None:

@@ -63,17 +63,17 @@ class CourseDraft(Draft):
     killed_s: when the daemon dies at once, to be back after down_s. restarted_s: when the autopilot does. loses:
     whether the link loses a message, given seconds and whether it is the autopilot's own. silence_s: from when to when
     the autopilot sends nothing but heartbeats. maps_live: the map is made while driving, with a second camera, instead
-    of before. unseen_s: from when to when that one gives no frame. doubted_gps: of [gates]; with "send" the autopilot
-    runs our script. steers: whether the autopilot drives, or a person. unsent: parts of the way on which no position
-    may be expected. origin_off_m: east and north of the start, where the daemon's configuration has an origin; by
-    default ORIGIN_OFF_M without GPS. seen_m: the arc length that a road looks like at another, for roads that repeat.
-    frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than they say, those of
-    a stream; they are rendered then. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its messages.
-    companion_s: how often another companion computer resets the autopilot. has_double: another vehicle ahead on the
-    same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the camera,
-    as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the camera:
-    of a camera that is lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a map of
-    a folder, which `map learn` learned.
+    of before. unseen_s: from when to when that one, or else the only one, gives no frame. doubted_gps: of [gates]; with
+    "send" the autopilot runs our script. steers: whether the autopilot drives, or a person. unsent: parts of the way on
+    which no position may be expected. origin_off_m: east and north of the start, where the daemon's configuration has
+    an origin; by default ORIGIN_OFF_M without GPS. seen_m: the arc length that a road looks like at another, for roads
+    that repeat. frozen_s: from when to when the picture stands still. late_s: by how much pictures are older than they
+    say, those of a stream; they are rendered then. clock_off_s: by how much the autopilot's TIMESYNC is ahead of its
+    messages. companion_s: how often another companion computer resets the autopilot. has_double: another vehicle ahead
+    on the same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the
+    camera, as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the
+    camera: of a camera that is lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a
+    map of a folder, which `map learn` learned.
     """
 
     map: list[Stretch] = field(init=False)

@@ -113,9 +113,10 @@ class CourseSimulation(Simulation):
     def _show(self, view: View) -> None:
         frozen_s = self._draft.frozen_s
         view = view._replace(route_m=self._draft.seen_m(view.route_m))
-        self._front.expose(view, frozen=frozen_s[0] <= self.time_s() < frozen_s[1])
-        unseen_s = self._draft.unseen_s
-        if self._draft.maps_live and not unseen_s[0] <= self.time_s() < unseen_s[1]:
+        is_unseen = self._draft.unseen_s[0] <= self.time_s() < self._draft.unseen_s[1]
+        if self._draft.maps_live or not is_unseen:
+            self._front.expose(view, frozen=frozen_s[0] <= self.time_s() < frozen_s[1])
+        if self._draft.maps_live and not is_unseen:
             self.rear.expose(view.of_rear())
 
     def gps(self, time_s: float) -> GpsReport:

@@ -59,11 +59,13 @@ SEEN_S = 25.0
 
 
 EARLY_S = 3.0  # in which hardly 7 m are driven
+GAP_FROM_S, GAP_S = 50.0, 4.5
 
 
-@course("J", "px4-camera{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused")
+@course("J", "px4-camera{}", "", "-43003", "-stop", "-turn-off", "-false-260", "-unused", "-gap")
 def _px4_camera(draft: CourseDraft, value: str) -> None:
-    """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that."""
+    """The camera measures the speed of a vehicle whose PX4 runs away; our positions must not follow that. gap: no
+    picture comes for 4.5 s."""
     if value.lstrip("-") in COURSES:
         COURSES[value.lstrip("-")].lay(draft)
     draft.firmware, draft.steers = "px4-without-agp" if value == "-unused" else "px4", False
@@ -72,9 +74,11 @@ def _px4_camera(draft: CourseDraft, value: str) -> None:
     _run_away(draft)
     draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
     draft.rules = USUAL
+    if value == "-gap":
+        draft.unseen_s = GAP_FROM_S, GAP_FROM_S + GAP_S
 
 
-@course("J", "px4-camera-sent{}", "", "-steers", "-stop", "-turn-off", "-early")
+@course("J", "px4-camera-sent{}", "", "-steers", "-stop", "-turn-off", "-early", "-gap")
 def _px4_camera_sent(draft: CourseDraft, value: str) -> None:
     """As px4-camera, and PX4 fuses the velocity that the camera measures; steers: it steers itself home; early: GPS is
     lost at once, and by an earlier drive the camera is higher by a tenth than it is."""
@@ -100,11 +104,12 @@ def _px4_gps_dragged(draft: CourseDraft) -> None:
     draft.doubted_gps, draft.rules = "switch", (*HONEST, called_before_50_m, back_to_usual, sources_restored)
 
 
-@course("J", "rover-camera-sent{}", "", "-scale-10", "-slips")
+@course("J", "rover-camera-sent{}", "", "-scale-10", "-slips", "-gap")
 def _rover_camera_sent(draft: CourseDraft, value: str) -> None:
     """ArduPilot Rover without wheel encoders steers itself home by the camera's velocity and our positions; scale-10:
-    its camera is lower by a tenth than on an earlier drive, slips: from the middle of the way on."""
-    COURSES["px4-camera-sent"].lay(draft)
+    its camera is lower by a tenth than on an earlier drive, slips: from the middle of the way on, gap: as
+    px4-camera-gap."""
+    COURSES["px4-camera-sent-gap" if value == "-gap" else "px4-camera-sent"].lay(draft)
     draft.firmware, draft.steers = "ardupilot", True
     _turn(draft, ARDUPILOT_TURNS_DEG)
     if value == "-scale-10":

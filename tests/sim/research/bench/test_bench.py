@@ -113,9 +113,9 @@ def test_the_daemon_is_measured_from_the_camera_on(tmp_path: Path, monkeypatch: 
     _, five, fifteen, unused, start = took_ms.values()
     assert unused == pytest.approx((fifteen - five) / 10)
     assert min(five, fifteen, start) > 0
-    journal = (tmp_path / "96x64/events.jsonl").read_text()
-    assert '"frames_used":10' in journal
-    assert '"delivered":30' in journal, "pictures of two seconds, all of which came"
+    journal = (tmp_path / "96x64/events-15.jsonl").read_text()
+    assert '"frames_used":15' in journal
+    assert '"delivered":45' in journal, "pictures of three seconds, all of which came"
 
 
 def test_a_daemon_that_does_not_start_says_why(tmp_path: Path) -> None:
