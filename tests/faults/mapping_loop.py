@@ -26,7 +26,7 @@ from edge.reference_map import ModelKey, RegionsKey
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, logs_in
-from edge_plugins.mapping.place_log_records import LogHeader
+from edge_plugins.mapping.place_log_records import LogHeader, whole_records
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="gps")
@@ -62,8 +62,17 @@ def map_until_killed(folder: Path, told: int) -> None:
             time.sleep(0.0002)
 
 
-def kill_once(folder: Path, told: int, pause_s: float) -> int:
-    """Map for a while, and kill the process; how many places it had handed over."""
+def is_cut_off(file: Path) -> bool:
+    """Whether the file ends within a record."""
+    with file.open("rb") as log:
+        return max(end for _, end, _ in whole_records(log.fileno())) < file.stat().st_size
+
+
+def kill_once(folder: Path, told: int, pause_s: float, *, meets_record: bool) -> int:
+    """Map for a while, and kill the process; how many places it had handed over.
+
+    meets_record: in the middle of a record, for which it is stopped until it is there.
+    """
     os.pwrite(told, bytes(16), 0)
     child = os.fork()
     if child == 0:
@@ -71,6 +80,14 @@ def kill_once(folder: Path, told: int, pause_s: float) -> int:
     while os.pread(told, 8, 0) == bytes(8) or os.pread(told, 8, 0) == os.pread(told, 8, 8):
         time.sleep(0.0005)  # until it has begun: a busy machine lets it wait
     time.sleep(pause_s)
+    while meets_record:
+        os.kill(child, signal.SIGSTOP)
+        os.waitpid(child, os.WUNTRACED)
+        (file,) = logs_in(folder / "maps")
+        if is_cut_off(file):
+            break
+        os.kill(child, signal.SIGCONT)
+        time.sleep(0.0005)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return int.from_bytes(os.pread(told, 8, 8), "little") - 1
@@ -80,8 +97,8 @@ def crash(folder: Path, kills: int, seed: int) -> dict[str, list[int]]:
     """Kill so many mapping processes, each of which goes on with what the one before has left."""
     rng, told = random.Random(seed), os.open(folder / "told", os.O_RDWR | os.O_CREAT)
     found: dict[str, list[int]] = {"places": [], "lost": [], "cut": []}
-    for _ in range(kills):
-        handed_over = kill_once(folder, told, rng.uniform(0.0, LONGEST_S))
+    for number in range(kills):
+        handed_over = kill_once(folder, told, rng.uniform(0.0, LONGEST_S), meets_record=number % 4 == 0)
         (file,) = logs_in(folder / "maps")
         size = file.stat().st_size
         left = OpenLog(file)

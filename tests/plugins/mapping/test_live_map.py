@@ -467,6 +467,7 @@ def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path) -> None:
     drive(mapped, range(row, row + 20))
     assert mapped.status.state == "mapping"
     mapped.close()
+    writer.join()  # which runs last on a busy computer
     again = live(tmp_path)
     assert again.status.places == mapped.status.places
     again.close()
