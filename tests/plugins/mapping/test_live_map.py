@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -446,28 +447,25 @@ def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp
     assert without.is_dir()
 
 
-def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path) -> None:
-    """The thread that writes runs only when nothing else does, on one processor: the disk seems slow."""
-    mapped, row = live(tmp_path), 20
+def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mapped, row, disk = live(tmp_path), 20, threading.Lock()
+
+    def pwrite(descriptor: int, data: bytes, at: int, write: Callable[..., int] = os.pwrite) -> int:
+        with disk:
+            return write(descriptor, data, at)
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
     drive(mapped, range(row))
-    (writer,) = (thread for thread in threading.enumerate() if thread.name == "mapping")
-    mine = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(mine)})
-    os.sched_setaffinity(writer.native_id or 0, {min(mine)})
-    os.sched_setscheduler(writer.native_id or 0, os.SCHED_IDLE, os.sched_param(0))
-    try:
+    with disk:
         while mapped.status.state == "mapping" and row < 5000:
             mapped.add(raw_of(row), IMAGE, replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800), row * 2.0)
             row += 1
-    finally:
-        os.sched_setaffinity(0, mine)
     assert (mapped.status.state, mapped.status.why) == ("waiting", "the disk is too slow")
     while mapped.waiting:
         time.sleep(0.01)
     drive(mapped, range(row, row + 20))
     assert mapped.status.state == "mapping"
     mapped.close()
-    writer.join()  # which runs last on a busy computer
     again = live(tmp_path)
     assert again.status.places == mapped.status.places
     again.close()
