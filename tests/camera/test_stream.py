@@ -253,7 +253,7 @@ def test_a_stream_that_hangs_is_lost_in_time(serve: Callable[..., MjpegServer]) 
         yield from itertools.islice(endless(), 60)
         let_go.wait(PATIENCE_S)
 
-    camera = StreamCamera(serve(script).config(stall_timeout_s=0.2))
+    camera = StreamCamera(serve(script).config(stall_timeout_s=1.0))  # a busy computer opens it as well
     assert read_until(camera, CameraLost).endswith("no answer; is the camera on, and the network up?")
     let_go.set()
     camera.close()
