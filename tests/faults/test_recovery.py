@@ -24,6 +24,7 @@ from edge.errors import CameraLost
 from edge.feed import FeedImages, read_feed
 from edge.health.health import MAV_STATES, Health
 from edge.journal.records import StateChanged
+from edge.telemetry import encoders
 from sim.journal import records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE
 
@@ -54,25 +55,22 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
 class Witness:
     """Hears what a daemon says of itself, step by step, and whether all its voices agree."""
 
-    def __init__(self, bench: Any, manager: socket.socket, journal: Path) -> None:
+    def __init__(self, bench: Any, manager: socket.socket, journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self._bench, self._manager, self._journal = bench, manager, journal
         self._status = ""
-        self._beat_at = 0
+        self._beats: list[int] = []  # as sent: they may wait in the cable
+        monkeypatch.setattr(encoders, "heartbeat", self._send)
         self.states: list[Health] = []
         self.fixes_at: list[int] = []
 
     def step(self, image: Image | None, number: int) -> None:
         """A step of the bench. What arrives in it, the daemon has sent before its last turn."""
-        fixes, heartbeats = self._fixes(), len(self._heard("HEARTBEAT"))
+        fixes, heartbeats, before = self._fixes(), len(self._beats), self.states[-1:]
         self._bench.step(image, number)
         self.fixes_at += [number] * (self._fixes() - fixes)
         self.states.append(self._bench.daemon.parts.monitor.health)
-        # One may have waited for an autopilot that did not listen, but none since the one before.
-        may_be = {MAV_STATES[state.state] for state in self.states[self._beat_at :]}
-        beats = {beat.system_status for beat in self._heard("HEARTBEAT")[heartbeats:]}
-        assert beats <= may_be
-        if beats:
-            self._beat_at = len(self.states) - 1
+        may_be = {MAV_STATES[state.state] for state in (*before, self.states[-1])}
+        assert set(self._beats[heartbeats:]) <= may_be
         self._status = self._newest_status() or self._status
         assert self._status == f"STATUS={self.states[-1]}"
 
@@ -85,13 +83,19 @@ class Witness:
         assert any(state.state == "degraded" and state.why.startswith(words) for state in self.states), changes
         texts = " ".join(message.text for message in self._heard("STATUSTEXT"))
         assert texts.count(f"Lookback degraded: {words}") == 1
-        assert len(self._heard("HEARTBEAT")) >= len(self.states) // 5 - 1, "once a second, blind or not"
+        heard, sent = self._heard("HEARTBEAT"), iter(self._beats)
+        assert all(beat.system_status in sent for beat in heard), "in the order in which they were sent"
+        assert len(heard) >= len(self.states) // 5 - 1, "once a second, blind or not"
         assert self.states[-1].state == "on the map"
         return changes
 
     def during(self, words: str) -> list[int]:
         """The steps, in frames of the drive, at which a reason was told."""
         return [number - 20 for number, state in enumerate(self.states) if words in state.why]
+
+    def _send(self, status: int, heartbeat: Callable[[int], Any] = encoders.heartbeat) -> Any:
+        self._beats.append(status)
+        return heartbeat(status)
 
     def _heard(self, kind: str) -> list[Any]:
         return [item.message for item in self._bench.autopilot.received if item.message.get_type() == kind]
@@ -108,6 +112,11 @@ class Witness:
                 return newest
             if word.startswith("STATUS="):
                 newest = word
+
+
+@pytest.fixture
+def make_witness(manager: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], Witness]:
+    return lambda bench: Witness(bench, manager, tmp_path / "events.jsonl", monkeypatch)
 
 
 @pytest.fixture
@@ -146,13 +155,12 @@ def test_a_blindness(
     images: list[Image],
     make_bench: Callable[..., Any],
     fixing: Path,
-    tmp_path: Path,
-    manager: socket.socket,
+    make_witness: Callable[[Any], Witness],
     figures: Callable[[str], None],
 ) -> None:
     """No fix goes out from the first picture on that shows nothing, also while it is too early to tell."""
     bench = make_bench(fixing)
-    witness = Witness(bench, manager, tmp_path / "events.jsonl")
+    witness = make_witness(bench)
     for number in range(-20, FRAMES):
         image = images[number] if number >= 0 else None
         if FAULT_FROM <= number < FAULT_TO:
@@ -233,8 +241,7 @@ def test_a_camera_that_is_opened_again(
     images: list[Image],
     make_bench: Callable[..., Any],
     fixing: Path,
-    tmp_path: Path,
-    manager: socket.socket,
+    make_witness: Callable[[Any], Witness],
     figures: Callable[[str], None],
 ) -> None:
     """Through the camera's own thread: one blindness, told once, however often it is opened in vain."""
@@ -252,7 +259,7 @@ def test_a_camera_that_is_opened_again(
             open_camera, first_back_off_s=0.001, longest_back_off_s=0.001, clock_ns=clock_ns
         ),
     )
-    witness = Witness(bench, manager, tmp_path / "events.jsonl")
+    witness = make_witness(bench)
     assert waits.acquire(timeout=PATIENCE_S)
     for number in range(-20, FRAMES):
         if number >= 0:
@@ -277,12 +284,11 @@ def test_an_autopilot_that_falls_silent(
     images: list[Image],
     make_bench: Callable[..., Any],
     write_config: Callable[..., Path],
-    tmp_path: Path,
-    manager: socket.socket,
+    make_witness: Callable[[Any], Witness],
 ) -> None:
     """Twice along the street; the autopilot is back before the end, and receives the state."""
     bench = make_bench(write_config())
-    witness = Witness(bench, manager, tmp_path / "events.jsonl")
+    witness = make_witness(bench)
     drive = [*images, *images]
     for number in range(-20, len(drive)):
         bench.autopilot_speaks = not 30 <= number < 100
@@ -311,13 +317,12 @@ def test_a_frame_that_takes_too_long(
     images: list[Image],
     make_bench: Callable[..., Any],
     write_config: Callable[..., Path],
-    tmp_path: Path,
-    manager: socket.socket,
+    make_witness: Callable[[Any], Witness],
     network: Network,
 ) -> None:
     slow = SlowNetwork(network)
     bench = make_bench(write_config(), network=slow)
-    witness = Witness(bench, manager, tmp_path / "events.jsonl")
+    witness = make_witness(bench)
 
     def wait() -> None:
         bench.now_ns += 1_500_000_000 if 40 <= bench.number < 50 else 0

@@ -149,7 +149,7 @@ def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
             assert bounds.east == tile.places["lon_deg"].max()
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     start=st.integers(0, PLACES_OF_ALL - 200),
     frames=st.integers(LENGTH, 150),
