@@ -25,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("what", nargs="+", type=Path, metavar="PLAN or RECORDING", help=about)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of the report's files")
     many: dict[str, Any] = {"action": "append", "default": []}
-    parser.add_argument("--method", **many, metavar="ROW", help="this row instead of those of the plan; again for more")
+    about = "this row instead of those of the plan, beside those of other options; again for more"
+    parser.add_argument("--method", **many, metavar="ROW", help=about)
     about = "grid, fc6, or any ONNX file; :HEIGHTxWIDTH where it takes images of any size"
     parser.add_argument("--network", **many, metavar="NAME=FILE", help=about)
     about = "descriptors (n, D) of both recordings: NAME=REFERENCE.npy,QUERY.npy"

@@ -165,7 +165,7 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
     unit = "m" if pair.truth in ("positions", "route_m") else "frames"
     on_map = int(outcome.answers.has_truth.sum())
     known = outcome.errors[outcome.judged][outcome.answers.has_truth]
-    guess = float((known <= pair.tolerance).mean()) if on_map else 0.0
+    guess = float((known <= pair.tolerance).sum() / (~np.isnan(known)).sum()) if on_map else 0.0
     return (
         f"{pair.query} against {pair.reference}: {len(outcome.query.rows)} frames and {len(outcome.reference.rows)}"
         f" places, sequences of {outcome.length} frames, tolerance {pair.tolerance:g} {unit}."

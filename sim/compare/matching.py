@@ -130,15 +130,17 @@ def match_seqslam(reference: NDArray[np.float32], query: NDArray[np.float32], le
 
 
 def judge(matches: Matches, errors: NDArray[np.float64], tolerance: float, queries: NDArray[np.intp]) -> Answers:
-    """Judge the matches of some queries by the true errors (Q, N); a place of error NaN is no answer."""
-    best = errors_of(matches.place, errors)[queries]
-    has_truth = np.fmin.reduce(errors[queries], axis=1) <= tolerance
-    answers = Answers(
+    """Judge the matches of some queries by the true errors (Q, N); an answer for each of the queries."""
+    return Answers(
         confidence=matches.confidence[queries],
-        correct=best <= tolerance,
-        has_truth=has_truth,
+        correct=errors_of(matches.place, errors)[queries] <= tolerance,
+        has_truth=np.fmin.reduce(errors[queries], axis=1) <= tolerance,
     )
-    return answers.take(np.flatnonzero(~np.isnan(best)))
+
+
+def counted(matches: Matches, errors: NDArray[np.float64], queries: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those of the queries whose answer is right or wrong: its error (Q, N) is not NaN."""
+    return queries[~np.isnan(errors_of(matches.place, errors)[queries])]
 
 
 def judged_queries(errors: NDArray[np.float64], length: int, drives: Sequence[slice] = ()) -> NDArray[np.intp]:

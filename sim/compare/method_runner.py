@@ -23,6 +23,7 @@ from sim.compare.descriptions import Descriptions
 from sim.compare.matching import (
     Matches,
     as_costs,
+    counted,
     errors_of,
     judge,
     judged_queries,
@@ -49,9 +50,9 @@ class Outcome:
     """Answers of a method on a pair.
 
     ahead: how far ahead of the query its right place lies, see `Pair.ahead`. errors: (Q, N) distance of every query's
-    right place to every place. length: frames of a sequence. judged: the queries that `answers` are about, see
-    `judged_queries`; matches and errors have all. frame_ms: CPU time of a frame of the query, described and matched;
-    NaN where descriptors or similarities were made elsewhere.
+    right place to every place. length: frames of a sequence. judged: the queries that `answers` are about, one for one,
+    see `judged_queries` and `counted`; matches and errors have all. frame_ms: CPU time of a frame of the query,
+    described and matched; NaN where descriptors or similarities were made elsewhere.
     """
 
     pair: Pair
@@ -101,7 +102,7 @@ class Outcome:
         along = place_coordinates(self.reference, self.pair)[1]
         known = ~np.isnan(self.errors).all(axis=1) & (self.matches.place >= 0)
         out = np.full(len(self.errors), np.nan)
-        further = along[self.matches.place[known]] - along[self.errors[known].argmin(axis=1)]
+        further = along[self.matches.place[known]] - along[np.nanargmin(self.errors[known], axis=1)]
         if self.pair.loop:
             further = (further + self.pair.loop / 2) % self.pair.loop - self.pair.loop / 2
         out[known] = np.where(self.matches.reverse[known], -further, further) + self.ahead
@@ -142,6 +143,7 @@ class MethodRunner:
         judged = judged_queries(errors, length, query.drives())
         if not judged.size:
             raise ConfigError(f"pair {pair.name!r}: no frame with a known true place ends a sequence of {length}")
+        judged = counted(matches, errors, judged)
         answers = judge(matches, errors, pair.tolerance, judged)
         frame_ms = described_ms + matched_ms
         return Outcome(pair, method, length, reference, query, matches, ahead, errors, judged, answers, frame_ms)

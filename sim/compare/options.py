@@ -53,8 +53,17 @@ def plan_of(args: argparse.Namespace) -> Plan:
 
 
 def with_options(plan: Plan, args: argparse.Namespace) -> Plan:
-    """The plan with the networks, descriptors, similarities and methods of the options as well. ConfigError."""
-    networks, pairs, rows = dict(plan.networks), list(plan.pairs), list[str]()
+    """The plan with the networks, descriptors, similarities and methods of the options as well. ConfigError.
+
+    What an option adds has its rows beside those of `--method`, unless `--method` names rows of it.
+    """
+    networks, pairs, methods = dict(plan.networks), list(plan.pairs), list[str](args.method or plan.methods)
+    chosen = tuple(methods)
+
+    def add(rows: list[str], name: str) -> None:
+        if not any(name in (row.partition("@")[2], row.removesuffix(SEQUENCES)) for row in args.method):
+            methods.extend(rows)
+
     for text in args.network:
         name, file = _named("--network", text)
         size = re.fullmatch(r"(.+):(\d+)x(\d+)", file)
@@ -62,20 +71,19 @@ def with_options(plan: Plan, args: argparse.Namespace) -> Plan:
         if given["model"] not in NETWORKS:
             given["model"] = str(Path(str(given["model"])).resolve())
         networks[name] = msgspec.convert(given, NetworkPlan)
-        rows += [f"{row}@{name}" for row in plan.methods if row in METHODS and METHODS[row].layer == "fc6"]
+        add([f"{row}@{name}" for row in chosen if row in METHODS and METHODS[row].layer == "fc6"], name)
     for text in args.descriptors:
         name, files = _named("--descriptors", text)
         both = [str(Path(file).resolve()) for file in files.split(",")]
         if len(both) != BOTH:
             raise ConfigError(f"--descriptors: {text!r} is not NAME=REFERENCE.npy,QUERY.npy")
         networks[name] = NetworkPlan(descriptors=dict(zip(("reference", "query"), both, strict=True)))
-        rows += [f"{row}@{name}" for row in ("Raw-single", "NSD-fc6")]
+        add([f"{row}@{name}" for row in ("Raw-single", "NSD-fc6")], name)
     for text in args.similarity:
         name, file = _named("--similarity", text)
         matrix = {name: str(Path(file).resolve())}
         pairs = [msgspec.structs.replace(pair, similarity=pair.similarity | matrix) for pair in pairs]
-        rows += [name, f"{name}{SEQUENCES}"]
-    methods = args.method or [*plan.methods, *rows]
+        add([name, f"{name}{SEQUENCES}"], name)
     return msgspec.structs.replace(plan, networks=networks, pairs=pairs, methods=methods)
 
 

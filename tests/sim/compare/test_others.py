@@ -16,7 +16,7 @@ import pytest
 from edge.__main__ import main
 from edge.errors import ConfigError, ModelError
 from sim.compare.foreign import ForeignNetwork, open_file
-from sim.compare.matching import judge, match_alone
+from sim.compare.matching import counted, judge, match_alone
 from sim.compare.method_runner import Outcome
 from sim.compare.plan import Pair
 from sim.compare.truth import matrix_errors, read_array
@@ -109,6 +109,29 @@ def test_similarities_of_others_alone_and_with_sequences(compare: Compare, tmp_p
     assert first(rows["S"], "R@1") <= float(rows["S"]["R@5"]) <= float(rows["S"]["R@10"])
 
 
+def test_soft_truth_as_vpr_tutorial_has_it(compare: Compare, tmp_path: Path) -> None:
+    """GThard and GTsoft: the frame that finds its soft neighbor does not count, and lies right of the page as well."""
+    similarity = np.exp(-np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)))
+    similarity[4, 6] = similarity[5, 12] = 0.0
+    similarity[4, 8] = similarity[5, 14] = 2.0  # a soft neighbor, and a wrong place
+    np.save(tmp_path / "s.npy", similarity)
+    np.save(tmp_path / "soft.npy", np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)) <= 2)
+    given = ("--similarity", f"S={tmp_path / 's.npy'}", "--soft", str(tmp_path / "soft.npy"))
+    code, rows = compare(*given, "--method", "SeqSLAM")
+    assert code == 0 and list(rows) == ["SeqSLAM", "S", "S/sequences"]
+    assert first(rows["S"], "R@1") == pytest.approx(8 / 9, abs=0.01)  # of ten, one found its soft neighbor
+    assert float(rows["S"]["median error"]) == 0.0
+
+
+def test_a_chosen_row_keeps_those_of_other_options(compare: Compare, tmp_path: Path) -> None:
+    place = np.random.default_rng(0).normal(size=(THERE, 8))
+    np.save(tmp_path / "reference.npy", place)
+    np.save(tmp_path / "query.npy", place[2 : 2 + HERE])
+    given = ("--descriptors", f"vlad={tmp_path / 'reference.npy'},{tmp_path / 'query.npy'}")
+    assert list(compare(*given, "--method", "SeqSLAM")[1]) == ["SeqSLAM", "Raw-single@vlad", "NSD-fc6@vlad"]
+    assert list(compare(*given, "--method", "Raw-single@vlad")[1]) == ["Raw-single@vlad"]
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -147,7 +170,8 @@ def test_what_is_neither_right_nor_wrong_does_not_count(tmp_path: Path) -> None:
     pair = Pair("p", "r", "q", "hard.npy", soft="soft.npy", length=1)
     errors = matrix_errors(pair, (3, 3), tmp_path)
     assert np.isnan(errors).sum() == 2 and (errors == 0).sum() == 3
-    answers = judge(match_alone(np.eye(3, k=1) + 0.1), errors, 1.0, np.arange(3))
+    matches = match_alone(np.eye(3, k=1) + 0.1)
+    answers = judge(matches, errors, 1.0, counted(matches, errors, np.arange(3)))
     assert answers.correct.tolist() == [False]  # the first two found their soft neighbor; the third one is wrong
     assert answers.has_truth.tolist() == [True]
 
