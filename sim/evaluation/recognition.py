@@ -72,8 +72,9 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
 
 @dataclass(frozen=True)
 class Judged:
-    """A recording's frames with a known position, of which `rows` are the indices among all used frames.
+    """A recording's frames that positions judge, of which `rows` are the indices among all used frames.
 
+    Of a frame without a position, and of one whose place has none, nobody knows whether it is right: it is not here.
     believed (Q,) bool; error_m (Q,), NaN where no place was matched. within_twice: see `answers_within`.
     ahead_m: of the median believed place, from the vehicle in the direction of travel; NaN if there is none.
     truth_m (Q, 2), places_m (P, 2): meters east and north of one origin, places those with a position.
@@ -119,13 +120,16 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
     """Compare the answers with known positions. FeedError, MapError where there are none."""
     feed = seen.feed
     truth = [(feed.rows[one.frame].lat_deg, feed.rows[one.frame].lon_deg) for one in seen.used]
-    rows = np.flatnonzero([lat_deg is not None for lat_deg, _ in truth])
-    if not rows.size:
+    if all(lat_deg is None for lat_deg, _ in truth):
         raise FeedError(f"{feed.path}: no frame that is used has lat_deg and lon_deg, so nothing can be judged")
     places_deg = np.column_stack([maps.places["lat_deg"], maps.places["lon_deg"]])
     places_deg = places_deg[~np.isnan(places_deg).any(axis=1)]
     if not places_deg.size:
         raise MapError("no place of the map has a position, so nothing can be judged")
+    is_known = [one.place is None or one.lat_deg is not None for one in seen.used]
+    rows = np.flatnonzero([here is not None and known for (here, _), known in zip(truth, is_known, strict=True)])
+    if not rows.size:
+        raise MapError("no place that a frame with a position is matched to has one, so nothing can be judged")
     used = [seen.used[row] for row in rows]
     truth_deg = np.array([truth[row] for row in rows], dtype=float)
     found_deg = np.array([(one.lat_deg, one.lon_deg) for one in used], dtype=float)  # None becomes NaN

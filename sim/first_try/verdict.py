@@ -109,6 +109,11 @@ def verdict(tried: Tried) -> Verdict:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
         facts += _judged_facts(tried.judged, tried.tolerance_m)
+        unknown = int(believed.sum() - tried.judged.believed.sum())
+        if unknown:
+            facts.append(
+                f"{unknown} more believed places are neither right nor wrong: the frame or the place has no position"
+            )
     found = ", ".join(
         f"{_ahead(one.ahead_m)} ± {one.ahead_sigma_m:.1f} m ({one.direction}, {one.order})" for one in tried.offsets
     )
@@ -135,7 +140,7 @@ def _headline(tried: Tried, share: float) -> str:
 
 def _judged_facts(judged: Judged, tolerance_m: float) -> list[str]:
     if not judged.believed.any():
-        return ["no place is believed, so there is no precision"]
+        return ["no place with a position is believed, so there is no precision"]
     errors_m = judged.error_m[judged.believed]
     believed, on_map = int(judged.believed.sum()), int(judged.answers.has_truth.sum())
     return [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -93,6 +94,22 @@ def test_two_videos_with_their_tracks(
     feed = read_feed(tmp_path / "tried/query")
     assert len(feed.rows) == 55, "those before the track have no position"
     assert feed.rows[0].lat_deg == pytest.approx(-27.0 + 20 / 110_800)
+
+
+def test_where_gps_had_a_gap_nothing_is_right_or_wrong(
+    write_traverse: WriteTraverse, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the map, 15 places in the middle have no position, and of the query the last 5 frames."""
+    for name, gap in (("out", range(30, 45)), ("again", range(75, 80))):
+        path = write_traverse(tmp_path / name, noise=8.0 * (name == "again")) / "frames.csv"
+        names, *rows = [line.split(",") for line in path.read_text().splitlines()]
+        for row, column in product(gap, ("lat_deg", "lon_deg")):
+            rows[row][names.index(column)] = ""
+        path.write_text("".join(",".join(row) + "\n" for row in (names, *rows)))
+    assert main(["try", *(str(tmp_path / name) for name in ("out", "again")), "-o", str(tmp_path / "tried")]) == 0
+    printed = capsys.readouterr().out
+    assert "\nRecognized" in printed and "precision 1.000" in printed and "nan" not in printed, printed
+    assert "20 more believed places are neither right nor wrong: the frame or the place has no position" in printed
 
 
 @pytest.mark.parametrize("is_located", [False, True])
