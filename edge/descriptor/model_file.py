@@ -25,6 +25,8 @@ from edge.extras import install_command
 FC6_FILE, NETWORK_FILE = "fc6_int8.onnx", "network_int8.onnx"
 """The network file of a model folder: of an AlexNet, and of any other network."""
 GRID = Path(__file__).parent / "models" / "grid" / "network_float32.onnx"
+XFEAT = Path(__file__).parents[1] / "keypoints" / "models" / "xfeat" / "network_float32.onnx"
+"""The network of `edge.keypoints`."""
 FC6_PACKAGE = "lookback_fc6"
 FC6_NAME = "alexnet_places100"
 
@@ -109,8 +111,8 @@ def resolve_model(path: Path | None, name: str = FC6_FILE) -> Path:
     """
     if path is None or str(path) == "fc6":
         path = fc6_folder()
-    elif str(path) == "grid":
-        path = GRID
+    elif str(path) in ("grid", "xfeat"):
+        path = GRID if str(path) == "grid" else XFEAT
     if not path.is_dir():
         return path
     other = path / NETWORK_FILE

@@ -21,7 +21,7 @@ from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
-from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize
+from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize, xfeat
 from sim.model_tools.frames import kinds_of, pictures_of
 from sim.model_tools.torch_file import export_onnx
 from sim.output import refusing
@@ -39,7 +39,9 @@ MARGIN = 0.001
 
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Add the options of `lookback model import`."""
-    about = f"a network (.onnx, TorchScript .pt, exported .pt2), or {efficientnet.NAME}, of the extra efficientnet"
+    about = (
+        f"a network (.onnx, TorchScript .pt, exported .pt2), {efficientnet.NAME} (extra efficientnet) or {xfeat.NAME}"
+    )
     parser.add_argument("weights", type=Path, metavar="MODEL", help=about)
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
     about = "measure the ranges of int8 on these feeds"
@@ -86,6 +88,8 @@ class _Source:
 
 def run(args: argparse.Namespace) -> int:
     """Write the network file."""
+    if str(args.weights) == xfeat.NAME:
+        return _keypoints(args)
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
         raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file; AlexNet's weights: `lookback dev alexnet`")
@@ -102,6 +106,15 @@ def run(args: argparse.Namespace) -> int:
         write(exact, written)
     if not args.float_only:
         write(_rounded(args.calibrate, exact, info), file)
+    return 0
+
+
+def _keypoints(args: argparse.Namespace) -> int:
+    """XFeat, which is no descriptor and whose graph has nothing to choose."""
+    no = ("calibrate", "name", "license", "source", "tap", "float", "pool", "columns", "size", "layout", "mean", "std")
+    if given := [f"--{name}" for name in no if getattr(args, name)]:
+        raise ConfigError(f"model import {xfeat.NAME}: has no {', '.join(given)}; it is made whole, and in float")
+    write(xfeat.build(*xfeat.read_packaged_weights()), network_file(args.output, "network_float32.onnx"))
     return 0
 
 

@@ -331,6 +331,7 @@ def test_the_examples_of_good_code_are_code_of_this_repository() -> None:
 def test_each_package_names_the_license_of_its_network() -> None:
     for folder, license_name, card in (
         (ROOT, "Apache-2.0", "edge/descriptor/models/grid/README.md"),
+        (ROOT, "Apache-2.0", "edge/keypoints/models/xfeat/README.md"),
         (ROOT / FC6_PACKAGE, "LicenseRef-Places-CNN-non-commercial", "README.md"),
     ):
         project = toml_values((folder / "pyproject.toml").read_text(encoding="utf-8"), folder)["project"]
