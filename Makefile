@@ -9,10 +9,13 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-benchmark flights test test-core test-python soak: export OMP_NUM_THREADS := 1
-benchmark flights test test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-benchmark flights test test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
+benchmark flights test test-long test-core test-python soak: export OMP_NUM_THREADS := 1
+benchmark flights test test-long test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+benchmark flights test test-long test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
 # One more than processors: some tests wait.
+# CHANGED=1: only the tests of what this branch has changed; CHANGED=COMMIT: of what has changed since then.
+CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(filter-out 1,$(CHANGED))),$(error CHANGED=$(CHANGED): no such commit)))
+WITH_LONG := -m 'not hardware and not soak'
 SIDE_BY_SIDE := -n $(shell expr $$(nproc) + 1) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
 WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
@@ -21,23 +24,28 @@ NOT_CORE := sim docs faults firmware_config hardware systemd
 ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
 	plugins/mapping/test_outage.py plugins/motion
 
-.PHONY: demo flights test test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
+.PHONY: demo flights test test-long test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
 .PHONY: benchmark clean docs notebook
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(CHANGED_TESTS)
+	@echo "Not run, since they take long and seldom fail alone: most courses of the trial, rendered goldens, commands of the"
+	@echo "docs, installation, kills, a day, other processors. make test-long runs them, make check everything."
+
+test-long: $(VENV)/.dev
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m long
 
 # The tests of edge/ and its plug-ins alone, for a Python beside the one of .venv.
 test-core:
-	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(NOT_CORE:%=--ignore tests/%)
+	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(WITH_LONG) $(NOT_CORE:%=--ignore tests/%)
 
 # What may differ from one Python to another: imports, config, files, sockets, threads, subprocesses, the page, and the
 # daemon with a camera and an autopilot.
 test-python:
-	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(ALIKE:%=--ignore tests/%) \
+	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(WITH_LONG) $(ALIKE:%=--ignore tests/%) \
 		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
 		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
 
@@ -79,7 +87,7 @@ soak: $(VENV)/.dev
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(nproc) -o soak
 	$(BIN)/lookback dev gps -o soak/gps
 
-check: lint test smoke
+check: lint docs test test-long smoke
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -9,6 +9,8 @@ import sys
 import venv
 from pathlib import Path
 
+import pytest
+
 from edge.extras import DISTRIBUTION, install_command
 
 ROOT = Path(__file__).parents[1]
@@ -25,6 +27,7 @@ def test_elsewhere_the_installed_distribution_gets_its_extras(tmp_path: Path) ->
     assert command[-4:] == ["-m", "pip", "install", f"{DISTRIBUTION}[page]"]
 
 
+@pytest.mark.long
 def test_the_command_adds_an_extra_without_a_package_index(tmp_path: Path) -> None:
     """pip reads the extras of what is installed: neither the index nor the source is asked for the distribution."""
     venv.create(tmp_path / "venv", with_pip=True)

@@ -97,6 +97,7 @@ def check_as_here(drives: Path, tmp_path: Path, *command: str, **environment: st
 
 
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="runs this Python on an older processor of the same kind")
+@pytest.mark.long
 def test_x86_without_vnni(drives: Path, tmp_path: Path) -> None:
     """Haswell has AVX2, whose int8 products saturate at 16 bits."""
     python = str(Path(sys.executable).resolve())
@@ -104,6 +105,7 @@ def test_x86_without_vnni(drives: Path, tmp_path: Path) -> None:
     check_as_here(drives, tmp_path, emulator("x86_64"), "-cpu", "Haswell", python, PYTHONPATH=path)
 
 
+@pytest.mark.long
 def test_aarch64(drives: Path, tmp_path: Path) -> None:
     root = os.environ.get("LOOKBACK_AARCH64_ROOT")
     if not root:

@@ -115,6 +115,7 @@ def programs() -> Iterator[Path]:
         yield Path(folder)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_command_works(page: Path, programs: Path, tmp_path: Path, make_once: Callable[..., Path]) -> None:
     def run_readme(folder: Path) -> None:

@@ -30,6 +30,7 @@ def shown(path: Path) -> list[str]:
     return ["".join(out["text"]) if "text" in out else " ".join(sorted(out["data"])) for out in found]
 
 
+@pytest.mark.long
 def test_the_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
     """If this fails for what is printed: make notebook"""
     for package in ("nbclient", "ipykernel", "panda3d"):

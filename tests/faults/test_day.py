@@ -16,6 +16,8 @@ from edge.feed import FeedImages, read_feed
 from edge.journal.records import PlaceFix
 from sim.journal import records_of
 
+pytestmark = pytest.mark.long
+
 ROWS = 80
 LAP = 2 * (ROWS - 1)
 """Frames there and back."""

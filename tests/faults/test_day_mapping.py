@@ -21,6 +21,8 @@ from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.faults.mapping_loop import GPS
 
+pytestmark = pytest.mark.long
+
 DIMENSIONS = 128
 TEN_HOURS = 10 * 3600 * 5
 PLACE_BYTES = 2 * DIMENSIONS + 100 + 200

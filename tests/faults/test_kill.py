@@ -18,6 +18,8 @@ from edge.journal.records import StateChanged
 from edge.warm_start import Moment, StateFile, StateKey
 from sim.journal import records_of
 
+pytestmark = pytest.mark.long
+
 CRASH_LOOP = Path(__file__).with_name("crash_loop.py")
 
 

@@ -12,6 +12,8 @@ import pytest
 from sim.maps.exchange import write_delta
 from tests.plugins.layers.drives import MADE_S, Driven, build
 
+pytestmark = pytest.mark.long
+
 KILLS = pytest.mark.parametrize("kills", [20, pytest.param(200, marks=pytest.mark.soak)])
 
 

@@ -15,6 +15,8 @@ from edge.reference_map import open_map
 from edge_plugins.mapping.place_log import logs_in
 from tests.faults.mapping_loop import open_live
 
+pytestmark = pytest.mark.long
+
 LOOP = Path(__file__).with_name("mapping_loop.py")
 MOST_LOST = 5
 

@@ -23,8 +23,6 @@ from edge.localization.position_estimator import Asked
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
 
-CASES = [*cases("replay"), *cases("run"), *cases("drives")]
-
 
 @pytest.fixture
 def scratch(make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
@@ -37,7 +35,13 @@ APART_M, METERS_A_DEGREE = 0.5, 110_574.0
 differently in the last bits: positions were up to 0.08 m apart, all that was decided was equal."""
 
 
-@pytest.mark.parametrize("folder", CASES, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
+RENDERED = [pytest.param(folder, marks=pytest.mark.long) for folder in cases("drives")]
+"""Rendered and described anew: four in five of the seconds that all goldens take."""
+
+
+@pytest.mark.parametrize(
+    "folder", [*cases("replay"), *cases("run"), *RENDERED], ids=lambda folder: f"{folder.parent.name}-{folder.name}"
+)
 def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: MemoizingNetwork, tmp_path: Path) -> None:
     """And of a run, a bare estimator gives the daemon's answers to the list of the drive."""
     if folder.parent.name == "drives":

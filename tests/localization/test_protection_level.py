@@ -23,6 +23,7 @@ FIX = PlaceFix(
 )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("has_parallax", "most"), [(False, 6), (True, 10)])
 def test_errors_stay_within_their_protection_levels_on_right_maps(
     has_parallax: bool, most: float, tmp_path: Path

@@ -25,6 +25,8 @@ from packaging.requirements import Requirement
 
 import edge
 
+pytestmark = pytest.mark.long
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.long
+
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 MAIN = """import pathlib, sys
 here = pathlib.Path(__file__).parent

@@ -19,6 +19,8 @@ from edge.__main__ import main
 from edge.errors import LookbackError
 from sim.model_tools.onnx_graph import GraphBuilder
 
+pytestmark = pytest.mark.long
+
 pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 pytest.importorskip("starlette")
 

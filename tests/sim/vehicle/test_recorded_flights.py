@@ -8,6 +8,8 @@ import pytest
 
 from tests.sim.vehicle.flight_comparison import EVV_NOISE, FLIGHTS, VELOCITY_SENSOR, compare
 
+pytestmark = pytest.mark.long
+
 RUN_AWAY = ("px4_no_velocity_aid_person", "px4_external_position_person")
 """PX4's velocity runs away in them, so that small differences grow; docs/trial.md has the numbers."""
 

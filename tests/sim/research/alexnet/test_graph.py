@@ -21,6 +21,8 @@ from sim.research.alexnet.command import as_int8, read_layer_ranges
 from sim.research.alexnet.graph import DIMENSIONS, build_float
 from sim.research.alexnet.weights import read_weights
 
+pytestmark = pytest.mark.long
+
 onnx = pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]

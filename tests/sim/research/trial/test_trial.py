@@ -58,7 +58,7 @@ SMALL = (
     "px4-failsafe",
     "px4-no-velocity-aid",
 )
-"""Courses driven in every test run; `make smoke` drives take-me-home-night, and `make soak` all.
+"""Courses driven by `make check`, the first by `make test`; `make smoke` drives take-me-home-night, `make soak` all.
 
 Of "one-stretch", "turn-off" and "false-260" test_route_bench has the same cases without pictures.
 """
@@ -82,7 +82,7 @@ def _render_lanes(folder: Path) -> None:
     found.close()
 
 
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("name", [SMALL[0], *(pytest.param(name, marks=pytest.mark.long) for name in SMALL[1:])])
 def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> None:
     run = drive(COURSES[name], 1, LENGTH_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
