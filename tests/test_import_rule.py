@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.imported import ROOT, imports, is_module
+
 STAGES = (
     "feed",
     "camera",
@@ -44,26 +45,6 @@ DEBTS: set[tuple[str, str]] = set()
 """Imports that the rule forbids and that are still there; none may be added, and what is gone must be struck out."""
 CIRCLE_DEBTS: set[tuple[str, str]] = set()
 """Imports without which there would be no circle; none may be added, and what is gone must be struck out."""
-
-
-def imports(file: Path) -> set[str]:
-    """Full names of all modules that a file imports, at any depth."""
-    found: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {name.name for name in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file}: relative import"
-            module = node.module or ""
-            below = {f"{module}.{name.name}" for name in node.names}
-            modules = {name for name in below if is_module(name)}
-            found |= modules if modules == below else {module, *modules}
-    return found
-
-
-def is_module(name: str) -> bool:
-    path = ROOT / name.replace(".", "/")
-    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
 def ours(file: Path) -> set[str]:
@@ -222,7 +203,7 @@ def test_the_tests_mirror_the_program() -> None:
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
     assert folders(ROOT / "tests/plugins") <= folders(ROOT / "edge_plugins")
     modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
-    whole = {"test_import_rule", "test_one_frame"}
+    whole = {"test_import_rule", "test_one_frame", "test_changed"}
     for file in (ROOT / "tests").glob("test_*.py"):
         assert file.stem in whole or any(file.stem.startswith(module) for module in modules - {"test_init"}), file
 
