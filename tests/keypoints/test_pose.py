@@ -1,0 +1,66 @@
+"""Poses from one look, against cameras whose place is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.keypoints.pose import FEWEST_POINTS, Pose, pose_of
+from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
+
+HOME = (3.5, 1.0, 0.05, 0.02)
+
+
+def look(seed: int, camera: tuple[float, ...], *, wrong: float = 0.3) -> tuple[Pose | None, NDArray[np.float64]]:
+    """A pose, and how far it is off in sigmas: right, ahead, turned. wrong: share of the matches."""
+    rng = np.random.default_rng(seed)
+    world_m = street(rng, 120)
+    points = row_points(rng, world_m, pixels=0.7, turned_deg=0.5)
+    picture = with_noise(rng, seen(world_m, camera), 1.0)
+    picture[rng.random(len(picture)) < wrong] = rng.uniform(-0.8, 0.8, 2)
+    known = points.is_known
+    pose = pose_of(points[known], picture[known], CAMERA)
+    if pose is None:
+        return None, np.full(3, np.nan)
+    off = np.array([pose.right_m, pose.ahead_m, pose.turn]) - camera[:3]
+    return pose, off / np.sqrt(np.diag(pose.covariance))
+
+
+@pytest.mark.parametrize("camera", [HOME, (-0.5, -4.0, 0.0, 0.0), (0.0, 6.0, -0.1, -0.03)])
+def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
+    looks = [look(seed, camera) for seed in range(12)]
+    assert all(pose is not None and pose.count > 50 for pose, _ in looks)
+    rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
+    assert (rms < 1.6).all(), rms
+    sigmas = np.sqrt([np.diag(pose.covariance) for pose, _ in looks if pose])
+    assert (np.median(sigmas, axis=0) < [0.5, 0.5, 0.02]).all()
+
+
+def test_a_pose_aside_is_not_pulled_to_where_the_map_was_driven() -> None:
+    off = np.mean([look(seed, HOME, wrong=0.0)[1] for seed in range(30)], axis=0)
+    assert np.abs(off[[0, 2]]).max() < 0.7, off
+
+
+def test_too_few_points_and_points_of_another_place_give_none() -> None:
+    rng = np.random.default_rng(5)
+    world_m = street(rng, 60)
+    points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)
+    few = np.flatnonzero(points.is_known)[: FEWEST_POINTS - 1]
+    assert pose_of(points[few], seen(world_m, HOME)[few], CAMERA) is None
+    known = points.is_known
+    assert pose_of(points[known], rng.uniform(-0.8, 0.8, (known.sum(), 2)), CAMERA) is None
+
+
+def test_a_followed_vehicle_needs_one_start() -> None:
+    rng = np.random.default_rng(6)
+    world_m = street(rng, 100)
+    points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)
+    known = points.is_known
+    picture = seen(world_m, HOME)[known]
+    cold, followed = (
+        pose_of(points[known], picture, CAMERA, *starts) for starts in ((), (np.array([(3.0, 0.0, 0.0)]),))
+    )
+    assert cold is not None
+    assert followed is not None
+    assert (followed.right_m, followed.ahead_m) == pytest.approx((cold.right_m, cold.ahead_m), abs=0.05)
