@@ -14,7 +14,7 @@ import numpy as np
 
 from edge import __version__
 from edge.descriptor.network import Network
-from edge.errors import ConfigError, FeedError, SetupError
+from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import Score, autopilot_errors, lane_errors, score
@@ -79,8 +79,6 @@ def _run(args: argparse.Namespace) -> int:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
     flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model)
-    (args.output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
-    (args.output / "flights.md").write_text(page(flights), encoding="utf-8")
     given = " ".join([*(path.name for path in args.flights), *([f"--model {args.model}"] if args.model else [])])
     for file, text in ((args.page, table(flights)), (args.summary, summary(flights))):
         if file is not None:
@@ -96,22 +94,29 @@ def _inside(folder: Path) -> list[Path]:
 def replay_all(
     folders: Sequence[Path], output: Path, views: Path, jobs: int, model: Path | None = None
 ) -> list[Flight | Failed]:
-    """Replay drives, those on one road one after the other. model: as `resolve_model` has it."""
+    """Replay drives, those on one road one after the other. model: as `resolve_model` has it.
+
+    flights.json and flights.md in `output` have what is done as soon as a road is.
+    """
     by_road: dict[int | None, list[Path]] = {}
     for folder in folders:
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
+    found: dict[Path, Flight | Failed] = {}
     # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
     with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
-        done = pool.map(partial(replay_group, output=output, views=views, model=model), groups, chunksize=1)
-    found = {folder: one for group in done for folder, one in group}
-    return [found[folder] for folder in folders]
+        for group in pool.imap_unordered(partial(replay_group, output=output, views=views, model=model), groups):
+            found.update(group)
+            flights = [found[folder] for folder in folders if folder in found]
+            (output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
+            (output / "flights.md").write_text(page(flights), encoding="utf-8")
+    return flights
 
 
 def _road(folder: Path) -> int | None:
     try:
         return read_scenarios(folder)[-1][1].seed
-    except SetupError:  # which is said with its row
+    except (SetupError, OSError, ValueError, LookupError):  # which is said with its row
         return None
 
 
@@ -122,17 +127,24 @@ def replay_group(
     logging.getLogger("edge").setLevel(logging.ERROR)
     library, drives = RoadLibrary(Network.load(model), views), {}
     found: list[tuple[Path, Flight | Failed]] = []
+
+    def add(folder: Path, flight: Flight | Failed) -> None:
+        found.append((folder, flight))
+        print(rows(flight), flush=True)
+
     try:
         for folder in folders:
             try:
                 drives[folder] = read_drive(folder)
             except SetupError as error:
-                found.append((folder, Failed(folder.name, str(error))))
+                add(folder, Failed(folder.name, str(error)))
         for folder, drive in drives.items():
             matched = [frame for one in drives.values() if one.map_name == drive.map_name for frame in one.used]
-            found.append((folder, _replay(drive, matched, output / drive.name, library)))
+            try:
+                add(folder, _replay(drive, matched, output / drive.name, library))
+            except (LookbackError, RuntimeError) as error:  # of a plug-in that failed
+                add(folder, Failed(folder.name, str(error)))
             library.save()
-            print(rows(found[-1][1]), flush=True)
     finally:
         library.close()
     return found

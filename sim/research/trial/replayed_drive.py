@@ -22,17 +22,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.camera import CameraHealth, Frame
 from edge.config import Config
 from edge.daemon import Daemon
+from edge.errors import FeedError
 from edge.geodesy import moved
 from edge.journal.records import FrameUsed, PluginFailed
 from edge.opened_parts import OpenedParts
-from edge.reference_map.learned import LearnedFolder
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge_plugins.home import HomeConfig
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.page import PageConfig
 from sim.journal import records_of
-from sim.maps.learning import learn
 from sim.research.trial.course_map import map_errors_m, open_builder, place_at
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
@@ -48,8 +47,7 @@ ANSWERS_S = 0.02
 """After which a position, or a set of sources, is accepted."""
 ANSWERED = EXTERNAL_POSITION_ESTIMATE, mavlink.MAV_CMD_SET_EKF_SOURCE_SET
 DAY: tuple[View, LightName, int] = ("rear", "day", 1)
-LAYERS: tuple[tuple[View, LightName, int], ...] = (DAY, ("front", "dusk", 3))
-"""View, light and seed of the drives of a map, and of one that was learned."""
+"""View, light and seed of the drive of a map."""
 
 
 def replay(
@@ -57,8 +55,11 @@ def replay(
 ) -> list[tuple[float, Message]]:
     """Run the daemon on a recorded drive; what it sent, and when. Journal and lists, one of each run, stay in `folder`.
 
-    matched: what was recognized on the drive's map, by whichever drive. RuntimeError where a plug-in failed.
+    matched: what was recognized on the drive's map, by whichever drive. FeedError where the map was learned, and
+    RuntimeError where a plug-in failed.
     """
+    if drive.is_learned:
+        raise FeedError("its map was learned from several, and it has no record of what they were made of")
     received: list[tuple[float, Message]] = []
     journal = (folder / JOURNAL).resolve()
     folder.mkdir(parents=True, exist_ok=True)
@@ -66,7 +67,7 @@ def replay(
         left.unlink()
     with TemporaryDirectory() as scratch, closing(Scenes(library.folder / f"{drive.name}.sqlite")) as scenes:
         map_path = Path(scratch) / "map"
-        _build_maps(drive, matched, map_path, library)
+        _build_map(drive, matched, map_path, library)
         for number, run in enumerate(drive.runs):
             with closing(Cable()) as link, ExitStack() as parts:
                 playback = Playback(drive, run, link, scenes)
@@ -177,27 +178,13 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path, events
     return replaced(config, map=replaced(config.map, path=str(map_path)), plugins=plugins, telemetry=telemetry)
 
 
-def _build_maps(drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary) -> None:
-    """The map before the drive: none where it was made on the way, and layers where it was learned."""
+def _build_map(drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary) -> None:
+    """The map before the drive, whose places have the errors that the journals' positions had; none if it was made on
+    the way."""
     if drive.config.of(MappingConfig).folder:
         path.mkdir()
-    elif drive.is_layered:
-        for number, layer in enumerate(LAYERS):
-            _build_map(drive, matched, path / f"{number}", library, layer)
-        learn(path).keep(LearnedFolder(path))
-    else:
-        _build_map(drive, matched, path, library)
-
-
-def _build_map(
-    drive: RecordedDrive,
-    matched: list[FrameUsed],
-    path: Path,
-    library: RoadLibrary,
-    layer: tuple[View, LightName, int] = DAY,
-) -> None:
-    """One map, whose places have the errors that the journals' positions had."""
-    out = map_scenario(drive.scenario, layer)
+        return
+    out = map_scenario(drive.scenario, DAY)
     route, lane_m = out.drive().route, out.lane_m
     spacing_m = drive.config.sampling.spacing_m
     places = np.arange(int(drive.scenario.length_m / spacing_m))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import shutil
 from collections.abc import Callable
 from contextlib import closing
@@ -20,7 +22,7 @@ from sim import geodetic
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.flight_score import Score, score
 from sim.research.trial.flights_command import Flight, page, replay_all
-from sim.research.trial.recorded_drive import RecordedDrive, read_drive
+from sim.research.trial.recorded_drive import JOURNAL, LINK, RecordedDrive, first_boot, read_drive
 from tests.golden.harness import HERE
 
 EXCERPT = HERE / "drives" / "ardupilot_night"
@@ -116,11 +118,36 @@ def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) ->
     assert "All 1 drives together, 1.2 km since GPS was lost:" in found
 
 
+def copied(folder: Path, *without: str) -> Path:
+    """The drive at `folder`, without some of its files."""
+    shutil.copytree(EXCERPT, folder, ignore=shutil.ignore_patterns(*without))
+    return folder
+
+
 def test_what_cannot_be_replayed_has_a_row_that_says_why(tmp_path: Path) -> None:
-    folder = tmp_path / "half"
-    shutil.copytree(EXCERPT, folder, ignore=shutil.ignore_patterns("truth*", "*.jsonl*"))
-    found = replay_all([folder], tmp_path, tmp_path / "views", 1)
-    assert page(found).split("\n")[2] == f"| half | not replayed: {folder}: no recorded drive, it has no truth.csv.gz |"
+    half, cut = copied(tmp_path / "half", "truth*"), copied(tmp_path / "cut")
+    learned, unread = copied(tmp_path / "learned"), copied(tmp_path / "unread", "scenario.toml")
+    (cut / LINK).write_bytes((cut / LINK).read_bytes()[:5000])
+    journal = gzip.decompress((learned / JOURNAL).read_bytes())
+    (learned / JOURNAL).write_bytes(gzip.compress(journal.replace(b'"place":', b'"map":"d3_front_dusk","place":')))
+    output = tmp_path / "out"
+    output.mkdir()
+    replay_all([half, cut, learned, unread], output, tmp_path / "views", 1)
+    lines = (output / "flights.md").read_text().split("\n")[2:6]
+    assert lines[0] == f"| half | not replayed: {half}: no recorded drive, it has no truth.csv.gz |"
+    assert lines[1].startswith(f"| cut | not replayed: {cut}: a file of it is damaged: ")
+    assert lines[2].startswith("| learned | not replayed: its map was learned from several, and it has no record")
+    assert lines[3].startswith(f"| unread | not replayed: {unread}")
+    assert [one["name"] for one in json.loads((output / "flights.json").read_bytes())] == [
+        *("half", "cut", "learned", "unread")
+    ]
+
+
+def test_a_clock_that_starts_anew_within_its_first_seconds_is_no_reboot() -> None:
+    starting = [3052.0, 4041.0, 5042.0, 3042.0, 4041.0, 9941.0]
+    assert first_boot(np.array([*starting, 12_000.0, 13_000.0])) == slice(3, 8)
+    assert first_boot(np.array([*starting, 12_000.0, 1_000.0, 500_000.0])) == slice(3, 7)
+    assert first_boot(np.array([*starting, 12_000.0, 8_000.0, 1_000.0])) == slice(3, 7)
 
 
 def test_a_folder_without_drives_is_one_line(tmp_path: Path) -> None:
