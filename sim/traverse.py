@@ -88,7 +88,8 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
                 continue
             distance_m = distances_m[index] if distances_m else None
             if sampler.is_place(row.stamp_ns, distance_m):
-                where = None if math.isnan(ground_m[index][0]) else Displacement(0, *ground_m[index])
+                east_m, north_m = ground_m[index]
+                where = None if math.isnan(east_m) else Displacement(0, east_m, north_m)
                 turned = turn_around.add(where)
                 frame = Frame(image, row.stamp_ns, index)
                 yield TraverseFrame(frame, row, distance_m, sampler.missed, turn_around.course_rad, turned)

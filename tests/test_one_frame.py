@@ -44,11 +44,11 @@ FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
 autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
 """
-USED_FRAME_FILES_MOST = 44
+USED_FRAME_FILES_MOST = 45
 """A file counts once, if any function of it is called. Eight keep the evidence and decide by it: telemetry, which asked
 for a decision itself, hid those before; and a network says which regions of a picture it needs. Two
-believe a place with where the vehicle is reckoned to be."""
-TURN_FILES_MOST = 58
+believe a place with where the vehicle is reckoned to be, and one moves it by its gyros."""
+TURN_FILES_MOST = 59
 """Of a turn that reads a local position as well."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 12
 """How many classes may have more attributes than that; records are not counted."""

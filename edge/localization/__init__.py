@@ -4,16 +4,16 @@
 `place_fix` makes positions of matches; `sighting` puts a match on the ground, and `region_lines` what its two regions
 say by themselves; `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman
 filter of each; `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning`
-integrates the vehicle's motion. `integrity` is what is known when a position may be published, by what was observed
-(`claims`), and `refusals` the rules; `protection_level` says how far off a position may be, also by what `bound`s it
-without places.
+integrates the vehicle's motion, and `own_motion` what no filter has touched of it. `integrity` is what is known when a
+position may be published, by what was observed (`claims`), and `refusals` the rules; `protection_level` says how far
+off a position may be, also by what `bound`s it without places.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.bound import PERIOD_NS
-from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Displacement, Integral
+from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Displacement, Gyros, Integral
 from edge.localization.events import (
     BOUND_WRONG,
     GPS_SIGMA_M,
@@ -30,6 +30,7 @@ from edge.localization.events import (
 )
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
+from edge.localization.own_motion import OwnMotion
 from edge.localization.position_estimator import Drive, Known, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, TOO_FAR, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
@@ -53,12 +54,14 @@ __all__ = [
     "GpsFix",
     "GpsState",
     "GpsVerdict",
+    "Gyros",
     "Integral",
     "Known",
     "Limits",
     "Maps",
     "Moved",
     "Own",
+    "OwnMotion",
     "PlaceFix",
     "PositionEstimator",
     "ProtectionLevel",

@@ -41,11 +41,27 @@ breaks. With 30 m, five drives home that had backed twice by 60 m on the way out
 
 
 @dataclass(frozen=True)
+class Gyros:
+    """Of a displacement whose heading is by gyros alone, see `own_motion`: since its leg began.
+
+    time_s: seconds. compass_rad: the autopilot's heading less that by the gyros. turned_rad2: variance of the latter,
+    by what it may have turned between two rates. bias_east_m, bias_north_m: meters that a bias of 1 rad/s would add.
+    """
+
+    time_s: float = 0.0
+    compass_rad: float = 0.0
+    turned_rad2: float = 0.0
+    bias_east_m: float = 0.0
+    bias_north_m: float = 0.0
+
+
+@dataclass(frozen=True)
 class Displacement:
     """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
     unknown_m: the most by which it may be wrong for all times between two legs. doubtful_east_m, doubtful_north_m: what
-    of it was not driven if a change of the speed that no vehicle can make, `STRONGEST_MPS2`, was none.
+    of it was not driven if a change of the speed that no vehicle can make, `STRONGEST_MPS2`, was none. gyros: None
+    where the heading is not theirs.
     """
 
     leg: int
@@ -54,6 +70,7 @@ class Displacement:
     unknown_m: float = 0.0
     doubtful_east_m: float = 0.0
     doubtful_north_m: float = 0.0
+    gyros: Gyros | None = None
 
     def since(self, before: Displacement) -> tuple[float, float]:
         """Meters east and north from another one to this."""
@@ -271,8 +288,8 @@ class DeadReckoning:
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
         if moved is None:
             return None
-        east_m, north_m, *doubtful_m = moved
-        return Displacement(self._legs, east_m, north_m, self._unknown_m, *doubtful_m)
+        east_m, north_m, doubtful_east_m, doubtful_north_m = moved
+        return Displacement(self._legs, east_m, north_m, self._unknown_m, doubtful_east_m, doubtful_north_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""

@@ -147,6 +147,7 @@ def compare(
     lat_deg, lon_deg = moved_left(place.lat_deg, place.lon_deg, place.heading_deg, lane_m)
     heading_rad = math.radians(place.heading_deg)
     match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
+    place_m = math.hypot(match_m, map_m, undated_m, drive.whole_sigma_m[0])
     off_along_m = off_left_m = None
     if gps is not None:
         off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
@@ -157,8 +158,9 @@ def compare(
         heading_rad=heading_rad,
         off_along_m=off_along_m,
         off_left_m=off_left_m,
-        along_sigma_m=math.hypot(match_m, map_m, gps_m, undated_m, drive.whole_sigma_m[0]),
+        along_sigma_m=math.hypot(place_m, gps_m),
         left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m, drive.whole_sigma_m[1]),
+        each_sigma_m=max(place_m, rig.sigma_across_m, gps_m),
     )
 
 

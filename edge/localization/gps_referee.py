@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 from edge.geodesy import east_north_of
 from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.own_motion import predicted
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal[
@@ -47,8 +49,7 @@ NEWEST = 3
 """Of so many comparisons in a row the one counts that says least."""
 LONGEST_GAP_M = 240.0
 """Without a place, after which comparisons do not add up any more."""
-KEPT, CHANGES = 32, 0.02
-"""Agreeing comparisons that are kept; what of own motion's error is not the same before and after, as a share."""
+KEPT = 32  # agreeing comparisons
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
@@ -57,8 +58,8 @@ class Comparison:
     """GPS less place, at one exposure: meters along the road and to its left, with one standard deviation of each.
 
     lat_deg, lon_deg: where the match says that the vehicle is. spacing_m: between places of the map, of which a frame
-    passes about one. heading_rad: of travel. off_*_m: None without GPS. motion: the vehicle's own, without GPS, None if
-    unknown.
+    passes about one. heading_rad: of travel. off_*_m: None without GPS. each_sigma_m: of the less certain of both by
+    itself. motion: the vehicle's own, without GPS, None if unknown.
     """
 
     lat_deg: float
@@ -69,6 +70,7 @@ class Comparison:
     off_left_m: float | None
     along_sigma_m: float
     left_sigma_m: float
+    each_sigma_m: float
     motion: Displacement | None = None
 
     @property
@@ -132,6 +134,13 @@ def evidence_of(comparison: Comparison) -> float:
     return math.log((wrong + ANYWHERE) / max(honest, ANYWHERE / 1000))
 
 
+class _Agreed(NamedTuple):
+    """A comparison that agreed, and the meters driven by then."""
+
+    comparison: Comparison
+    at_m: float
+
+
 class GpsReferee:
     """Judges GPS by one comparison after another."""
 
@@ -142,7 +151,7 @@ class GpsReferee:
         """
         self._drift = drift
         self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
-        self._agreed: deque[Comparison] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
+        self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
         self._samples: deque[_Sample] = deque(maxlen=512)
         self._at_m = self._gap_m = 0.0
         self._settled: GpsVerdictState = "cannot say"
@@ -169,9 +178,9 @@ class GpsReferee:
         """
         if not self._agreed:
             at = anchor.lat_deg, anchor.lon_deg
-            self._agreed.append(
-                Comparison(*at, 0.0, 0.0, 0.0, 0.0, anchor.sigma_m, anchor.sigma_m, anchor.displacement)
-            )
+            sigma_m = anchor.sigma_m
+            lost = Comparison(*at, 0.0, 0.0, 0.0, 0.0, sigma_m, sigma_m, sigma_m, anchor.displacement)
+            self._agreed.append(_Agreed(lost, -math.inf))
 
     def _begin_anew(self) -> None:
         self._samples.clear()
@@ -201,51 +210,46 @@ class GpsReferee:
 
     def _keep_agreed(self, comparison: Comparison) -> None:
         agreed = self._agreed
-        if len(agreed) > 1 and math.hypot(*_between(agreed[-2], agreed[-1])) < CORRELATION_M:
+        if len(agreed) > 1 and math.hypot(*_between(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
             agreed.pop()
-        agreed.append(comparison)
+        agreed.append(_Agreed(comparison, self._at_m))
 
     def _wrong_one(self) -> GpsVerdictState:
         """Which of both moved otherwise than the vehicle, since any time at which they agreed.
 
-        Slow drags are well under way before they show, so that the newest time is not the best one.
+        Only until the sum began to grow: it lags, and what has moved since then agreed with nothing. Slow drags are
+        well under way before they show, so that the newest time is not the best one.
         """
-        newest = list(self._samples)[-NEWEST:]
-        says = [[self._moved_without_gps(before, sample.comparison) for sample in newest] for before in self._agreed]
+        samples = list(self._samples)
+        row = len(samples) - 1
+        while row > 0 and samples[row].high > 0.0:
+            row -= 1
+        began_m = samples[max(0, row + 1 - NEWEST)].at_m  # as many, until it shows
+        newest = samples[-NEWEST:]
+        agreed = [one.comparison for one in self._agreed if one.at_m < began_m]
+        says = [
+            [self._moved_without_gps(agreed[: count + 1], sample.comparison) for sample in newest]
+            for count in range(len(agreed))
+        ]
         is_gps = any(min(one) >= DOUBTFUL for one in says)
         is_map = any(max(one) <= -DOUBTFUL for one in says)
         return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong"
 
-    def _moved_without_gps(self, before: Comparison, comparison: Comparison) -> float:
+    def _moved_without_gps(self, agreed: Sequence[Comparison], now: Comparison) -> float:
         """Logarithm of how much more likely the places moved as the vehicle did than GPS; 0 where nobody knows."""
-        now, then = comparison.motion, before.motion
-        if now is None or then is None:
+        known = [one for one in agreed if one.motion is not None]
+        if now.motion is None or not known or known[-1] is not agreed[-1]:
             return 0.0
-        turn, drift = self._calibrated(before, then)
-        moved_m = turn @ now.since(then)
-        places_off_m = _between(before, comparison) - moved_m
-        gps_off_m = places_off_m + _offset(comparison) - _offset(before)
-        drift_m = drift * float(np.hypot(*moved_m))
-        unknown_m = now.unknown_sigma_since(then)
-        variance = before.along_sigma_m**2 + comparison.along_sigma_m**2 + drift_m**2 + unknown_m**2
-        return float(gps_off_m @ gps_off_m - places_off_m @ places_off_m) / (2 * variance)
-
-    def _calibrated(self, newest: Comparison, then: Displacement) -> tuple[NDArray[np.float64], float]:
-        """What own motion must be turned and scaled by (2, 2), and how wrong it is then, as a share of the distance.
-
-        By how the places moved while they agreed with GPS: heading and scale stay, and are most of its error.
-        """
-        first = self._agreed[0]
-        if first.motion is None or first.motion.leg != then.leg:
-            return np.eye(2), self._drift
-        (east_m, north_m), places_m = then.since(first.motion), _between(first, newest)
-        square = east_m**2 + north_m**2
-        error = math.hypot(first.along_sigma_m, newest.along_sigma_m) / math.sqrt(square) if square else math.inf
-        if math.hypot(error, CHANGES) >= self._drift:
-            return np.eye(2), self._drift
-        same = (east_m * places_m[0] + north_m * places_m[1]) / square
-        across = (east_m * places_m[1] - north_m * places_m[0]) / square
-        return np.array([[same, -across], [across, same]]), math.hypot(error, CHANGES)
+        places = [_between(now, one) for one in known]
+        at_m = np.array([np.column_stack([at, at + _offset(one)]) for at, one in zip(places, known, strict=True)])
+        sigma_m = np.array([one.each_sigma_m for one in known])
+        found = predicted([one.motion for one in known if one.motion], at_m, sigma_m, now.motion, self._drift)
+        if found is None:
+            return 0.0
+        where_m, covariance = found
+        places_off_m, gps_off_m = -where_m[:, 0], _offset(now) - where_m[:, 1]
+        precision = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
+        return float(gps_off_m @ precision @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
 
     def _judged(self, high: float) -> GpsVerdict:
         east_m, north_m = np.mean([_offset(one.comparison) for one in list(self._samples)[-NEWEST:]], axis=0)

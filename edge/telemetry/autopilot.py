@@ -82,7 +82,7 @@ class AutopilotConnection:
         """
         self.config, self.clock_ns, self.record = config, clock_ns, record
         self.state: Literal["closed", "waiting", "up"] = "closed"
-        self.vehicle = vehicle = Vehicle(config.system_id)
+        self.vehicle = vehicle = Vehicle(config.system_id, config.component_id)
         self._asks_attitude = False
         self.requests = Requests(config, vehicle)
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)

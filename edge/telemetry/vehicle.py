@@ -35,6 +35,10 @@ NORTH_M, EAST_M = 110_574.3, 111_319.5
 """Of a degree at latitude and longitude 0, where local positions are compared with each other: their origin may not be
 known. Within a millimeter of a conversion, which takes a thousand times as long."""
 FIRST_SYSTEM_ID = 1
+GROUND_STATION = 255
+"""The system of ground stations, and of programs that use a library's default."""
+TILT_FRESH_NS, MOST_PITCH_RAD = 2_000_000_000, math.radians(80)
+"""How long roll and pitch hold, and beyond which pitch a heading is none."""
 PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
@@ -47,6 +51,7 @@ class Session:
     number: of the sessions so far. autopilot, kind: MAV_AUTOPILOT and MAV_TYPE, None until connected. version: major
     and minor of the firmware, None until AUTOPILOT_VERSION arrived. heard_ns: when a message came last, by its id.
     position: the newest; accuracy: when the autopilot reported it, and its horizontal meters.
+    tilt: the same of roll and pitch, in radians.
     """
 
     number: int = 0
@@ -60,6 +65,7 @@ class Session:
     heard_ns: dict[int, int] = field(default_factory=dict)
     position: VehiclePosition | None = None
     accuracy: tuple[int, float] | None = None
+    tilt: tuple[int, float, float] | None = None
 
 
 class Vehicle:
@@ -69,9 +75,9 @@ class Vehicle:
     link, and only messages of that system and of component 1 count.
     """
 
-    def __init__(self, system_id: int = 0) -> None:
-        """system_id: the only one whose heartbeats count; 0 is the first that is heard."""
-        self._only_system_id = system_id
+    def __init__(self, system_id: int = 0, component_id: int = 191) -> None:
+        """system_id: the only one whose heartbeats count; 0 is the first that is heard. component_id: our own."""
+        self._only_system_id, self._component_id = system_id, component_id
         self.system_id: int | None = None
         self.connected = False
         self.session = Session()
@@ -81,6 +87,7 @@ class Vehicle:
         self.velocity = VehicleVelocity(self.motion)
         self.is_doubled = False
         """Whether another autopilot sends with the same ids: then nothing is known of either."""
+        self._has_warned = False
         self._alternations = {message: Alternation() for message in POSITIONS}
         self._heard_ns = self._read_ns = 0
         self._beats_ns: dict[int, int] = {}  # heartbeats, by system
@@ -95,6 +102,8 @@ class Vehicle:
 
     def _handle(self, message: Message, now_ns: int) -> bool:
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            if message.get_msgId() == mavlink.MAVLINK_MSG_ID_ODOMETRY:
+                self._read_odometry(message, now_ns)
             return False
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return self._read_heartbeat(message, now_ns)
@@ -260,10 +269,44 @@ class Vehicle:
         if newest is None or stamp_ns - newest.stamp_ns > POSITIONS_APART_S * 1e9:
             self.velocity.add_velocity(stamp_ns, message.vy, message.vx, heading_deg)
 
+    def _read_odometry(self, message: Message, now_ns: int) -> None:
+        """By another program beside the vehicle, in its own time; its yaw may be the autopilot's, and is not used."""
+        own = message.get_srcSystem() == self.system_id and message.get_srcComponent() != self._component_id
+        is_beside = own or message.get_srcSystem() == GROUND_STATION
+        if not (self.connected and is_beside and not self.is_doubled and message.quality >= 0):
+            return
+        if message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD and math.isfinite(message.vx + message.vy):
+            self.velocity.use_odometry(now_ns, message.vx, -message.vy, None)
+        elif not self._has_warned:
+            self._has_warned = True
+            log.warning(
+                "ODOMETRY of component %d is ignored: it needs a velocity in child_frame_id %d (body, "
+                "forward-right-down)",
+                message.get_srcComponent(),
+                mavlink.MAV_FRAME_BODY_FRD,
+            )
+
     def _read_attitude(self, message: Message, now_ns: int) -> None:
         stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        if stamp_ns is not None:
-            self.velocity.turn(stamp_ns, message.pitchspeed, message.yawspeed)
+        if stamp_ns is None:
+            return
+        self.velocity.turn(stamp_ns, message.pitchspeed, message.yawspeed)
+        self.session.tilt = now_ns, message.roll, message.pitch
+        if self.session.autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            self._turn_heading(stamp_ns, now_ns, message.pitchspeed, message.yawspeed)
+
+    def _read_gyros(self, message: Message, now_ns: int) -> None:
+        """Of ArduPilot, thousandths of a radian per second: in its ATTITUDE, the bias follows GPS that is dragged."""
+        stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
+        if stamp_ns is not None and self.session.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            self._turn_heading(stamp_ns, now_ns, message.ygyro / 1000, message.zgyro / 1000)
+
+    def _turn_heading(self, stamp_ns: int, now_ns: int, nose_up_radps: float, right_radps: float) -> None:
+        """Of the body's rates, that of the heading, by how the body is tilted."""
+        tilt_ns, roll, pitch = self.session.tilt or (0, 0.0, 0.0)
+        if now_ns - tilt_ns <= TILT_FRESH_NS and abs(pitch) < MOST_PITCH_RAD:
+            right_radps = nose_up_radps * math.sin(roll) + right_radps * math.cos(roll)
+            self.velocity.turn_heading(stamp_ns, right_radps / math.cos(pitch))
 
     def _read_wheels(self, message: Message, now_ns: int) -> None:
         """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
@@ -320,6 +363,7 @@ READERS: dict[int, Callable[[Vehicle, Message, int], object]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: Vehicle._read_global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: Vehicle._read_local_position,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: Vehicle._read_attitude,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU: Vehicle._read_gyros,
     mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: Vehicle._read_wheels,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: Vehicle._read_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: Vehicle._read_gps,

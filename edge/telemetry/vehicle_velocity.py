@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Integral
+from edge.localization import DeadReckoning, Integral, OwnMotion
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
@@ -31,8 +31,9 @@ class VehicleVelocity:
     def __init__(self, motion: DeadReckoning) -> None:
         """motion: gets the speeds and velocities that count."""
         self._motion = motion
-        self.without_gps = DeadReckoning()
-        """The displacement by what GPS has no part in: wheels, odometry or our camera, or the autopilot without GPS."""
+        self.without_gps = OwnMotion()
+        """The displacement by what GPS has no part in: gyros, with wheels, odometry or our camera, or the autopilot
+        without GPS."""
         self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
         """Gets what GPS has no part in, stamped: meters by WHEELS, m/s by ODOMETRY or CAMERA; None: a session ended."""
         self.is_by_gps = True
@@ -40,6 +41,8 @@ class VehicleVelocity:
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
+        self._aside: tuple[int, float] | None = None  # to the left, by odometry
+        self._own: VehiclePosition | None = None
         self._reported_ns = 0
         self.is_aided = True
         """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
@@ -57,7 +60,7 @@ class VehicleVelocity:
         for motion in (self._motion, self.without_gps):
             motion.end_leg(is_same_vehicle=is_same_vehicle)
         self.listen(0, 0.0, None)
-        self._wheels = None
+        self._wheels = self._own = self._aside = None
         self._speeds.clear()
         self.is_aided, self.runs_away = True, False
 
@@ -78,6 +81,7 @@ class VehicleVelocity:
     def use_odometry(self, stamp_ns: int, ahead_mps: float, left_mps: float, yaw_rad: float | None) -> None:
         """The velocity by another program; yaw_rad: counterclockwise from east, used where no autopilot reports."""
         self.use_speed(stamp_ns, ahead_mps, ODOMETRY)
+        self._aside = stamp_ns, left_mps
         if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
@@ -94,6 +98,25 @@ class VehicleVelocity:
         else:
             self._turned.add(stamp_ns, nose_up_radps, right_radps)
 
+    def turn_heading(self, stamp_ns: int, right_radps: float) -> None:
+        """The heading turns so fast by gyros in which GPS has no part."""
+        if abs(right_radps) <= MOST_RADPS:
+            own, heading_rad = self._own, None
+            if own is not None and own.heading_deg is not None and stamp_ns - own.stamp_ns <= CAMERA_FRESH_NS:
+                heading_rad = math.radians(own.heading_deg)
+            self.without_gps.turn(stamp_ns, right_radps, heading_rad, self._body_mps(stamp_ns))
+
+    def _body_mps(self, now_ns: int) -> tuple[float, float] | None:
+        """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""
+        own, speed_mps = self._own, self._own_speed(now_ns)
+        if speed_mps is not None:
+            has_wheels = _newest(self._speeds.get(WHEELS), now_ns) is not None
+            return speed_mps, 0.0 if has_wheels else _newest(self._aside, now_ns, CAMERA_FRESH_NS) or 0.0
+        if self.is_by_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
+            return None
+        sin, cos = math.sin(math.radians(own.heading_deg)), math.cos(math.radians(own.heading_deg))
+        return own.east_mps * sin + own.north_mps * cos, own.north_mps * sin - own.east_mps * cos
+
     def turned_rad(self, since_ns: int, until_ns: int) -> tuple[float, float] | None:
         """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
         before, after = self._turned.at(since_ns), self._turned.at(until_ns)
@@ -101,6 +124,7 @@ class VehicleVelocity:
 
     def move(self, before: VehiclePosition | None, now: VehiclePosition) -> None:
         """The autopilot's own position, and the one before it."""
+        self._own = now
         reported = now.east_mps, now.north_mps
         self.add_speed(now.stamp_ns, signed_speed(*reported, now.heading_deg), GLOBAL)
         self.add_velocity(now.stamp_ns, *self._east_north_mps(before, now), now.heading_deg, reported)
@@ -148,10 +172,6 @@ class VehicleVelocity:
         if speed_mps is not None and heading_deg is not None:
             heading_rad = math.radians(heading_deg)
             own_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
-        knows_apart = own_mps is not None or self.is_by_gps or not self.is_aided
-        without_gps_mps = own_mps if knows_apart else (east_mps, north_mps)
-        if without_gps_mps is not None:
-            self.without_gps.add_velocity(stamp_ns, *without_gps_mps, may_slip=False)
         if not is_reported:
             if own_mps is None:
                 return

@@ -23,7 +23,7 @@ class AttitudeEstimate:
         self.tilt_deg = (0.0, 0.0)
         """Roll and pitch."""
         self.rates_dps = (0.0, 0.0, 0.0)
-        """Of roll, pitch and heading."""
+        """Of the body about its axes ahead, right and down."""
 
     def update(self, pose: Pose, time_s: float) -> None:
         """The truth at a time."""
@@ -35,7 +35,13 @@ class AttitudeEstimate:
         noise_dps = self._bias_dps + self._rng.normal(0.0, GYRO_DPS, 3)
         turned_deg = [math.remainder(now - then, 360.0) for now, then in zip(truth_deg, before[1], strict=True)]
         roll, pitch, yaw = (turned_deg[axis] / (time_s - before[0]) + float(noise_dps[axis]) for axis in range(3))
-        self.rates_dps = roll, pitch, yaw
+        tilt_rad, climb_rad = math.radians(pose.roll_deg), math.radians(pose.pitch_deg)
+        yaw_right, yaw_down = math.sin(tilt_rad) * math.cos(climb_rad), math.cos(tilt_rad) * math.cos(climb_rad)
+        self.rates_dps = (
+            roll - yaw * math.sin(climb_rad),
+            pitch * math.cos(tilt_rad) + yaw * yaw_right,
+            yaw * yaw_down - pitch * math.sin(tilt_rad),
+        )
 
 
 class HeadingWander:

@@ -96,6 +96,14 @@ def _attitude(state: Snapshot) -> Message:
     return mavlink.MAVLink_attitude_message(state.boot_ms, *map(math.radians, angles_deg))
 
 
+def _raw_imu(state: Snapshot) -> Message | None:
+    """Of ArduPilot, in thousandths of a radian per second, and of g."""
+    if state.firmware.autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        return None
+    rates = [int(math.radians(rate) * 1000) for rate in state.attitude.rates_dps]
+    return mavlink.MAVLink_raw_imu_message(state.boot_ns // 1000, 0, 0, -1000, *rates, 0, 0, 0)
+
+
 def _vfr_hud(state: Snapshot) -> Message:
     speed_mps, heading_deg = state.speed_mps, round(state.estimate.heading_deg) % 360
     return mavlink.MAVLink_vfr_hud_message(speed_mps, speed_mps, heading_deg, 0, ORIGIN_ALT_M, 0.0)
@@ -189,6 +197,7 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU: _raw_imu,
     mavlink.MAVLINK_MSG_ID_VFR_HUD: _vfr_hud,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps_raw,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: _gps2_raw,

@@ -23,6 +23,7 @@ from edge.localization import (
     Fix,
     GpsFix,
     GpsVerdict,
+    Gyros,
     Limits,
     Maps,
     Moved,
@@ -133,9 +134,14 @@ class Vehicle:
 
     def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
         """What a frame shows here; what is known of GPS then."""
-        known = {"motion": self.motion, "without_gps": self.motion, "gps": gps}
+        known = {"motion": self.motion, "without_gps": self.without_gps, "gps": gps}
         self.drive.update(self.t_ns, Frame(self.t_ns, seen, **{**known, **self.frame}))
         return self.drive.known.gps
+
+    @property
+    def without_gps(self) -> Displacement:
+        """Its own motion, by gyros without a bias."""
+        return replace(self.motion, gyros=Gyros(self.t_ns / 1e9))
 
     def _sees(self, at_m: float) -> PlaceMatch | None:
         return self.road.match(at_m, self.direction)
@@ -154,7 +160,7 @@ class Vehicle:
             gps_sigma_m=GPS_SIGMA_M if has_gps else None,
             position=self.position,
             motion=self.motion,
-            without_gps=self.motion,
+            without_gps=self.without_gps,
             speed_mps=SPEED_MPS,
             driven_m=self.driven_m,
             system_id=1,

@@ -82,7 +82,7 @@ def test_the_evidence_is_the_logarithm_of_two_mixtures() -> None:
     def normal(value: float, *sigmas: float) -> float:
         return math.exp(-(value**2) / sum(s**2 for s in sigmas) / 2) / math.sqrt(math.tau * sum(s**2 for s in sigmas))
 
-    one = Comparison(*HOME, SPACING_M, 0.0, 0.0, 0.0, ALONG_M, LEFT_M)
+    one = Comparison(*HOME, SPACING_M, 0.0, 0.0, 0.0, ALONG_M, LEFT_M, ALONG_M)
     for along, left in ((0.0, 0.0), (12.0, -3.0), (25.0, 18.0)):
         usual = normal(along, ALONG_M) * normal(left, LEFT_M)
         burst = normal(along, ALONG_M, BURST_M) * normal(left, LEFT_M, BURST_M)
@@ -108,21 +108,21 @@ def test_bursts_of_multipath_are_no_call(long_road: Road) -> None:
 
 
 def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> None:
-    """By 0.06 to 0.25 m for each meter driven: 0.5 to 2 m/s at 8 m/s. All are said before 40 m, and few not called."""
+    """By 0.06 to 0.25 m for each meter driven: 0.5 to 2 m/s at 8 m/s. All are said before 40 m, and called."""
     offs_m = []
     for direction, share, seed in product((0, 90, 180, 225), (0.06, 0.12, 0.25), range(2)):
         towards = np.array([math.sin(math.radians(direction)), math.cos(math.radians(direction))])
 
         def drag(at_m: float, towards: NDArray[np.float64] = towards, share: float = share) -> tuple[float, float]:
-            east_m, north_m = share * max(0.0, at_m - 300.0) * towards
+            east_m, north_m = share * max(0.0, at_m - 600.0) * towards
             return east_m, north_m
 
-        verdicts = drive(long_road, drag, 300.0 + 60.0 / share, seed)
-        assert 0 < share * (called_at_m(verdicts, "wrong", "disagrees") - 300.0) < 40
-        offs_m.append(share * (called_at_m(verdicts) - 300.0))
-        called = next((one for one in verdicts if one.state == "wrong"), None)
-        assert called is None or (called.east_m, called.north_m) == pytest.approx(offs_m[-1] * towards, abs=20.0)
-    assert sum(off_m < 50 for off_m in offs_m) >= 0.9 * len(offs_m)
+        verdicts = drive(long_road, drag, 600.0 + 60.0 / share, seed)
+        assert 0 < share * (called_at_m(verdicts, "wrong", "disagrees") - 600.0) < 40
+        offs_m.append(share * (called_at_m(verdicts) - 600.0))
+        called = next(one for one in verdicts if one.state == "wrong")
+        assert (called.east_m, called.north_m) == pytest.approx(offs_m[-1] * towards, abs=20.0)
+    assert max(offs_m) < 50
 
 
 @pytest.mark.parametrize("off_m", [40.0, 400.0, 4e6])

@@ -22,7 +22,7 @@ from tests.udp_port import free_port
 
 SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
-STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193}
+STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193, 27, 30}
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)
 

@@ -17,7 +17,7 @@ import numpy as np
 from edge.config import CameraConfig, Config, GatesConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.feed.sampling import Sampler
-from edge.localization import GPS_SIGMA_M, Displacement, GpsFix, Own
+from edge.localization import GPS_SIGMA_M, Displacement, GpsFix, Gyros, Own
 from edge.localization.events import Frame
 from edge.localization.gps_judge import GpsJudge, compare
 from edge.reference_map import Route, open_map_set
@@ -171,7 +171,8 @@ def judge(drive: PlacedDrive, offsets: Array, gates: GatesConfig = GatesConfig()
             at_m = drive.true_m[frame.row] + offsets[frame.row]
             gps = GpsFix(*geodetic(float(at_m[0]), float(at_m[1])), GPS_SIGMA_M)
         stamp_ns, by_wheels_m = round(drive.time_s[frame.row] * 1e9), drive.by_wheels_m[frame.row].tolist()
-        motion = None if math.isnan(by_wheels_m[0]) else Displacement(1, *by_wheels_m)
+        gyros = Gyros(drive.time_s[frame.row])  # whose bias is in the heading of `by_wheels_m`
+        motion = None if math.isnan(by_wheels_m[0]) else Displacement(1, by_wheels_m[0], by_wheels_m[1], gyros=gyros)
         judged.update(Frame(stamp_ns, frame.match, without_gps=motion, gps=gps, missed=frame.missed), Own(), None)
         verdict = judged.verdict
         if SEEN_M[0] < error_m[frame.row] < SEEN_M[1] and frame.match is not None:

@@ -88,3 +88,17 @@ def test_a_simulated_heading_wanders_as_the_recorded_one() -> None:
         errors.append(np.degrees(off_rad[::2]))
     assert np.concatenate(errors).std() == pytest.approx(PX4_TURNS_DEG, rel=0.1)
     assert alike(errors) == pytest.approx((0.92, 0.76, 0.40), abs=0.1)
+
+
+def test_the_heading_follows_a_gps_that_is_dragged_as_that_of_ekf3_did() -> None:
+    """1 m/s to the left at 3.6 m/s; recorded on ardupilot_spoofP972: -1.4, -6.3, -8.5, -8.4 degrees every 5 s."""
+    estimate, changes_deg = Estimator(Pose(0.0, 0.0, 0.0, 3.6, 0.0), 0.0, OdometryErrors(), EKF3), []
+    for step in range(1501):
+        north_m, off_m = 3.6 * step / 100, -max(0.0, step / 100)
+        estimate.update(Pose(0.0, north_m, 0.0, 3.6, north_m), step / 100, (off_m, north_m))
+        if step % 500 == 0:
+            changes_deg.append(math.degrees(estimate.steering_error_rad))
+    assert changes_deg == pytest.approx([0.0, -4.9, -7.1, -7.0], abs=0.7)
+    lost_deg = changes_deg[-1]
+    estimate.update(Pose(0.0, 60.0, 0.0, 3.6, 60.0), 16.0, None)
+    assert math.degrees(estimate.steering_error_rad) == pytest.approx(lost_deg, abs=0.5), "the compass takes longer"

@@ -1,0 +1,116 @@
+"""The vehicle's own motion as a witness of GPS, by messages: rates of gyros, wheels, and ODOMETRY of other programs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from edge.localization import Displacement
+from edge.telemetry.vehicle import GROUND_STATION, Vehicle
+from tests.telemetry.speaker import S, Speaker
+
+ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
+RATE_RADPS, SPEED_MPS = 0.05, 4.0
+
+
+def odometry(
+    ahead_mps: float, right_mps: float = 0.0, frame: int = mavlink.MAV_FRAME_BODY_FRD, quality: int = 90
+) -> Any:
+    unknown = [math.nan] * 21
+    where = 0, mavlink.MAV_FRAME_LOCAL_FRD, frame, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0]
+    return mavlink.MAVLink_odometry_message(
+        *where, ahead_mps, right_mps, 0.0, 0.0, 0.0, 0.0, unknown, unknown, 0, 0, quality
+    )
+
+
+class Driven:
+    """A vehicle in a circle; its autopilot turns its heading away from it, as EKF3 behind a GPS that is dragged."""
+
+    def __init__(self, autopilot: int) -> None:
+        self.vehicle, self.autopilot, self.speaker, self.now_ns = Vehicle(), autopilot, Speaker(), 0
+        for _ in range(2):
+            self.now_ns += S
+            self.vehicle.handle(self.speaker.heartbeat(autopilot), self.now_ns)
+
+    def drive(self, seconds: float = 20.0, beside: Speaker | None = None, sent: Any = None, raw: bool = True) -> None:
+        """beside: sends `sent`, where it is not None; without it the vehicle has wheels."""
+        for step in range(round(20 * seconds)):
+            self.now_ns += S // 20
+            boot_ms, turned_deg = self.now_ns // 1_000_000, math.degrees(RATE_RADPS * step / 20)
+            rates = 0.0, 0.0, RATE_RADPS - 0.01 * (self.autopilot == ARDUPILOT)  # a bias that follows GPS
+            self._say(mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 0.0, *rates))
+            if raw:
+                turns = 0, 0, round(RATE_RADPS * 1000)
+                self._say(mavlink.MAVLink_raw_imu_message(boot_ms * 1000, 0, 0, -1000, *turns, 0, 0, 0))
+            if step % 2 == 0:
+                heading_deg = (turned_deg - min(8.0, step / 20)) % 360
+                at = -270_000_000, 1_530_000_000, 0, 0, 0, 0, 0
+                self._say(mavlink.MAVLink_global_position_int_message(boot_ms, *at, round(heading_deg * 100) % 36000))
+            if beside is None and step % 4 == 0:
+                driven_m = [SPEED_MPS * self.now_ns / 1e9] * 2 + [0.0] * 14
+                self._say(mavlink.MAVLink_wheel_distance_message(boot_ms * 1000, 2, driven_m))
+            elif beside is not None and sent is not None:
+                self.vehicle.handle(beside.say(sent), self.now_ns)
+
+    def _say(self, message: Any) -> None:
+        self.vehicle.handle(self.speaker.say(message), self.now_ns)
+
+    @property
+    def displacement(self) -> Displacement | None:
+        return self.vehicle.velocity.without_gps.displacement(self.now_ns)
+
+    @property
+    def moved_m(self) -> float:
+        """From the begin of the circle, which 20 s do not close."""
+        assert self.displacement is not None
+        return math.hypot(self.displacement.east_m, self.displacement.north_m)
+
+
+CHORD_M = 2 * SPEED_MPS / RATE_RADPS * math.sin(20.0 * RATE_RADPS / 2)
+
+
+def test_wheels_go_by_the_gyros_of_ardupilot_whatever_its_filter_makes_of_them() -> None:
+    one = Driven(ARDUPILOT)
+    one.drive()
+    assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
+    east_m, north_m = one.displacement.since(Displacement(1, 0.0, 0.0)) if one.displacement else (0.0, 0.0)
+    assert math.atan2(east_m, north_m) == pytest.approx(20.0 * RATE_RADPS / 2, abs=0.01)
+
+
+@pytest.mark.parametrize(("autopilot", "is_known"), [(ARDUPILOT, False), (PX4, True)])
+def test_without_raw_rates_only_px4_has_a_witness(autopilot: int, is_known: bool) -> None:
+    """Its bias was seen not to follow a GPS that is dragged; that of EKF3 was seen to."""
+    one = Driven(autopilot)
+    one.drive(raw=False)
+    assert (one.displacement is not None) == is_known
+
+
+@pytest.mark.parametrize("component", [(1, 197), (GROUND_STATION, 190)])
+def test_odometry_of_another_program_is_a_speed_without_gps(component: tuple[int, int]) -> None:
+    one = Driven(PX4)
+    one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS))
+    assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
+    ahead_m = one.moved_m
+    one = Driven(PX4)
+    one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS * 0.6, SPEED_MPS * 0.8))
+    assert one.moved_m == pytest.approx(ahead_m, rel=0.01), "also to the side"
+
+
+@pytest.mark.parametrize(
+    ("component", "sent"),
+    [
+        pytest.param((1, 191), odometry(SPEED_MPS), id="our own"),
+        pytest.param((1, 1), odometry(SPEED_MPS), id="the autopilot's"),
+        pytest.param((2, 197), odometry(SPEED_MPS), id="of another vehicle"),
+        pytest.param((1, 197), odometry(math.nan), id="no number"),
+        pytest.param((1, 197), odometry(SPEED_MPS, frame=mavlink.MAV_FRAME_LOCAL_NED), id="not of the body"),
+        pytest.param((1, 197), odometry(SPEED_MPS, quality=-1), id="failed"),
+    ],
+)
+def test_other_odometry_is_none(component: tuple[int, int], sent: Any) -> None:
+    one = Driven(PX4)
+    one.drive(beside=Speaker(*component), sent=sent)
+    assert one.displacement is None
