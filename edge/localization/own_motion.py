@@ -39,6 +39,11 @@ class OwnMotion:
         self._began_ns = self._legs = 0
         self._compass_rad = 0.0  # the autopilot's heading less that by the gyros, at the newest rate
 
+    def is_turned(self, now_ns: int) -> bool:
+        """Whether rates come."""
+        last_ns = self._turned.last_ns
+        return last_ns is not None and now_ns - last_ns <= RATES_APART_NS
+
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
         """See `DeadReckoning`; the heading begins anew."""
         self._moved.end_leg(is_same_vehicle=is_same_vehicle)

@@ -122,11 +122,15 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
+        disagreed = self._gps_news.verdict.state == "disagrees"
         is_ignored = self._gps_news.publish(verdict) and self.drive.known.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
         elif is_ignored and not self.positions.selects_sources:
             self.positions.sources.warn_that_gps_stays()
+        _, missing = self.vehicle.velocity.witness(self.clock_ns())
+        if verdict.state == "disagrees" and not disagreed and missing:
+            self._warn(f"Lookback: who is right? no {missing}")
 
     @property
     def why_no_position(self) -> str:

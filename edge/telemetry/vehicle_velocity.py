@@ -19,6 +19,10 @@ RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
 """Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
 LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA = range(6)
 """What a speed comes from, the best first: the autopilot's two positions, wheels, its display, ROS 2, our camera."""
+FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FRESH_NS}
+SPEEDS = {WHEELS: "wheels", ODOMETRY: "odometry", CAMERA: "the camera"}
+"""What measures a speed in which GPS has no part, the best first, and in words."""
+NO_RATES, NO_SPEED = "gyro rates", "a speed without GPS"
 POSITIONS_APART_S = 0.5
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
@@ -66,9 +70,8 @@ class VehicleVelocity:
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
-        wheels_mps = _newest(self._speeds.get(WHEELS), now_ns)
-        others = (_newest(self._speeds.get(source), now_ns, CAMERA_FRESH_NS) for source in (ODOMETRY, CAMERA))
-        return next((one for one in (wheels_mps, *others) if one is not None), None)
+        speeds = (_newest(self._speeds.get(source), now_ns, fresh_ns) for source, fresh_ns in FRESH_NS.items())
+        return next((one for one in speeds if one is not None), None)
 
     def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
         """The speed ahead by the camera or by another program; of use where neither autopilot nor wheels report one."""
@@ -105,6 +108,14 @@ class VehicleVelocity:
             if own is not None and own.heading_deg is not None and stamp_ns - own.stamp_ns <= CAMERA_FRESH_NS:
                 heading_rad = math.radians(own.heading_deg)
             self.without_gps.turn(stamp_ns, right_radps, heading_rad, self._body_mps(stamp_ns))
+
+    def witness(self, now_ns: int) -> tuple[str, str]:
+        """What measures its own motion, in which GPS has no part; and what is missing of that, "" where nothing is."""
+        heard = [one for one, ns in FRESH_NS.items() if _newest(self._speeds.get(one), now_ns, ns) is not None]
+        speed = SPEEDS[heard[0]] if heard else "" if self.is_by_gps else "the autopilot's velocity"
+        missing = [] if self.without_gps.is_turned(now_ns) else [NO_RATES]
+        missing += [] if speed else [NO_SPEED]
+        return f"gyros and {speed}" if not missing else "", " and ".join(missing)
 
     def _body_mps(self, now_ns: int) -> tuple[float, float] | None:
         """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""

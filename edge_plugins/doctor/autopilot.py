@@ -21,6 +21,7 @@ from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocit
 from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopilot_name, suitable_message
 from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle_velocity import NO_SPEED
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
@@ -117,6 +118,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         link = AutopilotConnection(replace(config, emit="report", origin=(), links=(), journal=""))
     except LookbackError:
         return  # the links have a finding of their own
+    doubts = examined.settings.gates.doubted_gps
     vehicle, until_s = link.vehicle, time.monotonic() + examined.seconds
     with closing(link):
         link.set_system_status(mavlink.MAV_STATE_STANDBY)
@@ -127,9 +129,11 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
             is_known = vehicle.session.version is not None and None not in (status.speed_mps, status.lat_deg)
             is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.session.parameters)
             is_complete &= vehicle.session.gps.is_fusion_on is not None or not _takes_gps_from_px4(examined, vehicle)
+            is_complete &= doubts == "report" or not vehicle.velocity.witness(time.monotonic_ns())[1]
             if is_complete or time.monotonic() >= until_s:
                 break
             time.sleep(TURN_S)
+        witness, missing = vehicle.velocity.witness(time.monotonic_ns())
         examined.has_receiver = vehicle.session.gps.receiver_state(time.monotonic_ns()) == "healthy"
     if vehicle.is_doubled:
         yield bad(f"{config.connection}: {TWO_AUTOPILOTS}", "give each vehicle a system id of its own")
@@ -157,6 +161,19 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         yield note(words, "recordings for a map or for `lookback calibrate` need GPS")
     if config.emit != "report":
         yield from _judge_velocity_aid(examined, vehicle)
+    if doubts != "report":
+        yield _judge_witness(examined, witness, missing)
+
+
+def _judge_witness(examined: Examined, witness: str, missing: str) -> Found:
+    """What decides between GPS and places that contradict it."""
+    doubted = f'[gates] doubted_gps = "{examined.settings.gates.doubted_gps}"'
+    if missing == NO_SPEED and examined.settings.of(MotionConfig).use in ("odometer", "send"):
+        witness, missing = "gyros, and the camera while it sees the road", ""
+    if not missing:
+        return good(f"{doubted}: the witness is heard: {witness}")
+    remedy = "it needs RAW_IMU (ArduPilot) or ATTITUDE, and wheel encoders, ODOMETRY of another program, or [motion]"
+    return bad(f"{doubted} does nothing: GPS that the places contradict is called wrong only with {missing}", remedy)
 
 
 def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
@@ -191,7 +208,9 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
         position = values.get("EK3_SRC1_POSXY")
         if position == 0 and examined.has_receiver:
             words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"
-            yield bad(words, "set it to 3, as firmware_config/ardupilot_rover_gps.param does")
+            yield bad(
+                words, "set it to 3, as firmware_config/ardupilot_rover_gps.param or ardupilot_copter_gps.param does"
+            )
         elif position is not None:
             meaning = {0: ", no GPS", 3: ", GPS"}.get(round(position), "")
             yield good(f"EK3_SRC1_POSXY = {position:g}{meaning}")

@@ -20,6 +20,7 @@ ARDUPILOT = sorted(FILES.glob("*.param"))
 PX4 = sorted(FILES.glob("*.params"))
 LISTS = {
     "ardupilot_rover_gps": ["ardupilot_rover"],
+    "ardupilot_copter_gps": ["ardupilot_copter"],
     "ardupilot_camera_velocity": ["ardupilot_rover"],
     "px4_global_position_sensor": ["px4"],
     "px4_velocity_aid": ["px4"],
@@ -86,6 +87,7 @@ def test_every_firmware_has_its_file() -> None:
     assert {path.name for path in ARDUPILOT + PX4} == {
         "ardupilot_camera_velocity.param",
         "ardupilot_copter.param",
+        "ardupilot_copter_gps.param",
         "ardupilot_plane.param",
         "ardupilot_rover.param",
         "ardupilot_rover_gps.param",
@@ -164,11 +166,12 @@ def test_no_gps_set_ups_have_a_speed_and_no_position_source() -> None:
     assert rover["AHRS_OPTIONS"] == 3
 
 
-def test_a_rover_with_gps_uses_it_and_has_a_speed_without_it() -> None:
-    with_gps, without = (by_name(FILES / f"ardupilot_rover{which}.param") for which in ("_gps", ""))
+@pytest.mark.parametrize(("kind", "velocity", "others"), [("rover", 7, set()), ("copter", 5, {"EK3_SRC1_VELZ"})])
+def test_a_vehicle_with_gps_uses_it_and_has_a_speed_without_it(kind: str, velocity: int, others: set[str]) -> None:
+    with_gps, without = (by_name(FILES / f"ardupilot_{kind}{which}.param") for which in ("_gps", ""))
     assert with_gps["EK3_SRC1_POSXY"] == 3
-    assert with_gps["EK3_SRC1_VELXY"] == 7
-    assert {name for name in with_gps if with_gps[name] != without.get(name)} == {"EK3_SRC1_POSXY"}
+    assert with_gps["EK3_SRC1_VELXY"] == velocity
+    assert {name for name in with_gps if with_gps[name] != without.get(name)} == {"EK3_SRC1_POSXY", *others}
 
 
 def test_px4_does_not_trust_an_external_velocity_too_much() -> None:

@@ -22,6 +22,7 @@ from edge_plugins.doctor.command import examine
 from edge_plugins.doctor.findings import Finding
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
+from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 ARDUPILOT = {
@@ -45,9 +46,11 @@ def fly() -> Iterator[Callable[..., str]]:
     threads: list[threading.Thread] = []
     links: list[PtyLink] = []
 
-    def start(parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot", source_set: int = 1) -> str:
+    def start(
+        parameters: dict[str, tuple[float, int]], firmware: str = "ardupilot", source_set: int = 1, **errors: Any
+    ) -> str:
         links.append(open_pty())
-        autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware)
+        autopilot = SimulatedAutopilot(links[-1], straight_line(5.0, 0.0, 0.0), firmware=firmware, **errors)
         autopilot.parameters = DEFAULTS[firmware.partition("-")[0]] | parameters
         autopilot.inputs.source_set = source_set
         threads.append(threading.Thread(target=autopilot.run, args=(stop,)))
@@ -188,6 +191,30 @@ def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(
     assert ("its GPS can be switched" in told(findings, "parameter", "good")) == works
     ignored = "ignores positions far from it -> it needs the released PX4 1.18"
     assert (ignored in told(findings, "parameter", "bad")) != works
+
+
+@pytest.mark.parametrize(
+    ("firmware", "motion", "level", "words"),
+    [
+        ("ardupilot", "off", "good", "the witness is heard: gyros and wheels"),
+        ("px4", "off", "bad", "is called wrong only with a speed without GPS"),
+        ("px4", "odometer", "good", "gyros, and the camera while it sees the road"),
+    ],
+)
+def test_a_wrong_gps_is_replaced_only_where_a_witness_is_heard(
+    fly: Callable[..., str],
+    write_config: Callable[..., Path],
+    tmp_path: Path,
+    firmware: str,
+    motion: str,
+    level: str,
+    words: str,
+) -> None:
+    errors = OdometryErrors() if firmware == "ardupilot" else OdometryErrors("velocity sensor")
+    connection = fly({"EKF2_EV_CTRL": (4.0, mavlink.MAV_PARAM_TYPE_REAL32)}, firmware, errors=errors)
+    telemetry, gates = {"connection": connection, "emit": "auto"}, {"doubted_gps": "switch"}
+    config = write_config(telemetry=telemetry, gates=gates, motion={"use": motion})
+    assert words in told(list(examine(config, 8.0, tmp_path / "dev")), "autopilot", level)
 
 
 def test_a_px4_that_was_left_without_its_gps_is_named(
