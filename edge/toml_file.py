@@ -23,6 +23,9 @@ else:
 Line = Annotated[str, msgspec.Meta(pattern=r"^[^\n\r\x0b\x0c\x85\u2028\u2029]*\Z")]
 """A text without line breaks, which would forge lines of output."""
 Record = TypeVar("Record", bound=msgspec.Struct)
+MOST_NESTED = 20
+"""Levels of tables and lists in a file; no key of ours is deeper than 4."""
+TOO_DEEP = f"tables or lists are nested more than {MOST_NESTED} deep; remove them"
 WORDS = {
     "array": "a list",
     "bool": "true or false",
@@ -57,9 +60,23 @@ def parse_toml(text: str, path: Path, kind: type[Record], error: type[SetupError
 def toml_values(text: str, path: Path, error: type[SetupError] = ConfigError) -> dict[str, Any]:
     """The text of a file as nested tables."""
     try:
-        return tomllib.loads(text)
+        values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as failure:
         raise error(f"{path}: not TOML: {failure}") from None
+    except RecursionError:
+        raise error(f"{path}: {TOO_DEEP}") from None
+    if _is_too_deep(values):
+        raise error(f"{path}: {TOO_DEEP}")
+    return values
+
+
+def _is_too_deep(values: dict[str, Any]) -> bool:
+    """Level by level: a function that calls itself would end in a RecursionError, as what reads the values would."""
+    level: list[Any] = [values]
+    for _ in range(MOST_NESTED):
+        inside = ((one.values() if isinstance(one, dict) else one) for one in level if isinstance(one, dict | list))
+        level = [value for values in inside for value in values]
+    return bool(level)
 
 
 def convert_toml(
