@@ -33,6 +33,9 @@ PLACE_OF_FORMAT_3 = np.dtype([(name, PLACE[name]) for name in (PLACE.names or ()
 
 LIMITS = {"lat_deg": 90.0, "lon_deg": 360.0, "alt_m": 1e5, "heading_deg": 720.0, "route_m": 1e9}
 MAX_SIGMA_M = 1e6
+MOST_STEP_M = 100_000.0
+"""Along a drive, from a place to the next: 60 s, the longest interval between frames, at 600 km/h. Lines, and what the
+coverage of a map is made of, have room for a drive of that length: with a step of 1e9 m, for more than all memory."""
 
 
 def read_places(file: Path, stored: np.dtype[np.void]) -> NDArray[np.void]:
@@ -64,6 +67,16 @@ def check_places(file: Path, places: NDArray[np.void]) -> None:
     half = np.flatnonzero(np.isnan(places["lat_deg"]) != np.isnan(places["lon_deg"]))
     if half.size:
         raise MapError(f"{file}: place {half[0]} has half a position; build or copy the map again")
+
+
+def check_steps(file: Path, places: NDArray[np.void], starts: list[int]) -> None:
+    """Places (N,) that follow each other in a segment must be near each other along its drive. MapError.
+
+    starts: of the segments.
+    """
+    step_m = np.abs(np.diff(places["route_m"], prepend=np.nan))
+    step_m[starts] = np.nan
+    _refuse(file, places, "route_m", step_m > MOST_STEP_M)
 
 
 def _refuse(file: Path, places: NDArray[np.void], name: str, wrong: NDArray[np.bool_]) -> None:

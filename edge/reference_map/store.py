@@ -33,7 +33,7 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import FileKey, check_files
-from edge.reference_map.place_records import MAX_SIGMA_M, PLACE, PLACE_OF_FORMAT_3, read_places
+from edge.reference_map.place_records import MAX_SIGMA_M, PLACE, PLACE_OF_FORMAT_3, check_steps, read_places
 from edge.reference_map.spatial_index import Bounds
 from edge.toml_file import Line
 
@@ -270,6 +270,7 @@ def open_unverified(path: Path, projections: dict[str, NDArray[np.float32]] | No
     regions, kept = header.regions.count, header.dimensions
     try:
         places = read_places(path / PLACES, RECORDS[header.version])
+        check_steps(path / PLACES, places, [segment.start for segment in header.segments])
         descriptors = np.memmap(path / DESCRIPTORS, dtype=np.int8, mode="r", shape=(regions, header.places, kept))
         projection = _read_projection(path, header, {} if projections is None else projections)
     except OSError as error:  # too many open files, or no memory to map it

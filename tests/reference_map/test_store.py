@@ -312,6 +312,7 @@ def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Pat
         ("alt_m", np.inf, "place 1 has alt_m inf"),
         ("heading_deg", -np.inf, "place 1 has heading_deg -inf"),
         ("route_m", 1e300, "place 1 has route_m 1e"),
+        ("route_m", 1e8, r"place 1 has route_m 1e\+08"),
         ("lat_deg", np.nan, "place 1 has half a position"),
         ("position_sigma_m", 0.0, "place 1 has position_sigma_m 0"),
         ("position_sigma_m", np.inf, "place 1 has position_sigma_m inf"),
