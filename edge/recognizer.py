@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 from msgspec.structs import replace as replace_fields
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig
+from edge.config import FIRST_NETWORK, Config, DescriptorConfig
 from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
@@ -238,22 +239,29 @@ def open_recognizer(
     map_set = map_set or open_maps(config, newest)
     map_set = map_set.fitting(model_key(network), config.descriptor)
     if not config.descriptor.model:
-        words = "[descriptor] model is not set, so it is %s, as before; `lookback model use %s CONFIG` writes it"
+        words = "[descriptor] model is not set, so it is %s; `lookback model use %s CONFIG` writes it"
         log.warning(words, *2 * [network_of_map(network.info.name) or network.info.name])
     return PlaceRecognizer(network, map_set, config, stopwatch)
 
 
 def network_for(config: Config) -> DescriptorConfig:
-    """[descriptor], with the network of the first map where it names none.
+    """[descriptor], with the network of the first usable map where it names none, and without a map the grid.
 
-    Without a map it is fc6, as before there was a choice. A map that cannot be read is said where maps are opened.
+    fc6 is for non-commercial use, so that it is used only where the config or a map names it. A map that cannot be
+    read is reported where maps are opened.
     """
     if config.descriptor.model:
         return config.descriptor
-    path, name = Path(config.map.path), ""
-    with suppress(MapError):
-        name = network_of_map(read_header(next(iter(maps_in(path)), path)).model.name)
+    name = next(filter(None, _networks_of_maps(Path(config.map.path))), FIRST_NETWORK)
     return replace_fields(config.descriptor, model=name)
+
+
+def _networks_of_maps(path: Path) -> Iterator[str]:
+    """The names of the networks that readable maps were made with, "" for one that Lookback does not know."""
+    with suppress(MapError):
+        for folder in maps_in(path) or [path]:
+            with suppress(MapError):
+                yield network_of_map(read_header(folder).model.name)
 
 
 def open_maps(config: Config, newest: MapSoFar | None) -> MapSet:

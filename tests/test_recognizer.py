@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -319,10 +320,21 @@ def test_a_config_that_names_no_network_goes_on_with_that_of_its_maps(
     street: Feed, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     grid = DescriptorConfig(model="grid")
-    assert network_for(Config(map=MapConfig(path=str(tmp_path / "maps")))).model == ""
+    assert network_for(Config(map=MapConfig(path=str(tmp_path / "maps")))) == grid
     build_map([street], tmp_path / "maps/street", grid, SamplingConfig(by="frames"))
     for path in ("maps", "maps/street"):
         assert network_for(Config(map=MapConfig(path=str(tmp_path / path)))) == grid
     assert open_recognizer(Config(map=MapConfig(path=str(tmp_path / "maps")))).model_name == "grid"
     assert len([line for line in caplog.messages if "[descriptor] model is not set, so it is grid" in line]) == 1
     assert network_for(Config(descriptor=DescriptorConfig(model="fc6"))).model == "fc6"
+
+
+def test_a_map_that_cannot_be_read_does_not_choose_the_network(street_map: ReferenceMap, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(street_map.path, tmp_path / name)
+    config = Config(map=MapConfig(path=str(tmp_path)))
+    expected = network_for(config).model
+    (tmp_path / "a/map.json").write_text("{")
+    assert network_for(config).model == expected == "fc6"
+    (tmp_path / "b/map.json").write_text("{")
+    assert network_for(config).model == "grid"
