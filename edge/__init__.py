@@ -39,7 +39,7 @@ import os
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.3.0"
+__version__ = "0.4.0.dev0"
 __all__ = ["PlaceMatch", "ReferenceMap", "load_config", "open_map", "open_recognizer"]
 
 # OpenCV reads it when it is first imported, and the size of a picture before its pixels: 30,000 x 30,000 took 8 GB.

@@ -72,7 +72,7 @@ install -m 0644 "$here/../edge/default.toml" "$doc/examples/lookback.toml"
 rm -r "${stage:?}/etc" "${stage:?}/usr/local"
 
 site=$(echo "$stage"/opt/lookback/lib/python3*/site-packages)
-version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav"))')
+version=$("$stage/opt/lookback/bin/python" -c 'from importlib.metadata import version; print(version("lookback-nav").replace(".dev", "~dev"))')
 minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
 sh "$here/trim.sh" "$stage/opt/lookback"
 

@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-import edge
-
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs/notebook.ipynb"
 RUN = (
@@ -45,7 +43,3 @@ def test_the_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
     numbers = [[float(one) for one in re.findall(number, text)] for text in (now, before)]
     assert numbers[0] == pytest.approx(numbers[1], rel=0.1, abs=0.1)
     assert len(shown(NOTEBOOK)) >= 10
-
-
-def test_the_citation_names_this_version() -> None:
-    assert f"\nversion: {edge.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")

@@ -31,11 +31,25 @@ def test_every_python_is_in_the_matrix_of_the_release() -> None:
     assert re.findall(r"3\.\d+", matrix) == supported
 
 
-def test_the_changelog_has_notes_of_this_version(tmp_path: Path) -> None:
+def released() -> tuple[str, str]:
+    """The version and the date of the newest release, by the changelog."""
+    version, date = re.findall(r"^## (\S+) - (\S+)$", (GITHUB.parent / "CHANGELOG.md").read_text(), re.MULTILINE)[0]
+    return version, date
+
+
+def test_what_follows_a_release_has_a_version_of_its_own() -> None:
+    """Code between two releases is called after the next one, with .dev0: no two codes have the same version."""
+    next_version, is_dev, _ = edge.__version__.partition(".dev")
+    version, _ = released()
+    numbers = [tuple(map(int, one.split("."))) for one in (next_version, version)]
+    assert numbers[0] > numbers[1] if is_dev else numbers[0] == numbers[1]
+
+
+def test_the_changelog_has_notes_of_the_release(tmp_path: Path) -> None:
     """By the line of release.yml: ten lines, of what a user must do, gained and lost."""
     (make,) = re.findall(r"^ *(sed -n .*) >notes\.md$", (GITHUB / "workflows/release.yml").read_text(), re.MULTILINE)
     (tmp_path / "source").symlink_to(GITHUB.parent)
-    environment = {**os.environ, "GITHUB_REF_NAME": f"v{edge.__version__}"}
+    environment = {**os.environ, "GITHUB_REF_NAME": f"v{released()[0]}"}
     done = subprocess.run(
         ["bash", "-c", make], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
@@ -45,10 +59,7 @@ def test_the_changelog_has_notes_of_this_version(tmp_path: Path) -> None:
         assert any(line.startswith(f"- {word}") for line in notes)
 
 
-def test_what_is_cited_is_this_version() -> None:
-    cited = (GITHUB.parent / "CITATION.cff").read_text()
-    assert f"\nversion: {edge.__version__}\n" in cited
-    (date,) = re.findall(
-        rf"^## {re.escape(edge.__version__)} - (\S+)$", (GITHUB.parent / "CHANGELOG.md").read_text(), re.M
-    )
+def test_what_is_cited_is_the_release() -> None:
+    cited, (version, date) = (GITHUB.parent / "CITATION.cff").read_text(), released()
+    assert f"\nversion: {version}\n" in cited
     assert f"\ndate-released: {date}\n" in cited
