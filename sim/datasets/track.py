@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass
+from datetime import datetime, timedelta, timezone
 from functools import cache
 
 import numpy as np
@@ -17,11 +20,19 @@ from edge.feed import FeedRow
 from edge.geodesy import POSITION_SOURCES, PositionSource, east_north, worse_source
 
 Floats = NDArray[np.float64]
+log = logging.getLogger(__name__)
 
 LOCAL = " +step +proj=tmerc +lat_0=0 +lon_0=0 +k=1 +ellps=WGS84"
 """A projection that keeps distances: eastings of 500 km, as of UTM without a zone, are 0.3 % too long."""
 MAX_GAP_S = 5.0
 """Positions further apart in time than this are not interpolated."""
+
+LONGEST_S = 86_400.0
+"""Of one drive: a day. All that is made of a track, such as its motion ten times a second, is bounded by that."""
+SWAPPED_S = 1.0
+"""By so much stamps may step back: messages that changed places on the way."""
+MOST_JUMPS = 0.1
+"""Share of positions that may jump: with more the file is in no order of time, as several drives."""
 
 STANDING_M, STANDING_S = 1.0, 2.0
 """GPS positions wander while the vehicle stands: if it takes longer than STANDING_S to move STANDING_M, it stood.
@@ -51,14 +62,14 @@ class Track:
     def __init__(self, source: str, fixes: Iterable[Fix], max_gap_s: float = MAX_GAP_S) -> None:
         """FeedError, which names the source, if there are fewer than two.
 
-        Receivers report 0, 0 before they have a fix; of fixes with the same stamp only the first is used.
+        Receivers report 0, 0 before they have a fix; of fixes with the same stamp only the first is used. Those whose
+        time jumps against their neighbors', in the order given, are dropped with a warning.
         """
         self._source = source
         self._max_gap_ns = max_gap_s * 1e9
         by_stamp: dict[int, Fix] = {}
-        for fix in fixes:
-            if (fix.lat_deg, fix.lon_deg) != (0.0, 0.0):
-                by_stamp.setdefault(fix.stamp_ns, fix)
+        for fix in _without_jumps(source, [fix for fix in fixes if (fix.lat_deg, fix.lon_deg) != (0.0, 0.0)]):
+            by_stamp.setdefault(fix.stamp_ns, fix)
         if len(by_stamp) < 2:
             raise FeedError(f"{source}: {len(by_stamp) or 'no'} position(s) in it, and two at least are needed")
         self.fixes = [by_stamp[stamp_ns] for stamp_ns in sorted(by_stamp)]
@@ -122,6 +133,63 @@ class Track:
             row_at(file, fix) if known else FeedRow(file, fix.stamp_ns)
             for file, fix, known in zip(files, fixes, covered, strict=True)
         )
+
+
+def _without_jumps(source: str, fixes: list[Fix]) -> list[Fix]:
+    """Those whose times agree with their neighbors'. FeedError where that leaves more than a day."""
+    stamps_ns = np.array([fix.stamp_ns for fix in fixes], dtype=np.int64)
+    kept = np.ones(len(fixes), dtype=bool)
+    if (np.diff(stamps_ns) < -SWAPPED_S * 1e9).any():
+        kept = _in_order(stamps_ns)
+        if (~kept).sum() > MOST_JUMPS * len(fixes):
+            kept[:] = True
+    # A clock that was set late, or one wrong time at the end: the times grow, by years.
+    ordered = np.flatnonzero(kept)[np.argsort(stamps_ns[kept], kind="stable")]
+    parts = np.split(ordered, np.flatnonzero(np.diff(stamps_ns[ordered]) > LONGEST_S * 1e9) + 1)
+    longest = max(parts, key=len)
+    if len(longest) >= (1 - MOST_JUMPS) * len(fixes):
+        kept[:] = False
+        kept[longest] = True
+    if not kept.any():
+        return fixes
+    first_ns, last_ns = int(stamps_ns[kept].min()), int(stamps_ns[kept].max())
+    if last_ns - first_ns > LONGEST_S * 1e9:
+        raise FeedError(
+            f"{source}: its positions are from {_utc(first_ns)} to {_utc(last_ns)} UTC, and one drive is a day at"
+            " most; split it, or remove the positions with a wrong time"
+        )
+    if not kept.all():
+        wrong = [_utc(int(stamp_ns)) for stamp_ns in stamps_ns[~kept][:3]]
+        more = ", ..." if len(fixes) - kept.sum() > len(wrong) else ""
+        words = "%s: %d of %d positions are dropped, whose times jump against those beside them: %s UTC"
+        log.warning(words, source, len(fixes) - kept.sum(), len(fixes), ", ".join(wrong) + more)
+    return [fix for fix, is_kept in zip(fixes, kept, strict=True) if is_kept]
+
+
+def _in_order(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which stamps are of the longest series that never goes back, or hardly off it (Schensted 1961)."""
+    ends, rows = list[int](), list[int]()  # the smallest stamp in which a series of each length ends, and its row
+    before = [-1] * len(stamps_ns)
+    for row, stamp_ns in enumerate(stamps_ns.tolist()):
+        length = bisect_right(ends, stamp_ns)
+        before[row] = rows[length - 1] if length else -1
+        ends[length : length + 1], rows[length : length + 1] = [stamp_ns], [row]
+    series = np.zeros(len(stamps_ns), dtype=bool)
+    row = rows[-1]
+    while row >= 0:
+        series[row], row = True, before[row]
+    low = np.maximum.accumulate(np.where(series, stamps_ns, stamps_ns[series][0]))
+    high = np.minimum.accumulate(np.where(series, stamps_ns, stamps_ns[series][-1])[::-1])[::-1]
+    swapped_ns = round(SWAPPED_S * 1e9)
+    return series | ((stamps_ns >= low - swapped_ns) & (stamps_ns <= high + swapped_ns))
+
+
+def _utc(stamp_ns: int) -> str:
+    """Also of a time that no calendar has."""
+    try:
+        return f"{datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(seconds=stamp_ns / 1e9):%Y-%m-%d %H:%M:%S}"
+    except OverflowError:
+        return f"{stamp_ns / 1e9:.0f} s since 1970"
 
 
 def _without_wandering(

@@ -81,3 +81,46 @@ def test_a_car_at_a_red_light_drives_nowhere_though_its_receiver_wanders(period_
     # What counts as standing, what is driven in a period, and what the receiver is off.
     assert away_m.max() < 1.0 + 5.0 * period_s + 0.5
     assert away_m[standing].max() < 1.5
+
+
+DAY_S = 86_400
+
+
+def driven(times_s: list[float]) -> list[Fix]:
+    """Positions 10 m apart, at these times."""
+    return [
+        Fix(EPOCH + round(time_s * SECOND), 51.0 + 1e-4 * row, -1.0, source="gps") for row, time_s in enumerate(times_s)
+    ]
+
+
+@pytest.mark.parametrize("wrong", [[0], [0, 1, 2], [50], [99], [20, 21, 60]])
+@pytest.mark.parametrize("off_s", [-4 * 365 * DAY_S, -3600, -10, 10, 3600, 30 * DAY_S])
+def test_positions_whose_time_jumps_are_dropped_and_named(
+    wrong: list[int], off_s: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    fixes = driven([row + off_s * (row in wrong) for row in range(100)])
+    found = Track("drive.gpx", fixes)
+    left = {fix.lat_deg for fix in fixes} - {fix.lat_deg for fix in found.fixes}
+    is_at_end = (wrong[0] == 0 and off_s < 0) or (wrong == [99] and off_s > 0)
+    if is_at_end and abs(off_s) < DAY_S:  # a halt, for all that is known
+        assert not left and not caplog.messages
+    else:
+        assert left == {fixes[row].lat_deg for row in wrong}
+        assert caplog.messages[0].startswith(
+            f"drive.gpx: {len(wrong)} of 100 positions are dropped, whose times jump against those beside them: 20"
+        )
+
+
+def test_messages_that_changed_places_are_kept_and_so_are_drives_in_another_order() -> None:
+    swapped = [float(row) for row in range(100)]
+    swapped[40], swapped[41] = swapped[41], swapped[40]
+    assert len(Track("log", driven(swapped)).fixes) == 100
+    evening_first = [*range(30_000, 30_050), *range(50)]
+    assert len(Track("log", driven([float(one) for one in evening_first])).fixes) == 100
+
+
+def test_more_than_a_day_is_no_drive() -> None:
+    with pytest.raises(FeedError, match=r"^log: its positions are from 20.* UTC, and one drive is a day at most"):
+        Track("log", driven([*range(50), *range(3 * DAY_S, 3 * DAY_S + 50)]))
+    with pytest.raises(FeedError, match="one drive is a day at most"):
+        Track("log", driven([1000.0 * row for row in range(100)]))
