@@ -224,3 +224,5 @@ def _read_messages(path: Path, topics: Sequence[str]) -> Iterator[tuple[int, Mes
     except (McapError, struct.error) as error:  # struct's: a record without its end
         if not is_mcap:
             raise FeedError(f"{path}: not an MCAP file: {error}") from None
+    except Exception as error:  # of the library, and of what it unpacks with, which check little of what they read
+        raise FeedError(f"{path}: damaged, it cannot be read: {type(error).__name__}: {error}") from None

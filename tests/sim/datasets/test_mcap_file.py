@@ -112,6 +112,24 @@ def test_messages_of_somebody_else_are_one_line(tmp_path: Path) -> None:
             read_feed(tmp_path / "other.mcap")
 
 
+def test_a_damaged_file_is_one_line_or_gives_what_it_has(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    whole, random, refused = recorded[1].read_bytes(), np.random.default_rng(84), 0
+    lengths = [at for at in range(len(whole) - 8) if whole[at + 4 : at + 8] == bytes(4)]  # of records and of texts
+    for number in range(150):
+        data = bytearray(whole)
+        where = lengths if number % 2 else range(len(data))
+        for at in random.choice(where, 1 + number % 3):
+            data[at] = random.integers(256)
+        damaged = tmp_path / f"{number}.mcap"
+        damaged.write_bytes(data)
+        try:
+            read_feed(damaged)
+        except FeedError as error:
+            refused += 1
+            assert str(error).startswith(f"{damaged}: ") and "\n" not in str(error)
+    assert refused >= 30
+
+
 def test_mistakes_are_one_line(recorded: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "noise.mcap").write_bytes(b"noise" * 100)
     for arguments, told in (
