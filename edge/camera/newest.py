@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Literal
 
 from edge.backoff import BackOff
-from edge.camera import open_camera
+from edge.camera import open_camera, process_groups
 from edge.camera.frame import Camera, CameraHealth
 from edge.config import CameraConfig
 from edge.errors import FrameError, LookbackError, LostError, SetupError
@@ -84,6 +84,7 @@ class NewestFrame:
             self._opened.wait(start_s)
         except BaseException:  # the program is to end, and does not wait for a camera that is still being opened
             self._stop.set()
+            process_groups.send(signal.SIGKILL, self._thread.ident)
             raise
         if isinstance(self._failure, SetupError):
             raise self._failure
@@ -144,12 +145,15 @@ class NewestFrame:
     def close(self) -> None:
         """Stop the thread, which closes the camera; more than once is harmless.
 
-        Waits at most CLOSE_S for a read that hangs in a driver; the thread ends with the process.
+        Waits at most CLOSE_S for a read that hangs in a driver; the thread ends with the process. A command that the
+        thread reads is ended from here, for the thread may not come to it.
         """
         with self._changed:
             self._stop.set()
             self._changed.notify_all()
+        process_groups.send(signal.SIGTERM, self._thread.ident)
         self._thread.join(CLOSE_S)
+        process_groups.send(signal.SIGKILL, self._thread.ident)
 
     def _run(self) -> None:
         # A signal in this thread would interrupt a wait for a frame, which OpenCV reports as a lost camera.

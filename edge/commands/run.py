@@ -9,6 +9,7 @@ import signal
 import threading
 from pathlib import Path
 
+from edge.camera import process_groups
 from edge.commands.stop_signal import on_stop_signal
 from edge.config import load_config, naming
 from edge.daemon import run
@@ -49,4 +50,5 @@ def _end_in_time(stop: threading.Event, ended: threading.Event) -> None:
     stop.wait()
     if not ended.wait(END_S):
         log.warning("stopped, without what the disk did not take within %g s", END_S)
+        process_groups.send(signal.SIGKILL)
         os._exit(0)

@@ -6,15 +6,21 @@ import contextlib
 import os
 import re
 import selectors
+import shutil
 import signal
 import subprocess
+import threading
 import time
+from functools import cache
 
+from edge.camera.process_groups import STARTED
 from edge.errors import ConfigError
 
 TERMINATE_S = 0.7
 LAST_WORDS_S = 0.2
 LONGEST_LINE = 200
+WITH_US = "setpriv", "--pdeathsig", "TERM", "--"
+"""Runs a command that gets SIGTERM when the thread that started it ends, even by SIGKILL; of util-linux, 2.33 on."""
 
 
 class CommandOutput:
@@ -30,11 +36,13 @@ class CommandOutput:
         self.expired = False
         """Whether `read` has given up."""
         self._last_line = b""
+        if shutil.which(words[0]) is None:
+            raise ConfigError(f"[camera] device: cannot start {self.name}: no such program")
         # The camera's thread blocks all signals. A command that inherited this could not be terminated.
         blocked = signal.pthread_sigmask(signal.SIG_SETMASK, ())
         try:
             self._process = subprocess.Popen(
-                words,
+                [*(WITH_US if _has_setpriv() else ()), *words],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -45,6 +53,7 @@ class CommandOutput:
             raise ConfigError(f"[camera] device: cannot start {self.name}: {error.strerror}") from None
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        STARTED[self._process.pid] = threading.get_ident()
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self._output, self._errors = self._process.stdout.fileno(), self._process.stderr.fileno()
@@ -105,7 +114,17 @@ class CommandOutput:
                 os.killpg(self._process.pid, number)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(TERMINATE_S)
+        STARTED.pop(self._process.pid, None)
         self._selector.close()
         for pipe in (self._process.stdout, self._process.stderr):
             if pipe is not None:
                 pipe.close()
+
+
+@cache
+def _has_setpriv() -> bool:
+    """Not where it is BusyBox's, which lacks the option."""
+    tried = [*WITH_US, "true"]
+    return (
+        shutil.which(tried[0]) is not None and subprocess.run(tried, capture_output=True, check=False).returncode == 0
+    )

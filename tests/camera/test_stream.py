@@ -331,7 +331,7 @@ def test_a_command_that_hangs_is_one_line(form: str, capfd: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("device", "why"),
     [
-        ("exec:no-such-program -o -", "cannot start no-such-program: No such file or directory"),
+        ("exec:no-such-program -o -", "cannot start no-such-program: no such program"),
         ("exec:'", "exec: no closing quotation"),
         ("exec:", "expected an address or a command that begins with rtsp, "),
         ("file:///etc/passwd", "expected an address or a command that begins with rtsp, "),
@@ -364,6 +364,47 @@ def test_a_command_is_ended_with_the_camera_although_its_thread_blocks_signals(t
     assert (tmp_path / "trace").read_text() == "ended\n"
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def is_running(pid: int) -> bool:
+    """Not a zombie that nobody waits for, as of a container without an init."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def ends(pid: int) -> bool:
+    """Whether a process ends soon."""
+    until_s = time.monotonic() + PATIENCE_S
+    while is_running(pid) and time.monotonic() < until_s:
+        time.sleep(0.01)
+    return not is_running(pid)
+
+
+@pytest.mark.parametrize("trap", ["", "trap '' TERM; "])
+def test_a_command_that_gives_nothing_is_ended_by_the_thread_that_closes(tmp_path: Path, trap: str) -> None:
+    """With an opening that waits for 60 s, and also where the command ignores SIGTERM."""
+    script = f"{trap}echo $$ > {tmp_path}/pid; mv {tmp_path}/pid {tmp_path}/started; while :; do sleep 0.1; done"
+    config = CameraConfig(kind="stream", device=f"exec:{shlex.join(['sh', '-c', script])}")
+    newest = NewestFrame(lambda: StreamCamera(config, 60.0), start_s=0.0)
+    until_s = time.monotonic() + PATIENCE_S
+    while not (tmp_path / "started").exists() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    pid = int((tmp_path / "started").read_text())
+    assert is_running(pid)
+    newest.close()
+    assert ends(pid)
+
+
+def test_a_command_ends_with_a_process_that_is_killed() -> None:
+    program = (
+        "from edge_plugins.cameras.command_output import CommandOutput\n"
+        "print(CommandOutput(['sleep', '3600'])._process.pid, flush=True)\nimport os; os.kill(os.getpid(), 9)"
+    )
+    result = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False)
+    assert result.returncode == -9
+    assert ends(int(result.stdout))
 
 
 def test_without_pyav_the_extra_is_named() -> None:
