@@ -103,7 +103,7 @@ docs: $(VENV)/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 notebook: $(VENV)/.dev
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "from tests.docs.test_notebook import RUN; exec(RUN)" \
+	$(BIN)/python -c "from tests.docs.test_notebook import RUN; exec(RUN)" \
 		docs/notebook.ipynb docs/notebook.ipynb
 
 benchmark: $(VENV)/.dev

@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -28,7 +27,6 @@ from msgspec.structs import replace
 pytest.importorskip("starlette")
 pytest.importorskip("selenium")
 
-from selenium import webdriver
 from selenium.webdriver.support import expected_conditions
 from selenium.webdriver.support.wait import WebDriverWait
 
@@ -41,26 +39,12 @@ from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import Snapshot, map_view
 from sim.maps.command import build_map
+from tests.chromium import NEEDS_CHROMIUM, browser
 from tests.plugins.page.test_server import TOKEN, Loop, snapshot
 from tests.sim.coverage.roads import road, walk
 from tests.udp_port import free_port
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-DRIVER = shutil.which("chromedriver")
-pytestmark = pytest.mark.skipif(
-    not CHROMIUM or not DRIVER, reason="needs Chromium and its driver: apt-get install chromium chromium-driver"
-)
-OPTIONS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",
-)
+pytestmark = NEEDS_CHROMIUM
 PATIENCE_S = 120
 PICTURES = os.environ.get("LOOKBACK_PICTURES", "")
 """A folder for the screenshots, for people who want to look at them."""
@@ -119,23 +103,6 @@ def is_up(url: str) -> bool:
     with contextlib.suppress(urllib.error.URLError, ConnectionError):
         return bool(urllib.request.urlopen(url, timeout=60).status == 200)
     return False
-
-
-@contextlib.contextmanager
-def browser(width: int, height: int, *, dark: bool = False) -> Iterator[Any]:
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM or ""
-    for option in (*OPTIONS, f"--window-size={width},{height}"):
-        options.add_argument(option)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
-    try:
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
-        yield driver
-    finally:
-        driver.quit()
 
 
 def text(driver: Any, name: str) -> str:

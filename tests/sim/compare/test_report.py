@@ -12,6 +12,7 @@ import pytest
 from edge.errors import ConfigError
 from sim.compare.plots import match_plot
 from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell, write_report
+from tests.chromium import NEEDS_CHROMIUM, browser
 
 
 def drawn() -> bytes:
@@ -36,6 +37,17 @@ def test_the_page_is_whole_in_itself_and_escapes_what_it_is_given(tmp_path: Path
     assert "NSD &lt;best&gt;" in page and "One &amp; two" in page and "lookback eval x" in page
     assert "0.500 (0.400 to 0.625)" in page and "data:image/png;base64," in page and "data:image/jpeg;base64," in page
     assert not re.search(r'(src|href)="(?!data:|#)', page) and "http" not in page
+
+
+@NEEDS_CHROMIUM
+def test_the_page_fits_a_phone(tmp_path: Path) -> None:
+    """A network's long name, a command without a space, and a title of one word leave nothing to scroll sideways."""
+    pytest.importorskip("selenium")
+    about = {"network grid: efficientnet-lite0-blocks-2-to-4, features, int8": "sha256 " + 64 * "0", "plan": 80 * "x"}
+    page = write_report(tmp_path, "reference_of_20260504_120000_on_query_20260504", about, [section()])
+    with browser(390, 844) as driver:
+        driver.get(page.as_uri())
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
 
 def test_tables_and_figures_are_files_too(tmp_path: Path) -> None:
