@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sized
 from functools import lru_cache
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -16,10 +17,11 @@ from edge.descriptor.network import Network, Regions, pictures_for
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.descriptor.open_network import normalized_set
 from edge.feed import FeedImages, read_picture
+from lookback import checks
 from sim.compare.foreign import ForeignNetwork, open_file
 from sim.datasets.pictures import read_drive
 
-Pictures = str | Path | Sequence[str | Path] | Sequence[NDArray[np.uint8]] | NDArray[np.uint8]
+Pictures = str | Path | Iterable[str | Path] | Iterable[NDArray[np.uint8]] | NDArray[np.uint8]
 REGION_WIDTH = 0.4  # of each region, a share of the picture's width (section III-D)
 
 
@@ -33,10 +35,10 @@ def describe(
 ) -> NDArray[np.float32]:
     """Descriptors (N, R, D) of N pictures, as the network gives them.
 
-    pictures: a folder of pictures in the order of their names, a recording (a feed, a video), a list of files, or
-    images (H, W, 3) uint8 BGR. model: "grid" (comes with Lookback, Apache-2.0, finds R = 2 regions itself), "fc6" (the
-    paper's, not for commercial use), or an ONNX file: any network from an RGB image, normalized as ImageNet's, to a
-    descriptor, such as CosPlace, EigenPlaces, MixVPR or DINOv2. regions: "left-right" (R = 2, section III-D of the
+    pictures: a folder of pictures in the order of their names, a recording (a feed, a video), or any iterable of files
+    or images (H, W, 3) uint8 BGR. model: "grid" (comes with Lookback, Apache-2.0, finds R = 2 regions itself), "fc6"
+    (the paper's, not for commercial use), or an ONNX file: any network from an RGB image, normalized as ImageNet's, to
+    a descriptor, such as CosPlace, EigenPlaces, MixVPR or DINOv2. regions: "left-right" (R = 2, section III-D of the
     paper) or "whole" (R = 1); None: left-right, and whole for ONNX files of others. size: height and width of the
     images of such a file, where it takes any. progress: a bar on standard error.
 
@@ -48,11 +50,13 @@ def describe(
     """
     network = network_of(str(model), size)
     regions = regions or ("whole" if isinstance(network, ForeignNetwork) else "left-right")
+    if regions not in get_args(Regions):
+        raise ValueError(f"regions are one of {', '.join(map(repr, get_args(Regions)))}, not {regions!r}")
     images, count = _images(pictures)
-    if not count:
-        raise ValueError("no picture to describe")
     bar = tqdm(images, total=count, desc=str(model), unit="picture", disable=None if progress else True, leave=False)
     found = [network.describe(pictures_for(network.info, image, regions, REGION_WIDTH)) for image in bar]
+    if not found:
+        raise ValueError("no picture to describe")
     return np.stack(found)
 
 
@@ -63,21 +67,22 @@ def network_of(model: str, size: tuple[int, int] | None = None) -> Network:
     return Network.load(path) if model in NETWORKS or path.is_dir() else open_file(path, size)
 
 
-def _images(pictures: Pictures) -> tuple[Iterator[NDArray[np.uint8]], int]:
-    """The images, read when they are asked for, and how many there are."""
+def _images(pictures: Pictures) -> tuple[Iterator[NDArray[np.uint8]], int | None]:
+    """The images, read when they are asked for, and how many there are; None where nobody knows yet."""
     if isinstance(pictures, (str, Path)):
         feed = read_drive(Path(pictures))
         opened = FeedImages(feed)
         return (opened.read(row) for row in range(len(feed.rows))), len(feed.rows)
-    return (_image(one) for one in pictures), len(pictures)
+    return (_image(one) for one in pictures), len(pictures) if isinstance(pictures, Sized) else None
 
 
 def _image(given: str | Path | NDArray[np.uint8]) -> NDArray[np.uint8]:
     if isinstance(given, (str, Path)):
         return read_picture(Path(given), cv2.IMREAD_COLOR)
-    if given.dtype != np.uint8 or given.ndim != 3 or given.shape[2] != 3:
-        raise ValueError(f"an image is (H, W, 3) uint8, not {given.shape} {given.dtype}")
-    return np.ascontiguousarray(given)
+    image = np.asarray(given)
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or not image.size:
+        raise ValueError(f"an image is (H, W, 3) uint8, not {image.shape} {image.dtype}")
+    return np.ascontiguousarray(image)
 
 
 def normalize(descriptors: NDArray[np.float32], *, online: bool = False) -> NDArray[np.float32]:
@@ -90,17 +95,8 @@ def normalize(descriptors: NDArray[np.float32], *, online: bool = False) -> NDAr
     >>> normalized.tolist()  # the second dimension never changes, so it says nothing
     [[[-1.0, 0.0]], [[1.0, 0.0]]]
     """
-    raw = checked(descriptors)
+    raw = checks.descriptors(descriptors)
     if not online:
         return normalized_set(raw)
     normalizer = OnlineNormalizer(1, renormalize_ring=False)
     return np.stack([normalizer.push(one).rows[0] for one in raw])
-
-
-def checked(descriptors: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Descriptors (N, R, D) or (N, D) as (N, R, D) float32. ValueError for other arrays."""
-    given = np.asarray(descriptors)
-    given = given[:, np.newaxis] if given.ndim == 2 else given
-    if given.ndim != 3 or given.shape[1] not in (1, 2) or not len(given) or given.dtype.kind != "f":
-        raise ValueError(f"descriptors are (N, D) or (N, 1 or 2 regions, D), not {np.shape(descriptors)} {given.dtype}")
-    return given.astype(np.float32)

@@ -17,6 +17,7 @@ from edge.feed import View, decode_picture
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.sequence import PlaceMatch, Travel
+from lookback import checks
 from lookback.description import network_of
 from sim.datasets.pictures import read_drive
 from sim.maps.command import build_map
@@ -45,8 +46,10 @@ class Map:
         knows no meters every picture is one. view: which way the camera looked (None: as recorded, else front).
         Raises `Error`.
         """
+        checks.number("spacing_m", spacing_m, least=0.01)
         feed = read_drive(Path(pictures))
         if view is not None:
+            checks.views((view, view))
             feed = replace(feed, header=msgspec.structs.replace(feed.header, view=view))
         is_metric = driven_m(feed) is not None
         sampling = SamplingConfig(by="distance", spacing_m=spacing_m) if is_metric else SamplingConfig(by="frames")
@@ -91,7 +94,12 @@ class Recognizer:
 
         Pictures are to be as far apart as places, unless `observe` is given the distance driven.
         """
-        sequence = SequenceConfig() if length is None else SequenceConfig(length=length)
+        checks.views((view, view))
+        sequence = (
+            SequenceConfig()
+            if length is None
+            else SequenceConfig(length=checks.count("length", length, checks.LONGEST))
+        )
         config = config_as_mapped(reference.opened.header)
         config = msgspec.structs.replace(config, camera=CameraConfig(view=view), sequence=sequence)
         map_set = MapSet.of(reference.opened)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from edge.config import CameraConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
@@ -14,7 +14,7 @@ from edge.reference_map import COST_ONE, ModelKey
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence import Travel
 from edge_plugins.mapping.builder import Place
-from lookback.description import checked
+from lookback import checks
 from sim.compare.as_run import run_on
 from sim.compare.matching import Matches, as_costs, match, match_alone, open_matcher
 from sim.compare.temporary_map import MappedDrive
@@ -33,21 +33,20 @@ def compare(
     >>> similarity.shape, round(float(similarity[1, 0]), 2)
     ((2, 1), 0.6)
     """
-    rows, places = checked(query), checked(reference)
-    if rows.shape[1:] != places.shape[1:]:
-        raise ValueError(f"query {rows.shape} and reference {places.shape} differ in regions or dimensions")
+    rows, places = checks.descriptors(query), checks.descriptors(reference)
+    checks.same_kind(rows, places)
     costs = CostMatcher.of_encoded(encode(places)).costs(rows)
     similarity = (1 - costs.swapaxes(0, 1) / COST_ONE).astype(np.float32)
     return similarity if orders else np.asarray(similarity.max(axis=0))
 
 
-def nearest(similarity: NDArray[np.floating]) -> Matches:
+def nearest(similarity: ArrayLike) -> Matches:
     """The most similar place of each frame alone, by S (Q, N) or (2, Q, N); the similarity is the confidence.
 
     >>> nearest(np.array([[0.1, 0.9], [0.8, 0.2]])).place.tolist()
     [1, 0]
     """
-    return match_alone(of_better_order(_checked(similarity)))
+    return match_alone(of_better_order(checks.similarities(similarity)))
 
 
 def of_better_order(similarity: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -78,7 +77,7 @@ def search(
     >>> bool(search(similarity[::-1], length=5).reverse[-1])  # the same road, driven back
     True
     """
-    given = _checked(similarity)
+    given, length = checks.similarities(similarity), checks.count("length", length, checks.LONGEST)
     costs = as_costs(given)
     by_frame = costs[:, np.newaxis] if given.ndim == 2 else costs.swapaxes(0, 1)
     places = given.shape[-1]
@@ -86,10 +85,10 @@ def search(
     matcher = open_matcher(
         np.full((places, 2), np.nan),
         np.arange(places, dtype=np.float64),
-        window,
+        checks.number("window", window, least=0),
         SequenceConfig(length=length, region_order=order),
         regions=by_frame.shape[1],
-        views=views,
+        views=checks.views(views),
     )
     rows = (NormalizedRows(row[np.newaxis]) for row in by_frame)
     return match(rows, lambda row: row.astype(np.int32), matcher)
@@ -116,9 +115,16 @@ def believe(
     >>> int(found.place[-1]), bool(found.confidence[-1] > 0.9)
     (59, True)
     """
-    rows, places = checked(query), checked(reference)
+    rows, places = checks.descriptors(query), checks.descriptors(reference)
+    checks.same_kind(rows, places)
+    length, views = checks.count("length", length, checks.LONGEST), checks.views(views)
     is_metric = query_m is not None and reference_m is not None
-    along = np.full(len(places), np.nan) if reference_m is None or not is_metric else reference_m
+    along, driven = np.full(len(places), np.nan), list[float | None]([None] * len(rows))
+    if query_m is not None and reference_m is not None:
+        along = checks.meters("reference_m", reference_m, len(places))
+        driven = list(checks.meters("query_m", query_m, len(rows)))
+    elif query_m is not None or reference_m is not None:
+        raise ValueError("query_m and reference_m are given together, or neither is")
     spacing_m = float(np.median(np.diff(along))) if is_metric else 2.0
     config = Config(
         camera=CameraConfig(view=views[1]),
@@ -127,15 +133,6 @@ def believe(
         sequence=SequenceConfig(length=length),
     )
     mapped = [Place(row, route_m=float(at_m)) for row, at_m in enumerate(along)]
-    driven = query_m if query_m is not None and is_metric else [None] * len(rows)
     travel = [Travel(None if at_m is None else float(at_m)) for at_m in driven]
     model = ModelKey("described", "0" * 64, "array", places.shape[2])
     return run_on([MappedDrive(places, mapped, views[0])], rows, travel, {0}, config, model, "belief")
-
-
-def _checked(similarity: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Similarities (Q, N) or (2, Q, N). ValueError for other arrays."""
-    given = np.asarray(similarity)
-    if given.ndim not in (2, 3) or given.dtype.kind not in "fiu" or not given.size or not np.isfinite(given).all():
-        raise ValueError(f"similarities are finite numbers (Q, N) or (2, Q, N), not {given.shape} {given.dtype}")
-    return given

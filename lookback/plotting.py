@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from lookback import checks
 from lookback.matching import of_better_order
 from lookback.scoring import Curve
 from sim.compare.matching import Matches
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def plot(
-    shown: Curve | Mapping[str, Curve] | NDArray[np.floating],
-    truth: NDArray[np.bool_] | None = None,
+    shown: Curve | Mapping[str, Curve] | ArrayLike,
+    truth: ArrayLike | None = None,
     found: Matches | None = None,
 ) -> Figure:
     """A figure of curves by their names, or of S (Q, N) or (2, Q, N) with what is right and what was found.
@@ -34,15 +35,17 @@ def plot(
         from lookback.shown_figure import ShownFigure
     figure = ShownFigure(figsize=(6.4, 4.2), layout="constrained")
     axes = figure.subplots()
-    if isinstance(shown, np.ndarray):
-        axes.imshow(of_better_order(shown), aspect="auto", cmap="viridis", interpolation="nearest")
+    if not isinstance(shown, (Curve, Mapping)):
+        similarity = of_better_order(checks.similarities(shown))
+        right = None if truth is None else checks.flags("truth", truth, similarity.shape)
+        axes.imshow(similarity, aspect="auto", cmap="viridis", interpolation="nearest")
         axes.set(xlabel="place of the reference", ylabel="frame of the query")
-        if truth is not None:
-            axes.contour(truth, levels=[0.5], colors="white", linewidths=0.7)
+        if right is not None:
+            axes.contour(right, levels=[0.5], colors="white", linewidths=0.7)
         if found is not None:
             rows = np.flatnonzero(found.place >= 0)
-            right = np.ones(len(rows), np.bool_) if truth is None else truth[rows, found.place[rows]]
-            for chosen, color in ((right, "tab:green"), (~right, "tab:red")):
+            hit = np.ones(len(rows), np.bool_) if right is None else right[rows, found.place[rows]]
+            for chosen, color in ((hit, "tab:green"), (~hit, "tab:red")):
                 axes.plot(found.place[rows[chosen]], rows[chosen], ".", color=color, markersize=3)
         return figure
     curves = {"": shown} if isinstance(shown, Curve) else shown

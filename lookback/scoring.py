@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lookback import checks
 from lookback.matching import nearest
 from sim.compare.matching import Matches
 from sim.compare.traverses import moved_ahead
@@ -17,7 +18,7 @@ from sim.datasets.pictures import read_drive
 from sim.evaluation.metrics import Answers, PrecisionRecall, average_precision, precision_recall
 
 Curve: TypeAlias = PrecisionRecall
-Found: TypeAlias = "Matches | NDArray[np.floating]"
+Found: TypeAlias = "Matches | ArrayLike"
 """What `nearest`, `search` or `believe` gave; or S (Q, N) or (2, Q, N), of which the most similar place counts."""
 
 
@@ -31,11 +32,14 @@ def truth(
     ahead: how far ahead of the query, on its own drive, the right place lies: of a rear and a front camera about 6 m to
     12 m. Raises `Error` for recordings that do not say it.
     """
+    if kind not in get_args(TruthKind):
+        raise ValueError(f"kind is one of {', '.join(map(repr, get_args(TruthKind)))}, not {kind!r}")
+    ahead, tolerance = checks.number("ahead", ahead), checks.number("tolerance", tolerance, least=0)
     reference_at, query_at = points_of(kind, read_drive(Path(reference)), read_drive(Path(query)))
     return np.asarray(errors_between(reference_at, moved_ahead(query_at, ahead)) <= tolerance)
 
 
-def recall_at(found: Found, truth: NDArray[np.bool_], count: int = 1) -> float:
+def recall_at(found: Found, truth: ArrayLike, count: int = 1) -> float:
     """Recall@count: of the frames with a right place (rows of truth (Q, N)), those that have one among their best.
 
     Up to 10; NaN where no frame has a right place. Of `believe` only recall@1 is known.
@@ -44,16 +48,14 @@ def recall_at(found: Found, truth: NDArray[np.bool_], count: int = 1) -> float:
     >>> recall_at(similarity, right), recall_at(similarity, right, 2)
     (0.5, 1.0)
     """
-    matches = _matches(found, truth)
+    matches, right = _judged(found, truth)
     ranked = matches.ranked if len(matches.ranked) else matches.place[:, np.newaxis]
-    if not 1 <= count <= ranked.shape[1]:
-        raise ValueError(f"recall is known at 1 to {ranked.shape[1]} places, not at {count}")
-    best, on_map = ranked[:, :count], np.asarray(truth.any(axis=1))
-    right = truth[np.arange(len(truth))[:, np.newaxis], best] & (best >= 0)
-    return float(right[on_map].any(axis=1).mean()) if on_map.any() else float("nan")
+    best, on_map = ranked[:, : checks.count("count", count, ranked.shape[1])], right.any(axis=1)
+    hit = right[np.arange(len(right))[:, np.newaxis], best] & (best >= 0)
+    return float(hit[on_map].any(axis=1).mean()) if on_map.any() else float("nan")
 
 
-def pr_curve(found: Found, truth: NDArray[np.bool_], soft: NDArray[np.bool_] | None = None) -> Curve:
+def pr_curve(found: Found, truth: ArrayLike, soft: ArrayLike | None = None) -> Curve:
     """Precision and recall at every confidence: `thresholds`, `precision`, `recall_of_places`, (T,) each.
 
     Recall counts every frame that has a right place; a frame that has none makes whatever is accepted wrong. soft:
@@ -63,12 +65,14 @@ def pr_curve(found: Found, truth: NDArray[np.bool_], soft: NDArray[np.bool_] | N
     >>> curve.precision.tolist(), curve.recall_of_places.tolist()
     ([1.0, 0.5], [0.5, 0.5])
     """
-    matches = _matches(found, truth)
-    rows = np.arange(len(truth))
-    right = truth[rows, matches.place] & (matches.place >= 0)
-    counts = np.ones(len(truth), dtype=np.bool_) if soft is None else ~(soft[rows, matches.place] & ~right)
+    matches, right = _judged(found, truth)
+    rows = np.arange(len(right))
+    hit = right[rows, matches.place] & (matches.place >= 0)
+    counts = np.ones(len(right), dtype=np.bool_)
+    if soft is not None:
+        counts = ~(checks.flags("soft", soft, right.shape)[rows, matches.place] & ~hit)
     confidence = np.where(matches.place >= 0, matches.confidence, np.nan)
-    answers = Answers(confidence, right, np.asarray(truth.any(axis=1)))
+    answers = Answers(confidence, hit, np.asarray(right.any(axis=1)))
     return precision_recall(answers.take(np.flatnonzero(counts)))
 
 
@@ -78,6 +82,8 @@ def auc(curve: Curve) -> float:
     >>> auc(pr_curve(np.eye(3), np.eye(3, dtype=bool)))
     1.0
     """
+    if not isinstance(curve, PrecisionRecall):
+        raise ValueError(f"a curve is what pr_curve gives, not {type(curve).__name__}")
     return average_precision(curve)
 
 
@@ -88,14 +94,13 @@ def match_pairs(found: Found, least: float = -np.inf) -> NDArray[np.intp]:
     [[0, 0]]
     """
     matches = found if isinstance(found, Matches) else nearest(found)
+    if np.isnan(least):
+        raise ValueError("least is a confidence, not NaN")
     rows = np.flatnonzero((matches.place >= 0) & (matches.confidence >= least))
     return np.column_stack([rows, matches.place[rows]])
 
 
-def _matches(found: Found, truth: NDArray[np.bool_]) -> Matches:
-    """What was found for each row of truth (Q, N). ValueError where the shapes differ."""
+def _judged(found: Found, truth: ArrayLike) -> tuple[Matches, NDArray[np.bool_]]:
+    """What was found for each row of truth, and the truth (Q, N). ValueError where the shapes differ."""
     matches = found if isinstance(found, Matches) else nearest(found)
-    shape = (len(matches.place), matches.costs.shape[1])
-    if truth.shape != shape or truth.dtype != np.bool_:
-        raise ValueError(f"truth is bool {shape} (queries, places), not {truth.dtype} {truth.shape}")
-    return matches
+    return matches, checks.flags("truth", truth, (len(matches.place), matches.costs.shape[1]))

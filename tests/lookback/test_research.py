@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import lookback
 
 PLACES = 40
+DRIVE = np.random.default_rng(0).random((9, 2, 8))
 
 
 def street(at: int, light: float, seed: int) -> NDArray[np.uint8]:
@@ -97,14 +98,38 @@ def test_a_map_and_one_picture_after_another(folders: tuple[Path, Path], tmp_pat
         (lambda: lookback.compare(np.zeros((3, 2, 4)), np.zeros((3, 4))), "differ in regions or dimensions"),
         (lambda: lookback.normalize(np.zeros((3, 3, 4), np.float32)), "1 or 2 regions"),
         (lambda: lookback.search(np.full((9, 9), np.nan)), "finite numbers"),
-        (lambda: lookback.recall_at(np.eye(3), np.eye(4, dtype=bool)), r"truth is bool \(3, 3\)"),
-        (lambda: lookback.recall_at(np.eye(3), np.eye(3, dtype=bool), 11), "at 1 to 10 places"),
+        (lambda: lookback.recall_at(np.eye(3), np.eye(4, dtype=bool)), r"\(3, 3\) \(queries, places\)"),
+        (lambda: lookback.search(np.zeros((3, 9, 9))), r"\(2, Q, N\), not \(3, 9, 9\)"),
+        (lambda: lookback.search(np.eye(9), length=0), "length is a whole number from 1 to 500, not 0"),
+        (lambda: lookback.search(np.eye(9), length=2.5), "length is a whole number"),  # type: ignore[arg-type]
+        (lambda: lookback.search(np.eye(9), window=np.nan), "window is a number of at least 0, not nan"),
+        (lambda: lookback.search(np.eye(9), views=("front", "left")), "views are two of"),  # type: ignore[arg-type]
+        (lambda: lookback.believe(DRIVE, DRIVE, length=0), "length is a whole number"),
+        (lambda: lookback.believe(DRIVE, DRIVE, query_m=np.arange(9.0)), "given together"),
+        (lambda: lookback.believe(DRIVE, DRIVE, query_m=np.arange(8.0), reference_m=np.arange(9.0)), "each of 9 rows"),
+        (lambda: lookback.compare(np.full((3, 4), np.nan), np.ones((3, 4))), "descriptors are finite numbers"),
+        (lambda: lookback.normalize(np.full((3, 4), np.inf, np.float32)), "descriptors are finite numbers"),
+        (lambda: lookback.recall_at(np.eye(3), np.full((3, 3), 2)), "truth is True or False, or 1 or 0"),
+        (lambda: lookback.pr_curve(np.eye(3), np.eye(3), np.eye(4)), "soft is True or False"),
+        (lambda: lookback.recall_at(np.eye(3), np.eye(3), 11), "from 1 to 10, not 11"),
+        (lambda: lookback.truth("here", "there", tolerance=-1), "tolerance is a number of at least 0, not -1"),
+        (lambda: lookback.describe(iter(()), progress=False), "no picture to describe"),
         (lambda: lookback.describe([np.zeros((4, 4), np.uint8)], progress=False), r"an image is \(H, W, 3\)"),
     ],
 )
 def test_wrong_arrays_are_named(wrong: object, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         wrong()  # type: ignore[operator]
+
+
+def test_what_numpy_takes_for_arrays_works(folders: tuple[Path, Path]) -> None:
+    """Lists, truth of ones and zeros, a generator of pictures."""
+    given, right = np.eye(9).tolist(), np.eye(9, dtype=int)
+    for truth in (right, right.tolist(), right.astype(float)):
+        assert lookback.recall_at(given, truth) == lookback.auc(lookback.pr_curve(given, truth, truth)) == 1.0
+    files = sorted(folders[0].iterdir())[:2]
+    described = lookback.describe((str(file) for file in files), progress=False)
+    assert np.array_equal(described, lookback.describe(files, progress=False))
 
 
 def test_what_the_user_calls_sim_hides_nothing_silently(tmp_path: Path) -> None:
