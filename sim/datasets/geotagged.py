@@ -19,7 +19,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from edge.errors import FeedError
 from sim.datasets import ReadOptions, Traverse
-from sim.datasets.pictures import PictureFiles, list_pictures
+from sim.datasets.pictures import PictureFiles, know_heif, list_pictures
 from sim.datasets.track import Fix, row_at
 
 log = logging.getLogger(__name__)
@@ -63,6 +63,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
 
 def read_fix(file: Path) -> Fix:
     """Time and position of one picture; NaN where there is none. FeedError names the picture."""
+    know_heif(file)
     try:
         with Image.open(file) as image:
             exif = image.getexif()

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from edge.errors import FeedError, FrameError
 from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, Pictures, read_feed, read_picture
-from sim.output import refusing
+from sim.output import needing, refusing
 
-PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"})
+HEIF_SUFFIXES = frozenset({".heic", ".heif"})
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff"}) | HEIF_SUFFIXES
 VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm"})
 
 
@@ -37,11 +38,32 @@ class PictureFiles:
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """Picture `index`, (H, W, 3) uint8 BGR; FrameError names the file."""
-        image = read_picture(self._files[index], self._flags)
+        file = self._files[index]
+        image = read_heif(file) if file.suffix.lower() in HEIF_SUFFIXES else read_picture(file, self._flags)
         return self._develop(image) if self._develop else image
 
     def close(self) -> None:
         """Nothing is kept open."""
+
+
+def read_heif(file: Path) -> NDArray[np.uint8]:
+    """A phone's picture, upright, (H, W, 3) uint8 BGR; FrameError names the file."""
+    know_heif(file)
+    from PIL import Image
+
+    try:
+        with Image.open(file) as image:
+            return np.ascontiguousarray(np.asarray(image.convert("RGB"))[..., ::-1])
+    except (OSError, ValueError) as error:
+        raise FrameError(f"{file}: cannot read this picture: {error}") from None
+
+
+def know_heif(file: Path) -> None:
+    """Let Pillow open HEIF files, if the file is one. FeedError where the package for them is missing."""
+    if file.suffix.lower() in HEIF_SUFFIXES:
+        with needing(str(file), "import", FeedError):
+            from pi_heif import register_heif_opener
+        register_heif_opener()
 
 
 class JoinedPictures:
@@ -106,7 +128,7 @@ def read_drive(path: Path) -> Feed:
     if not path.is_dir() or (path / "feed.toml").exists():
         return read_feed(path)
     files = [path / name for name in list_pictures(path)]
-    height, width = read_picture(files[0], cv2.IMREAD_COLOR).shape[:2]
+    height, width = PictureFiles(files).read(0).shape[:2]
     rows = tuple(FeedRow(file.name, number * 10**9) for number, file in enumerate(files))
     return Feed(path, FeedHeader(path.name, "front", width, height), rows, lambda: PictureFiles(files))
 

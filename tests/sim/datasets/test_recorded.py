@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +24,7 @@ from edge.geodesy import east_north
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.flight_logs import read_log
 from sim.datasets.found import find_kind
+from sim.datasets.pictures import read_drive
 
 WriteVideo = Callable[[Path, int, float], None]
 Degrees = Callable[[float, float], tuple[float, float]]
@@ -95,6 +98,31 @@ def test_pictures_without_positions_or_times_and_broken_ones_are_named(tmp_path:
     refused("geotagged", tmp_path, r"1\.jpg: its EXIF data are damaged")
     (tmp_path / "1.jpg").write_bytes(b"\xff\xd8\xff\xe1 no picture")
     refused("geotagged", tmp_path, r"1\.jpg: cannot read this picture: ")
+
+
+PHONE = Path(__file__).with_name("phone.heic")
+"""64 x 48 pixels, red left and blue right, at 51.76, -1.26 at 12:30 on 2026-05-04: written by pillow-heif 1.8.1."""
+
+
+def test_pictures_of_phones_are_pictures(tmp_path: Path) -> None:
+    """Beside others and alone; a folder of them is described as well."""
+    geotag(tmp_path / "a.jpg", "2026:05:04 12:29:00", (51.76, -1.26))
+    shutil.copy(PHONE, tmp_path / "IMG_1.HEIC")
+    traverse = open_dataset(str(find_kind(tmp_path)), tmp_path)
+    assert [row.file for row in traverse.rows] == ["a.jpg", "IMG_1.HEIC"]
+    assert (traverse.rows[1].lat_deg, traverse.rows[1].lon_deg) == pytest.approx((51.76, -1.26), abs=1e-6)
+    image = traverse.pictures.read(1)
+    assert image.shape == (48, 64, 3) and np.allclose(image[20, [10, 50]], [[30, 30, 200], [200, 30, 30]], atol=9)
+    (tmp_path / "a.jpg").unlink()
+    assert read_drive(tmp_path).header.width == 64
+
+
+def test_without_its_package_a_phones_picture_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
+) -> None:
+    shutil.copy(PHONE, tmp_path / "IMG_1.HEIC")
+    monkeypatch.setitem(sys.modules, "pi_heif", None)  # as where it is not installed
+    refused("geotagged", tmp_path, r"IMG_1\.HEIC needs the package pi_heif: .*\[import\]")
 
 
 def test_a_plain_folder_is_a_recording_in_the_order_of_its_names(
