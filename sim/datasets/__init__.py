@@ -114,9 +114,7 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
         "fred": _kind("robots", "FRED: folder of one sequence", "camera"),
         "geotagged": _kind("geotagged", "folder of pictures, with EXIF positions or without", "fps"),
         "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),
-        "video-log": _kind(
-            "video_log", "video, and a .gpx, .tlog, .bin or .ulg", "positions", "offset_s", "start_time"
-        ),
+        "video-log": _kind("video_log", "video, and its log or track", "positions", "offset_s", "start_time"),
         "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "camera"),
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "camera", "positions"),
     }

@@ -1,4 +1,4 @@
-"""Positions in the logs that autopilots and ground stations write, and in tracks that other receivers write.
+"""Positions in the logs that autopilots and ground stations write; tracks of other receivers are in `track_files`.
 
 Each position has the accuracy that the receiver reported last, and its kind of fix: GPS_RAW_INT, GPS and GPA, or
 vehicle_gps_position. While it had no fix, the position is dead reckoning, or rests on positions from Lookback.
@@ -8,7 +8,6 @@ vehicle_gps_position. While it had no fix, the position is dead reckoning, or re
 .bin    ArduPilot DataFlash, which describes itself (https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-
         message.html); POS is used
 .ulg    PX4 ULog (https://docs.px4.io/main/en/dev_log/ulog_file_format.html); vehicle_global_position is used
-.gpx    a GPS receiver, a phone or a sports camera (https://www.topografix.com/GPX/1/1); the points of its tracks
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import io
 import math
 import struct
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from edge.errors import FeedError
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.gps import FIXES, SOURCES
 from sim.datasets.track import Fix, Track
+from sim.datasets.track_files import TRACKS
 from sim.output import refusing
 
 MAVLINK_1, MAVLINK_2 = 0xFE, 0xFD
@@ -41,14 +41,18 @@ DATAFLASH_BEGINS = b"\xa3\x95"
 
 def read_log(file: Path) -> Track:
     """The positions in a log. FeedError names the file, and says what it lacks."""
-    readers = {".tlog": _tlog_fixes, ".bin": _dataflash_fixes, ".ulg": _ulog_fixes, ".gpx": _gpx_fixes}
-    if file.suffix.lower() not in readers:
-        raise FeedError(f"{file}: not a known kind of log; it is one of {', '.join(readers)}")
+    suffix = file.suffix.lower()
+    readers = LOGS | TRACKS
+    if suffix not in readers:
+        raise FeedError(
+            f"{file}: not a known kind of log; it is one of {', '.join(readers)}; gpsbabel converts many others:"
+            f" gpsbabel -i KIND -f {file.name} -o gpx -F {file.stem}.gpx"
+        )
     with refusing(FeedError, f"{file}: cannot read it"):
         data = file.read_bytes()
     if not data:
         raise FeedError(f"{file}: empty")
-    return Track(str(file), readers[file.suffix.lower()](file, data))
+    return Track(str(file), readers[suffix](file, data))
 
 
 @dataclass
@@ -164,24 +168,13 @@ def _ulog_fixes(file: Path, data: bytes) -> list[Fix]:
     return fixes
 
 
-def _gpx_fixes(file: Path, data: bytes) -> Iterator[Fix]:
-    import gpxpy
-    from gpxpy.gpx import GPXException
-
-    try:
-        points = [point for point, *_ in gpxpy.parse(data.decode("utf-8-sig")).walk()]
-    except (GPXException, UnicodeDecodeError, ValueError) as error:
-        raise FeedError(f"{file}: not a whole GPX file: {' '.join(str(error).split())}") from None
-    if any(point.time is None for point in points):
-        raise FeedError(f"{file}: a point of its track has no time; export the recorded track, not a planned route")
-    for point in points:
-        stamp_ns = round(point.time.timestamp() * 1e6) * 1000
-        alt_m, heading_deg, speed_mps = (
-            math.nan if value is None else value for value in (point.elevation, point.course, point.speed)
-        )
-        yield Fix(stamp_ns, point.latitude, point.longitude, alt_m, heading_deg, speed_mps, source="gps")
-
-
 def _columns(data: Mapping[str, NDArray[Any]], *names: str) -> Iterator[tuple[Any, ...]]:
     """The rows of some columns; none where the topic is not in the log."""
     return zip(*(data[name].tolist() for name in names), strict=True) if data else iter(())
+
+
+LOGS: dict[str, Callable[[Path, bytes], Iterable[Fix]]] = {
+    ".tlog": _tlog_fixes,
+    ".bin": _dataflash_fixes,
+    ".ulg": _ulog_fixes,
+}

@@ -42,8 +42,9 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
     pictures = [file.name for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
     if not pictures:
         videos = [file for file in path.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES]
-        if any(map(holds_positions, videos)):
-            return "video"
+        has_track = videos and (positions or log_beside(path))
+        if has_track or any(map(holds_positions, videos)):
+            return "video-log" if has_track else "video"
         raise FeedError(
             f"{path}: neither a feed (feed.toml), nor pictures, nor a layout of {', '.join(sorted(KINDS))}; of a video,"
             f" name the file, and put its track ({', '.join(LOG_SUFFIXES)}) of the same name beside it"

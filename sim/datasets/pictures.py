@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -150,6 +151,67 @@ def open_video(file: Path) -> tuple[Feed, Pictures]:
         raise FeedError(f"{file}: no such video")
     feed = read_feed(file)
     return feed, FeedImages(feed)
+
+
+@dataclass(frozen=True)
+class JoinedVideos:
+    """The parts of one recording, put together without a gap.
+
+    feeds, starts_ns: each part, and when it begins. names, stamps_ns: of each picture of all.
+    """
+
+    feeds: list[Feed]
+    starts_ns: list[int]
+    names: list[str]
+    stamps_ns: list[int]
+    pictures: Pictures
+
+
+def join_videos(files: Sequence[Path]) -> JoinedVideos:
+    """The frames of videos, each after the one before. FeedError names the file."""
+    feeds, opened = zip(*map(open_video, files), strict=True)
+    starts_ns, names, stamps_ns = [0], list[str](), list[int]()
+    for file, feed in zip(files, feeds, strict=True):
+        names += [f"{file.name} {row}" if len(files) > 1 else str(row) for row in range(len(feed.rows))]
+        stamps_ns += [starts_ns[-1] + row.stamp_ns for row in feed.rows]
+        starts_ns.append(stamps_ns[-1] + (feed.rows[-1].stamp_ns // max(len(feed.rows) - 1, 1) or 1))
+    return JoinedVideos(
+        list(feeds), starts_ns[:-1], names, stamps_ns, JoinedPictures(opened, [len(feed.rows) for feed in feeds])
+    )
+
+
+CHAPTER = re.compile(r"(G[HLX])(\d\d)(\d{4})|(GP)(\d\d)(\d{4})|GOPR(\d{4})")
+"""Names of a GoPro: kind, chapter, recording (HERO6 and later); up to HERO5 the first chapter is GOPR0042."""
+
+
+def chapter_of(file: Path) -> tuple[str, int, int]:
+    """Kind, recording and chapter of a GoPro's video; "", 0 and 0 of others."""
+    found = CHAPTER.fullmatch(file.stem.upper())
+    if not found:
+        return "", 0, 0
+    kind, chapter, recording = (found[1] or "GP", found[2] or found[5] or "0", found[3] or found[6] or found[7])
+    return kind, int(recording), int(chapter)
+
+
+def chapters_from(file: Path) -> list[Path]:
+    """A video, and the further chapters of its recording that lie beside it. FeedError where one between is missing."""
+    kind, recording, first = chapter_of(file)
+    if not kind or first > 1:
+        return [file]
+    beside = [one for one in file.parent.iterdir() if one.suffix.lower() == file.suffix.lower()]
+    found = sorted((chapter_of(one)[2], one) for one in beside if chapter_of(one)[:2] == (kind, recording))
+    for at, (chapter, _) in enumerate(found):
+        if chapter != first + at:
+            raise FeedError(f"{file}: chapter {first + at} of it is missing, and chapter {chapter} is there")
+    return [one for _, one in found]
+
+
+def video_files(path: Path, ends: str = "") -> list[Path]:
+    """The videos of a recording in their order: a video with its chapters, or those in a folder whose names end so."""
+    if path.is_file():
+        return chapters_from(path)
+    files = [one for one in path.iterdir() if one.suffix.lower() in VIDEO_SUFFIXES and one.stem.endswith(ends)]
+    return sorted(files, key=lambda one: (chapter_of(one), natural_key(one.name)))
 
 
 def frames_of(path: Path, fps: float) -> tuple[list[str], list[int], Pictures]:

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from edge.errors import FeedError
@@ -21,9 +22,8 @@ from edge.feed import FeedRow
 from edge.geodesy import PositionSource
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures
-from sim.datasets.tables import Record, read_records
+from sim.datasets.tables import Record, parse_time_ns, read_records
 from sim.datasets.track import Fix, Track, from_local
-from sim.datasets.video_log import parse_time_ns
 
 NAMES = {
     "time": ("stamp_ns", "timestamp", "time", "t", "stamp", "unix_time", "gps_time", "utc", "datetime", "date_time"),
@@ -82,6 +82,19 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         pictures=PictureFiles([path / name for name in names]),
         notes=f"columns of {file.name}: {found}",
     )
+
+
+def positions_in(file: Path) -> Iterator[Fix]:
+    """The positions of a CSV file that has their times. FeedError names the file, the line, and all that it lacks."""
+    records = read_records(file, (), "it gives the time and the position of each moment")
+    header = tuple(records[0].values)
+    columns = {}
+    with suppress(FeedError):  # which names an option that a video's track does not have
+        columns = find_columns(file, header, None)
+    if "time" not in columns or not {"lat", "x"} & columns.keys():
+        raise FeedError(f"{file}: a track needs columns of time, lat and lon; its columns: {', '.join(header)}")
+    times = _TimeColumn(columns["time"], records)
+    yield from _fixes([times.stamp_ns(record) for record in records], records, columns)
 
 
 def csv_in(path: Path) -> Path:

@@ -6,6 +6,7 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,17 @@ class Record:
     def number_if_there(self, column: str) -> float:
         """A finite number, NaN if the file has no such column."""
         return self.number(column) if column in self.values else math.nan
+
+
+def parse_time_ns(text: str, what: str = "time") -> int:
+    """Nanoseconds since 1970 of an ISO 8601 time, in UTC unless it says otherwise. FeedError names `what` it is of."""
+    try:
+        # Python 3.10 does not know the Z.
+        moment = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith(("Z", "z")) else text)
+    except ValueError:
+        raise FeedError(f"{what}: {text!r} is not a time such as 2026-05-04T12:30:00Z") from None
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)
+    return round(moment.timestamp() * 1e6) * 1000
 
 
 def read_text(file: Path, hint: str) -> str:

@@ -1,4 +1,4 @@
-"""A video that holds its own positions, or a folder of such videos: the parts of one drive in the order of their names.
+"""A video that holds its own positions, or several: the chapters of a GoPro, or the parts of one drive in a folder.
 
     GX010042.MP4                     GoPro (GPMF), CAMM, BlackVue: read by mapillary_tools
     2024_0101_120000_0001F.MP4       other dashcams: by mapillary_tools from what ExifTool finds, if it is installed
@@ -24,9 +24,9 @@ from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
 from edge.errors import FeedError
-from edge.feed import Feed, FeedRow, Pictures
+from edge.feed import Feed, FeedRow
 from sim.datasets import ReadOptions, Traverse
-from sim.datasets.pictures import VIDEO_SUFFIXES, JoinedPictures, natural_key, open_video
+from sim.datasets.pictures import join_videos, video_files
 from sim.datasets.track import Fix, Track
 
 log = logging.getLogger(__name__)
@@ -42,20 +42,14 @@ REAR = re.compile(r"(-back|[_\d][A-Z]?R)$")
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """The frames of the videos at their own positions; with a warning where there are none. FeedError."""
-    files = [path] if path.is_file() else _parts(path, options.camera)
-    names: list[str] = []
-    stamps_ns: list[int] = []
-    fixes: list[Fix] = []
-    opened: list[Pictures] = []
-    counts, start_ns = [], 0
-    for file in files:
-        feed, pictures = open_video(file)
-        opened.append(pictures)
-        counts.append(len(feed.rows))
-        fixes += [replace(fix, stamp_ns=start_ns + fix.stamp_ns) for fix in positions_in(file, feed)]
-        names += [str(row) if path.is_file() else f"{file.name} {row}" for row in range(len(feed.rows))]
-        stamps_ns += [start_ns + row.stamp_ns for row in feed.rows]
-        start_ns = stamps_ns[-1] + (feed.rows[-1].stamp_ns // max(len(feed.rows) - 1, 1) or 1)
+    files = video_files(path) if path.is_file() else _parts(path, options.camera)
+    joined = join_videos(files)
+    names, stamps_ns = joined.names, joined.stamps_ns
+    fixes = [
+        replace(fix, stamp_ns=start_ns + fix.stamp_ns)
+        for file, feed, start_ns in zip(files, joined.feeds, joined.starts_ns, strict=True)
+        for fix in positions_in(file, feed)
+    ]
     side = TESLA.search(files[0].stem)
     if side and side[1] not in ("front", "back"):
         raise FeedError(f"{files[0]}: a camera that looks aside; use the clips of the front or the back camera")
@@ -72,14 +66,13 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         view="rear" if REAR.search(files[0].stem) else "front",
         source=path.name,
         rows=rows,
-        pictures=JoinedPictures(opened, counts),
+        pictures=joined.pictures,
         notes=f"{len(files)} video(s), {len(fixes)} positions in them",
     )
 
 
 def _parts(folder: Path, camera: str | None) -> list[Path]:
-    files = [file for file in folder.iterdir() if file.suffix.lower() in VIDEO_SUFFIXES]
-    files = [file for file in files if file.stem.endswith(camera or "")]
+    files = video_files(folder, camera or "")
     ends = {(match[1] if (match := TESLA.search(file.stem)) else bool(REAR.search(file.stem))) for file in files}
     if len(ends) != 1:
         what = (
@@ -88,7 +81,7 @@ def _parts(folder: Path, camera: str | None) -> list[Path]:
             else f"no {camera or ''} video"
         )
         raise FeedError(f"{folder}: {what}")
-    return sorted(files, key=lambda file: natural_key(file.name))
+    return files
 
 
 def holds_positions(file: Path) -> bool:

@@ -43,9 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback try`."""
     parser.description = (
         "Build a map of one recording, recognize its places in another, and say how well: one page, and a few lines."
-        " A recording is a feed, a video with its .gpx, .tlog, .bin or .ulg of the same name, a folder of pictures"
-        " with a CSV file or EXIF positions, or another layout that `lookback import` knows. Without positions the"
-        " query is compared at the pace that fits best, and right is not separated from wrong."
+        " A recording is a feed, a video with its log or track of the same name (.gpx, .csv, .tlog and others), a"
+        " folder of pictures with a CSV file or EXIF positions, or another layout that `lookback import` knows. Without"
+        " positions the query is compared at the pace that fits best, and right is not separated from wrong."
     )
     parser.add_argument("reference", metavar="REFERENCE", type=Path, help="the recording to map")
     parser.add_argument("query", metavar="QUERY", type=Path, help="the recording to recognize it in")

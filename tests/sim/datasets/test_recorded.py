@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 import struct
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pynmea2
 import pytest
+from fitdecode.utils import compute_crc
 from PIL import ExifTags, Image
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -228,7 +232,63 @@ def write_gpx(file: Path, degrees_at: Degrees, count: int) -> None:
     file.write_text(f"{begin}{points}</trkseg></trk></gpx>")
 
 
-LOGS = {".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog, ".gpx": write_gpx}
+def moment(after_us: int) -> datetime:
+    return datetime(2024, 5, 1, 10, tzinfo=timezone.utc) + timedelta(microseconds=after_us)
+
+
+def write_nmea(file: Path, degrees_at: Degrees, count: int) -> None:
+    """A receiver's GGA and RMC, by another program's writer."""
+    lines = []
+    for after_us, *degrees in positions(degrees_at, count):
+        (lat, north), (lon, east) = (
+            (f"{int(abs(value)):0{width}}{abs(value) % 1 * 60:010.7f}", ends[value < 0])
+            for value, width, ends in zip(degrees, (2, 3), ("NS", "EW"), strict=True)
+        )
+        at, time = (lat, north, lon, east), f"{moment(after_us):%H%M%S}.{after_us // 10000 % 100:02}"
+        lines.append(str(pynmea2.GGA("GN", "GGA", (time, *at, "1", "9", "0.8", "110.5", "M", "47.0", "M", "", ""))))
+        lines.append(str(pynmea2.RMC("GN", "RMC", (time, "A", *at, "9.719", "0.0", "010524", "", "", "A"))))
+    file.write_text("\n".join([*lines, lines[-1][:-8], "$GNRMC,noise*00"]))
+
+
+def write_geojson(file: Path, degrees_at: Degrees, count: int) -> None:
+    driven = positions(degrees_at, count)
+    line = {"type": "LineString", "coordinates": [[lon_deg, lat_deg, 110.5] for _, lat_deg, lon_deg in driven]}
+    times = {"coordTimes": [moment(after_us).isoformat() for after_us, *_ in driven]}
+    feature = {"type": "Feature", "properties": times, "geometry": line}
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+
+
+def write_kml(file: Path, degrees_at: Degrees, count: int) -> None:
+    driven = positions(degrees_at, count)
+    whens = "".join(f"<when>{moment(after_us).isoformat()}</when>" for after_us, *_ in driven)
+    coords = "".join(f"<gx:coord>{lon_deg} {lat_deg} 110.5</gx:coord>" for _, lat_deg, lon_deg in driven)
+    spaces = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
+    file.write_text(f"<kml {spaces}><Placemark><gx:Track>{whens}{coords}</gx:Track></Placemark></kml>")
+
+
+def write_csv(file: Path, degrees_at: Degrees, count: int) -> None:
+    """As GPSLogger for Android names the columns."""
+    rows = [f"{moment(us).isoformat()},{lat},{lon},110.5" for us, lat, lon in positions(degrees_at, count)]
+    file.write_text("\n".join(["time,lat,lon,elevation", *rows]))
+
+
+def write_fit(file: Path, degrees_at: Degrees, count: int) -> None:
+    """A header, the layout of a record, records a second apart, and a checksum (FIT protocol, D00001275)."""
+    layout = b"\x40\0\0" + struct.pack("<HB", 20, 4)
+    body = layout + bytes([253, 4, 0x86, 0, 4, 0x85, 1, 4, 0x85, 2, 2, 0x84])
+    for after_us, lat_deg, lon_deg in positions(degrees_at, count, SPEED_MPS / 5):
+        seconds = int(moment(5 * after_us).timestamp()) - 631_065_600  # since 1989-12-31
+        at = round(lat_deg * 2**31 / 180), round(lon_deg * 2**31 / 180)
+        body += struct.pack("<BIiiH", 0, seconds, *at, round((110.6 + 500) * 5))
+    data = struct.pack("<BBHI4s", 14, 0x20, 2132, len(body), b".FIT")
+    data += struct.pack("<H", compute_crc(data)) + body
+    file.write_bytes(data + struct.pack("<H", compute_crc(data)))
+
+
+LOGS = {
+    ".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog, ".gpx": write_gpx, ".nmea": write_nmea,
+    ".geojson": write_geojson, ".kml": write_kml, ".csv": write_csv,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("suffix", LOGS)
@@ -241,11 +301,45 @@ def test_each_log_gives_the_positions_that_were_driven(tmp_path: Path, degrees_a
         assert fix.stamp_ns - start_ns == pytest.approx(after_us * 1000, abs=1000)
         assert [fix.lat_deg, fix.lon_deg] == pytest.approx(degrees, abs=1e-7)
         assert fix.alt_m == pytest.approx(110.5)
-    assert {fix.source for fix in fixes} == {"gps" if suffix in {".bin", ".gpx"} else "unknown"}
-    if suffix == ".gpx":
+    assert {fix.source for fix in fixes} == {"unknown" if suffix in {".tlog", ".ulg", ".csv"} else "gps"}
+    if suffix not in {".bin", ".ulg"}:
         assert start_ns == 1_714_557_600_000_000_000
     if suffix == ".tlog":
         assert (start_ns, fixes[3].heading_deg, fixes[3].speed_mps) == (1_714_557_600_000_000_000, 0.0, 5.0)
+
+
+def test_a_watch_gives_a_position_a_second(tmp_path: Path, degrees_at: Degrees) -> None:
+    write_fit(tmp_path / "ride.fit", degrees_at, 12)
+    fixes = read_log(tmp_path / "ride.fit").fixes
+    assert [fix.stamp_ns - 1_714_557_600_000_000_000 for fix in fixes] == [second * 10**9 for second in range(12)]
+    assert (fixes[11].lat_deg, fixes[11].lon_deg, fixes[11].alt_m) == pytest.approx(
+        (*degrees_at(0.0, 11 * SPEED_MPS / 25), 110.6), abs=1e-7
+    )
+    (tmp_path / "ride.fit").write_bytes((tmp_path / "ride.fit").read_bytes()[:-20])
+    with pytest.raises(FeedError, match=r"ride\.fit: not a whole FIT file: "):
+        read_log(tmp_path / "ride.fit")
+
+
+def test_the_chapters_of_one_recording_have_one_track(
+    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, sim_import: Callable[..., int], refused: Refused
+) -> None:
+    """Of a GoPro as it numbers them, another recording beside them; in a folder, or named by the first."""
+    for name in ("GX010042", "GX020042", "GX010043"):
+        write_video(tmp_path / f"drive/{name}.AVI", 6, 10.0)
+    write_nmea(tmp_path / "drive/GX010042.nmea", degrees_at, 12)
+    write_csv(tmp_path / "drive/GX010042.csv", degrees_at, 12)  # the same, as loggers write it
+    first = tmp_path / "drive/GX010042.AVI"
+    assert find_kind(first) == "video-log"
+    rows = open_dataset("video-log", first, ReadOptions(offset_s=0.0)).rows
+    assert [row.file for row in rows[4:8]] == [
+        "GX010042.AVI 4", "GX010042.AVI 5", "GX020042.AVI 0", "GX020042.AVI 1",
+    ]  # fmt: skip
+    assert len(rows) == 12 and rows[11].lat_deg == pytest.approx(degrees_at(0.0, 5.5)[0], abs=1e-7)
+    (tmp_path / "drive/GX010043.AVI").unlink()
+    assert find_kind(tmp_path / "drive") == "video-log"
+    assert open_dataset("video-log", tmp_path / "drive", ReadOptions(offset_s=0.0)).rows == rows
+    (tmp_path / "drive/GX020042.AVI").rename(tmp_path / "drive/GX030042.AVI")
+    refused("video-log", first, r"GX010042\.AVI: chapter 2 of it is missing, and chapter 3 is there")
 
 
 @pytest.mark.parametrize("suffix", LOGS)
@@ -320,7 +414,7 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
         assert "\n" not in str(raised.value)
 
     fails("flight.tlog", "cannot read it: No such file or directory")
-    fails("flight.csv", "not a known kind of log; it is one of .tlog, .bin, .ulg, .gpx")
+    fails("flight.trc", r"not a known kind of log; it is one of \.tlog, .*gpsbabel -i KIND -f flight\.trc -o gpx")
     for suffix in LOGS:
         (tmp_path / f"noise{suffix}").write_bytes(np.random.default_rng(3).bytes(5000))
         (tmp_path / f"empty{suffix}").write_bytes(b"")
@@ -329,6 +423,18 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
     fails("noise.bin", "not a DataFlash log")
     fails("noise.ulg", "not a whole ULog: ")
     fails("noise.gpx", "not a whole GPX file: ")
+    fails("noise.nmea", r"no position\(s\) in it, and two at least are needed")
+    fails("noise.geojson", "not a GeoJSON track: ")
+    fails("noise.kml", "not a whole KML file: ")
+    fails("noise.csv", "not UTF-8 text")
+    (tmp_path / "plan.kml").write_text("<kml><LineString/></kml>")
+    fails("plan.kml", "no gx:Track in it, so its points have no times; export the track as GPX")
+    (tmp_path / "line.geojson").write_text(
+        '{"type": "Feature", "geometry": {"type": "LineString", "coordinates": [[1, 2]]}}'
+    )
+    fails("line.geojson", "a LineString without a time for each point")
+    (tmp_path / "some.csv").write_text("a,b\n1,2\n")
+    fails("some.csv", "a track needs columns of time, lat and lon; its columns: a, b")
     (tmp_path / "plan.gpx").write_text('<gpx><trk><trkseg><trkpt lat="1" lon="2"/></trkseg></trk></gpx>')
     fails("plan.gpx", "a point of its track has no time; export the recorded track")
     write_dataflash(tmp_path / "parked.bin", degrees_at, 1)
@@ -339,7 +445,7 @@ def test_logs_that_cannot_be_read_are_named(tmp_path: Path, degrees_at: Degrees)
 
 def test_a_video_without_its_log_is_told_so(tmp_path: Path, write_video: WriteVideo, refused: Refused) -> None:
     write_video(tmp_path / "drive.avi", 3, 10.0)
-    refused("video-log", tmp_path / "drive.avi", r"--positions: name the log or track \(\.gpx, \.tlog, \.bin, \.ulg\)")
+    refused("video-log", tmp_path / "drive.avi", r"--positions: name the log or track \(\.tlog, .*\.csv\)")
 
 
 def test_a_log_is_replayed_with_its_video_as_the_feed_that_is_imported_of_them(
