@@ -43,20 +43,22 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
-    about = "drive as in this simulated recording, from the companion computer's first heartbeat on"
+    about = "drive as in this simulated recording, from the companion computer's first picture on"
     parser.add_argument("--follow", metavar="FEED", type=Path, help=about)
     parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
+    about = "GPS is lost S seconds after the drive began"
+    parser.add_argument("--gps-lost-after", metavar="S", type=float, default=math.inf, help=about)
     parser.add_argument("--seconds", metavar="S", type=float, default=math.inf, help="stop after S seconds")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print received messages as JSON lines on stdout until Ctrl-C; the connection is printed on stderr."""
-    start = Start()
+    start = Start(math.inf if arguments.follow else time.monotonic())
     if arguments.follow is not None:
         pose_at = recorded_drive(read_feed(arguments.follow), start)
     else:
-        pose_at = straight_line(arguments.speed, arguments.heading, time.monotonic())
+        pose_at = straight_line(arguments.speed, arguments.heading, start.time_s)
     link = _open(arguments.udp)
     autopilot = SimulatedAutopilot(link, pose_at, firmware=arguments.firmware, gps=not arguments.no_gps)
     if arguments.follow is not None:
@@ -67,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     thread = threading.Thread(target=autopilot.run, args=(stop,))
     thread.start()
     try:
-        _print_received(autopilot, thread, arguments.seconds, start)
+        _print_received(autopilot, thread, arguments, start)
     except KeyboardInterrupt:
         pass
     finally:
@@ -131,12 +133,18 @@ def _open(udp: str | None) -> Link:
     return pty
 
 
-def _print_received(autopilot: SimulatedAutopilot, thread: threading.Thread, seconds: float, start: Start) -> None:
-    end_s = time.monotonic() + seconds
+def _print_received(
+    autopilot: SimulatedAutopilot, thread: threading.Thread, arguments: argparse.Namespace, start: Start
+) -> None:
+    end_s = time.monotonic() + arguments.seconds
     while thread.is_alive() and time.monotonic() < end_s:
+        if time.monotonic() > start.time_s + arguments.gps_lost_after:
+            autopilot.gps = False
         batch = autopilot.received[:]
         for received in batch:
-            if received.message.get_type() == "HEARTBEAT":
+            # From its first picture on its state is not BOOT: camera and vehicle begin together, however slow it loads.
+            heard = received.message
+            if heard.get_type() == "HEARTBEAT" and heard.system_status != mavlink.MAV_STATE_BOOT:
                 start.time_s = min(start.time_s, received.time_s)
             line = {"time_s": round(received.time_s, 4), **received.message.to_dict()}
             print(msgspec.json.encode(line).decode(), flush=True)

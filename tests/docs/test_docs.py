@@ -62,6 +62,7 @@ MOST_S = 600
 SHORTER = {
     "length_m = 400.0": "length_m = 240.0",
     "--seconds 5 ": "--seconds 1 ",
+    "--gps-lost-after 20 ": "--gps-lost-after 2 ",
     "--light night ": "--light night --rehearsals 2 ",
 }
 """A shorter road, a shorter run and fewer rehearsals show the same, in half of the time."""
@@ -101,11 +102,13 @@ until_on_the_map() {
     : > run.log
     "$@" >> run.log 2>&1 &
     daemon=$!
-    grep --quiet 'on the map' <(tail --follow --lines=+1 --pid=$daemon run.log) || { cat run.log; false; }
+    grep --quiet "${AWAITED:-on the map}" <(tail --follow=name --retry --lines=+1 --pid=$daemon run.log journal.jsonl) \
+        || { cat run.log; false; }
     kill $daemon && wait $daemon
 }
 """
-"""A reader watches a daemon until its recording ends, a test until it is on the map; it must end well."""
+"""A reader watches a daemon until its recording ends, a test until it is on the map, or until the journal has what the page
+looks for in it; it must end well."""
 
 
 @pytest.fixture(scope="session")
@@ -158,6 +161,8 @@ def run_page(page: Path, folder: Path, programs: Path) -> str:
     for shown, tried in SHORTER.items():
         text = text.replace(shown, tried)
     text = text.replace(". .venv/bin/activate ", ": ").replace("\nlookback run ", "\nuntil_on_the_map lookback run ")
+    if found := re.search(r"^grep (\w+) journal\.jsonl", text, re.MULTILINE):
+        text = text.replace("until_on_the_map", f"AWAITED={found[1]} until_on_the_map")
     return run_in(folder, PRELUDE + script_of(text, page, folder), programs)
 
 
