@@ -93,7 +93,7 @@ what_to_install() { # prints a pip requirement; copies the checkout, because a b
     else
         [ -f "$here/../pyproject.toml" ] || die "no checkout around this script: use --wheel or --pypi"
         mkdir "$work/source"
-        for name in pyproject.toml README.md LICENSE edge edge_plugins lookback sim; do
+        for name in pyproject.toml setup.py README.md LICENSE edge edge_plugins lookback sim; do
             [ ! -e "$here/../$name" ] || cp -R "$here/../$name" "$work/source/"
         done
         spec=$work/source

@@ -107,8 +107,8 @@ until_on_the_map() {
     kill $daemon && wait $daemon
 }
 """
-"""A reader watches a daemon until its recording ends, a test until it is on the map, or until the journal has what the page
-looks for in it; it must end well."""
+"""A reader watches a daemon until its recording ends, a test until it is on the map, or until the journal has what the
+page looks for in it; it must end well."""
 
 
 @pytest.fixture(scope="session")
