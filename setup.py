@@ -1,7 +1,7 @@
 """What pyproject.toml cannot say: README as the page on PyPI, whose links and pictures lead to the repository.
 
-The address of the repository is that of the workflow that builds the release, or REPOSITORY_URL. Without one, links become
-their words, and pictures are left away.
+The address of the repository is that of the workflow that builds the release, or REPOSITORY_URL. Without one, links
+become their words, and pictures are left out.
 """
 
 import os
