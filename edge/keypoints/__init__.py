@@ -1,6 +1,7 @@
 """Where in the picture two views agree: points that a network finds, their matches, and what geometry says of them.
 
     image (H, W, 3) --network--> Keypoints --matching--> Verified
+    a drive's Keypoints --drive_points--> Points of each row --pose, with what is seen--> Pose
 
 A camera that looks the same way as the map's finds the place in one picture. Where the views are opposite, nothing
 here is loaded.
@@ -13,7 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Keypoints", "Verified"]
+from edge.keypoints.points import Points
+from edge.keypoints.view_geometry import Camera
+
+__all__ = ["Camera", "Keypoints", "Points", "Verified"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from edge.descriptor import open_graph
 from edge.keypoints import Keypoints
 
+NETWORK = "xfeat"
+"""What ships."""
 MOST = 400
 """Points of a picture."""
 LONGER_SIDE, MULTIPLE, CELL = 320, 32, 8
@@ -29,7 +31,7 @@ _CUBIC = -0.75
 class KeypointNetwork:
     """Finds the points of pictures, in the calling thread."""
 
-    def __init__(self, name: str = "xfeat") -> None:
+    def __init__(self, name: str = NETWORK) -> None:
         """name: or another file that `lookback model import xfeat` wrote. ModelError, in one line."""
         self._run = open_graph(name, ("features", "keypoints", "reliability"))
 

@@ -7,6 +7,7 @@
     statistics.f64   (2, R, D) mean and deviation of the raw set
     projection.f32   (K, D) of a map whose descriptors were shrunk to K < D dimensions
     raw.f16          (N, R, D) raw descriptors, so that the map can grow and be normalized again without images
+    keypoints.bin    (N, K) records of KEYPOINT (`keypoint_file`) of a map that has them; memory-mapped
     thumbnails.jpgs  one small JPEG after another, for people
 
 Numbers are little-endian. A map is written to a folder beside it, synced, and put in place by one rename, so that
@@ -20,6 +21,7 @@ import math
 import mmap
 import stat
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,13 +35,15 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.errors import MapError, reason
 from edge.geodesy import Origin
 from edge.reference_map.checksums import FileKey, check_files
+from edge.reference_map.keypoint_file import KeypointsKey, mapped
 from edge.reference_map.place_records import MAX_SIGMA_M, PLACE, PLACE_OF_FORMAT_3, check_steps, read_places
 from edge.reference_map.spatial_index import Bounds
 from edge.toml_file import Line
 
 FORMAT = "lookback-map"
 VERSION = 4
-RECORDS = {3: PLACE_OF_FORMAT_3, VERSION: PLACE}
+VERSION_WITH_KEYPOINTS = 5
+RECORDS = {3: PLACE_OF_FORMAT_3, VERSION: PLACE, VERSION_WITH_KEYPOINTS: PLACE}
 """The versions that are read, and what a place of each has."""
 HEADER = "map.json"
 DESCRIPTORS = "descriptors.i8"
@@ -47,6 +51,7 @@ PLACES = "places.bin"
 STATISTICS = "statistics.f64"
 PROJECTION = "projection.f32"
 RAW = "raw.f16"
+KEYPOINTS = "keypoints.bin"
 THUMBNAILS = "thumbnails.jpgs"
 MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION)
 """What recognition reads; the other files are for growing the map and for people."""
@@ -124,7 +129,8 @@ class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """`map.json`. dimensions: values of a region that are matched; fewer than the model's where they were shrunk.
 
-    bounds: null where no place has a position. tile: null for a map that was not cut from a larger one.
+    bounds: null where no place has a position. tile: null for a map that was not cut from a larger one. keypoints: of
+    a map that has them, which is of VERSION_WITH_KEYPOINTS; others do not have the key.
     """
 
     format: str
@@ -139,6 +145,7 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bounds: Bounds | None
     files: dict[str, FileKey]
     tile: TileOf | None = None
+    keypoints: KeypointsKey | msgspec.UnsetType = msgspec.UNSET
     header_sha256: str = ""
 
     @classmethod
@@ -146,6 +153,16 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Of a map without places."""
         version = FORMAT, VERSION, edge.__version__
         return cls(*version, model, regions, model.dimensions, sampling, places=0, segments=(), bounds=None, files={})
+
+    def with_keypoints(self, key: KeypointsKey | None) -> MapHeader:
+        """With or without a file of keypoints."""
+        version = VERSION if key is None else VERSION_WITH_KEYPOINTS
+        return replace(self, version=version, keypoints=msgspec.UNSET if key is None else key)
+
+    @property
+    def keypoints_key(self) -> KeypointsKey | None:
+        """None for a map without them."""
+        return None if isinstance(self.keypoints, msgspec.UnsetType) else self.keypoints
 
     def with_segment(
         self,
@@ -218,6 +235,12 @@ class ReferenceMap:
         with (self.path / THUMBNAILS).open("rb") as file:
             file.seek(max(0, int(record["thumbnail_at"])))
             return file.read(max(0, int(record["thumbnail_bytes"])))
+
+    @cached_property
+    def keypoints(self) -> NDArray[np.void] | None:
+        """Records (N, K) of KEYPOINT, memory-mapped and unverified; None for a map without them. MapError."""
+        key = self.header.keypoints_key
+        return None if key is None else mapped(self.path / KEYPOINTS, key, self.header.places)
 
     def release(self) -> None:
         """Give back the memory that the descriptors' file takes in this process; what is read again comes anew."""
@@ -310,7 +333,7 @@ def read_header(path: Path) -> MapHeader:
         if kind.format != FORMAT or kind.version not in RECORDS:
             raise MapError(
                 f"{file}: format {kind.format!r} version {kind.version}; this program reads"
-                f" {' and '.join(map(str, RECORDS))}; build the map again"
+                f" {min(RECORDS)} to {max(RECORDS)}; build the map again"
             )
         header = msgspec.json.decode(data, type=MapHeader)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -339,8 +362,13 @@ def encode_header(header: MapHeader) -> bytes:
     return msgspec.json.format(msgspec.json.encode(replace(header, header_sha256=digest)), indent=1)
 
 
-def expected_sizes(places: int, regions: int, dimensions: int, kept: int, version: int = VERSION) -> dict[str, int]:
-    """Bytes of the files whose size follows from the counts; `kept` of the model's `dimensions` are matched."""
+def expected_sizes(
+    places: int, regions: int, dimensions: int, kept: int, version: int = VERSION, keypoint_bytes: int = 0
+) -> dict[str, int]:
+    """Bytes of the files whose size follows from the counts; `kept` of the model's `dimensions` are matched.
+
+    keypoint_bytes: of the keypoints of a place.
+    """
     values = places * regions
     sizes = {
         DESCRIPTORS: values * kept,
@@ -348,6 +376,8 @@ def expected_sizes(places: int, regions: int, dimensions: int, kept: int, versio
         STATISTICS: 2 * regions * dimensions * 8,
         RAW: values * dimensions * 2,
     }
+    if keypoint_bytes:
+        sizes[KEYPOINTS] = places * keypoint_bytes
     return sizes if kept == dimensions else {**sizes, PROJECTION: kept * dimensions * 4}
 
 
@@ -356,7 +386,10 @@ def _check_header(file: Path, header: MapHeader) -> None:
     if not 1 <= header.dimensions <= header.model.dimensions:
         raise MapError(f"{file}: dimensions: {header.dimensions} of the model's {header.model.dimensions}")
     counts = header.places, header.regions.count, header.model.dimensions, header.dimensions
-    sizes = expected_sizes(*counts, header.version)
+    key = header.keypoints_key
+    if (key is not None) != (header.version == VERSION_WITH_KEYPOINTS):
+        raise MapError(f"{file}: keypoints: not those of a map of version {header.version}")
+    sizes = expected_sizes(*counts, header.version, 0 if key is None else key.place_bytes)
     if set(header.files) != {*sizes, THUMBNAILS}:
         raise MapError(f"{file}: files: not the list of files of a map")
     for name, size in sizes.items():

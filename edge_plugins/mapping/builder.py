@@ -30,6 +30,7 @@ from edge.reference_map.costs import encode, project, squared_norms
 from edge.reference_map.place_records import ASSUMED_SIGMA_M, PLACE
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
+from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows
 
 BLOCK = 256
 USABLE_SIGMA_M = 25.0
@@ -99,10 +100,11 @@ class MapBuilder(DriveByDrive):
         *,
         shrink: Shrink | None = None,
         replace: bool = False,
+        keypoints: KeyOf | None = None,
     ) -> None:
         """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False.
 
-        shrink: the descriptors of each region; None: as they are.
+        shrink: the descriptors of each region; None: as they are. keypoints: the key of a map that has them.
         """
         if path.exists() and not replace:
             raise MapError(f"{path}: already exists; name another folder, or use --replace")
@@ -118,6 +120,8 @@ class MapBuilder(DriveByDrive):
         self._folder = self._new.path
         self._raw = (self._folder / store.RAW).open("wb")
         self._thumbnails = (self._folder / store.THUMBNAILS).open("wb")
+        self.keypoints = None if keypoints is None else KeypointRows(self._folder / store.KEYPOINTS, keypoints)
+        """Of a map that has them, each place's are added here."""
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment.
@@ -147,6 +151,8 @@ class MapBuilder(DriveByDrive):
         places["norm_sq"] = self._write_descriptors(lambda: self._normalized_blocks(mean, deviation))
         places.tofile(self._folder / store.PLACES)
         header = self._header.first(len(places)).checked(places)
+        if self.keypoints is not None:
+            header = header.with_keypoints(self.keypoints.finish(places, header.segments))
         header = msgspec.structs.replace(header, bounds=bounds_of(places), files=self._files())
         (self._folder / store.HEADER).write_bytes(store.encode_header(header))
         self._new.put_in_place()
@@ -192,7 +198,9 @@ class MapBuilder(DriveByDrive):
 
     def _files(self) -> dict[str, FileKey]:
         header = self._header
-        names = [*store.expected_sizes(0, 0, header.model.dimensions, header.dimensions), store.THUMBNAILS]
+        has_keypoints = self.keypoints is not None
+        sizes = store.expected_sizes(0, 0, header.model.dimensions, header.dimensions, keypoint_bytes=has_keypoints)
+        names = [*sizes, store.THUMBNAILS]
         return {name: FileKey((self._folder / name).stat().st_size, sha256_of(self._folder / name)) for name in names}
 
     def __enter__(self) -> MapBuilder:
@@ -203,6 +211,9 @@ class MapBuilder(DriveByDrive):
             self._raw.close()
         with contextlib.suppress(OSError):
             self._thumbnails.close()
+        with contextlib.suppress(OSError):
+            if self.keypoints is not None:
+                self.keypoints.close()
         self._new.__exit__(kind, error, trace)
 
 

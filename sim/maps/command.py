@@ -22,8 +22,10 @@ from edge.geodesy import POSITION_SOURCES
 from edge.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
-from sim.maps import export, layers
+from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
+from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
+from sim.maps.adding_keypoints import add_fov_option
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.shrinking import shrink_to
 from sim.traverse import driven_m
@@ -44,6 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument(
         "--dimensions", type=int, metavar="D", help="reduce descriptors of regions to D dimensions (PCA)"
     )
+    build.add_argument("--no-keypoints", action="store_true", help="without keypoints, 22.8 kB of each place")
+    add_fov_option(build)
     build.add_argument("--cluster", metavar="ADDRESS", help="let the workers of a dask scheduler describe the feeds")
     build.add_argument("--replace", action="store_true", help="replace an existing map atomically")
     build.set_defaults(run=run_build)
@@ -54,6 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extend.add_argument("--model", type=Path, help="the network that the map was made with, unless it is grid or fc6")
     extend.set_defaults(run=_extend)
 
+    about = "give a map keypoints, by the recordings that it was made of"
+    adding_keypoints.add_arguments(actions.add_parser("keypoints", help=about))
     map_files.add_actions(actions)
     layers.add_actions(actions)
     export.add_arguments(actions)
@@ -105,11 +111,13 @@ def build_map(
     dimensions: int | None = None,
     replace: bool = False,
     network: Network | None = None,
+    keypoints: KeyOf | None = None,
     describe: Callable[[MapBuilder, Network], None] | None = None,
 ) -> MapHeader:
     """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`.
 
-    network: instead of the one that `descriptor` names. describe: adds the feeds to the map instead.
+    network: instead of the one that `descriptor` names. keypoints: the key of a map that has them. describe: adds the
+    feeds to the map instead.
     """
     network = network or open_network(descriptor)
     regions = RegionsKey.of(descriptor)
@@ -117,7 +125,7 @@ def build_map(
         raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
     key = model_key(network)
     shrink = shrink_to(dimensions or network.info.dimensions, network.info.dimensions)
-    with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace) as builder:
+    with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace, keypoints=keypoints) as builder:
         if describe is not None:
             describe(builder, network)
         for feed in feeds if describe is None else ():
@@ -134,7 +142,7 @@ def _print_unused(builder: MapBuilder) -> None:
 
 def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
     """Add all places of a map of the same model and regions, with segments and raw descriptors, as if driven again."""
-    raw, records = other.raw(), other.places
+    raw, records, key = other.raw(), other.places, other.header.keypoints_key
     for segment in other.header.segments:
         moved, whole_m = segment.moved_as_driven, segment.whole_sigma_m
         builder.begin_segment(segment.source, segment.view, has_odometer=moved, whole_sigma_m=whole_m)
@@ -143,6 +151,8 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
             source = POSITION_SOURCES[records["position_source"][index]]
             place = Place(**known, thumbnail=other.thumbnail(index), position_source=source)
             builder.add(raw[index].astype(np.float32), place)
+            if builder.keypoints is not None and other.keypoints is not None and key is not None:
+                builder.keypoints.add_record(other.keypoints[index], key)
 
 
 def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
@@ -166,12 +176,24 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     describe = None
     if args.cluster:
         settings = msgspec.structs.replace(config, descriptor=descriptor)
-        work = Work(settings, feed_options(args), sampling, is_metric)
+        work = Work(settings, feed_options(args), sampling, is_metric, not args.no_keypoints)
         describe = partial(add_by_cluster, paths=args.feeds, work=work, address=args.cluster)
+    keypoints = None if args.no_keypoints else partial(keypoints_key, fov_deg=args.fov_deg)
     options = {"must_have_distance": is_metric, "dimensions": args.dimensions, "replace": args.replace}
-    header = build_map(feeds, args.output, descriptor, sampling, **options, network=network, describe=describe)
+    made_by = args.output, descriptor, sampling
+    header = build_map(feeds, *made_by, **options, network=network, keypoints=keypoints, describe=describe)
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     return 0
+
+
+def _key_of(old: ReferenceMap) -> KeyOf | None:
+    """Of further places of a map with keypoints. MapError where another network made those."""
+    had = old.header.keypoints_key
+    if had is None:
+        return None
+    if keypoints_key(had.height, had.width, had.fov_deg).sha256 != had.sha256:
+        raise MapError(f"{old.path}: its keypoints are of another network {had.network}; build the map again")
+    return lambda height, width: had
 
 
 def _extend(args: argparse.Namespace) -> int:
@@ -184,7 +206,8 @@ def _extend(args: argparse.Namespace) -> int:
     if key != header.model:
         raise MapError(f"{args.map}: made with another model, so nothing can be added; name the map's with --model")
     shrink = shrink_to(header.dimensions, key.dimensions)
-    with MapBuilder(args.map, key, header.regions, header.sampling, shrink=shrink, replace=True) as builder:
+    of_map = key, header.regions, header.sampling
+    with MapBuilder(args.map, *of_map, shrink=shrink, replace=True, keypoints=_key_of(old)) as builder:
         add_map(builder, old)
         for feed in feeds:
             add_feed(builder, feed, network, header.regions, header.sampling)

@@ -29,7 +29,9 @@ from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.extras import import_extra
-from edge.feed import Feed, FeedOptions, read_feed
+from edge.feed import Feed, FeedOptions, Frame, read_feed
+from edge.keypoints import Keypoints
+from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
 from sim.traverse import TraverseFrame, has_odometer, traverse, whole_sigma_m
@@ -47,7 +49,7 @@ CONNECT_S = 3
 class Described:
     """What a worker made of a recording: raw descriptors (N, R, D) as a map keeps them, and the places.
 
-    made_by: see `fingerprint`.
+    keypoints: of each place, none where the map has none. made_by: see `fingerprint`.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Described:
     whole_sigma_m: float | None
     raw: NDArray[np.float16]
     places: tuple[Place, ...]
+    keypoints: tuple[Keypoints, ...]
     made_by: str
 
 
@@ -67,6 +70,7 @@ class Work:
     options: FeedOptions
     sampling: SamplingConfig
     must_have_distance: bool
+    with_keypoints: bool = False
 
 
 def add_feed(
@@ -79,12 +83,15 @@ def add_feed(
     must_have_distance: bool = False,
 ) -> None:
     """Describe a recording here, and add it as a segment."""
+    extract = None if builder.keypoints is None else KeypointNetwork().extract
     made = feed.header
     builder.begin_segment(made.name, made.view, has_odometer=has_odometer(feed), whole_sigma_m=whole_sigma_m(feed))
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
-        for index, raw, place in _described(feed, network, regions, sampling, must_have_distance):
+        for frame, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
-            progress.update(index + 1 - progress.n)
+            if builder.keypoints is not None and extract is not None:
+                builder.keypoints.add(extract(frame.image))
+            progress.update(frame.index + 1 - progress.n)
         progress.update(len(feed.rows) - progress.n)
 
 
@@ -121,6 +128,9 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                 builder.begin_segment(drive.name, drive.view, has_odometer=known[0], whole_sigma_m=known[1])
                 for raw, place in zip(drive.raw, drive.places, strict=True):
                     builder.add(raw.astype(np.float32), place)
+                if builder.keypoints is not None:
+                    for keypoints in drive.keypoints:
+                        builder.keypoints.add(keypoints)
                 progress.update()
 
 
@@ -129,11 +139,16 @@ def describe(path: Path, work: Work) -> Described:
     feed = preprocessed_feed(read_feed(path, work.options), work.config.camera)
     network = _network(work.config.descriptor)
     regions = RegionsKey.of(work.config.descriptor)
-    found = list(_described(feed, network, regions, work.sampling, work.must_have_distance))
-    raw = np.array([one for _, one, _ in found], dtype="<f2")
-    made, places = feed.header, tuple(place for *_, place in found)
-    known = has_odometer(feed), whole_sigma_m(feed)
-    return Described(made.name, made.view, *known, raw, places, fingerprint(network))
+    extract = KeypointNetwork().extract if work.with_keypoints else None
+    raw: list[NDArray[np.float16]] = []
+    places: list[Place] = []
+    keypoints: list[Keypoints] = []
+    for frame, one, place in _described(feed, network, regions, work.sampling, work.must_have_distance):
+        raw.append(one.astype("<f2"))
+        places.append(place)
+        keypoints += [extract(frame.image)] if extract is not None else []
+    made = feed.header.name, feed.header.view, has_odometer(feed), whole_sigma_m(feed)
+    return Described(*made, np.array(raw), tuple(places), tuple(keypoints), fingerprint(network))
 
 
 def fingerprint(network: Network) -> str:
@@ -150,11 +165,11 @@ def _network(descriptor: DescriptorConfig) -> Network:
 
 def _described(
     feed: Feed, network: Network, regions: RegionsKey, sampling: SamplingConfig, must_have_distance: bool
-) -> Iterator[tuple[int, NDArray[np.float32], Place]]:
+) -> Iterator[tuple[Frame, NDArray[np.float32], Place]]:
     """Frame, raw descriptor and record of each place."""
     for item in traverse(feed, sampling, must_have_distance=must_have_distance):
         raw = network.describe(pictures_for(network.info, item.frame.image, regions.kind, regions.width))
-        yield item.frame.index, raw, _place(item)
+        yield item.frame, raw, _place(item)
 
 
 def _place(item: TraverseFrame) -> Place:

@@ -99,6 +99,10 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
     print(f"accuracy  {spell_accuracy(places)}")
     print(f"bounds    {_spell_bounds(header)}")
+    key = header.keypoints_key
+    if key is not None:
+        of = f"{key.most} a place ({key.place_bytes / 1e3:.1f} kB), {key.network}, {key.sha256[:12]}"
+        print(f"keypoints {of}, of {key.width} x {key.height} pixels and {key.fov_deg:g} degrees")
     if header.tile is not None:
         print(f"tile      of the map {header.tile.map_sha256[:12]}, from its place {header.tile.start} on")
     for segment in header.segments:

@@ -72,6 +72,9 @@ def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapH
             _copy(plane, file, start, end)
     with (folder / store.RAW).open("wb") as file:
         _copy(whole.raw(), file, start, end)
+    if whole.keypoints is not None:
+        with (folder / store.KEYPOINTS).open("wb") as file:
+            _copy(whole.keypoints, file, start, end)
     with (whole.path / store.THUMBNAILS).open("rb") as source, (folder / store.THUMBNAILS).open("wb") as file:
         source.seek(first_byte)
         file.write(source.read(last_byte - first_byte))
@@ -80,7 +83,7 @@ def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapH
             shutil.copyfile(whole.path / name, folder / name)
     header = msgspec.structs.replace(
         whole.header,
-        version=store.VERSION,
+        version=max(store.VERSION, whole.header.version),
         places=end - start,
         segments=tuple(_segments(whole.header, start, end)),
         bounds=bounds_of(records),

@@ -332,7 +332,7 @@ def test_a_place_that_cannot_be_is_refused_at_opening(small_map: Path, field: st
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"version": 2}, "version 2; this program reads 3 and 4; build the map again"),
+        ({"version": 2}, "version 2; this program reads 3 to 5; build the map again"),
         ({"format": "other"}, "format"),
         ({"places": 10**12}, "descriptors.i8 should have"),
         ({"places": -1}, "should have"),

@@ -1,0 +1,48 @@
+"""A place's records of KEYPOINT as the stage of keypoints has them, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.keypoints import Camera, Keypoints, Points
+from edge.reference_map.keypoint_file import KEYPOINT, STEPS, KeypointsKey
+
+
+def camera_of(key: KeypointsKey) -> Camera:
+    """The camera of a map's pictures."""
+    return Camera(key.width, key.height, key.fov_deg)
+
+
+def record_of(keypoints: Keypoints, key: KeypointsKey) -> NDArray[np.void]:
+    """Records (K,) of a picture's keypoints, whose distances are not known yet."""
+    record = np.zeros(key.most, KEYPOINT)
+    record["inverse"] = record["sigma"] = np.nan
+    count = min(len(keypoints), key.most)
+    xy = keypoints.xy[:count] * (key.width / keypoints.size[1])
+    record["descriptor"][:count] = keypoints.descriptors[:count]
+    record["xy"][:count] = np.rint(xy.clip(0) * STEPS)
+    record["direction"][:count] = camera_of(key).directions(xy)
+    return record
+
+
+def keypoints_of(record: NDArray[np.void], key: KeypointsKey) -> Keypoints:
+    """The keypoints of a place. Scores are in their order."""
+    used = record["descriptor"].any(axis=-1)
+    xy = record["xy"][used].astype(np.float32) / np.float32(STEPS)
+    scores = np.linspace(1, 0, len(xy), endpoint=False, dtype=np.float32)
+    return Keypoints(xy, scores, np.ascontiguousarray(record["descriptor"][used]), (key.height, key.width))
+
+
+def points_of(record: NDArray[np.void]) -> Points:
+    """Its points, in the order of `keypoints_of`."""
+    record = record[record["descriptor"].any(axis=-1)]
+    places = np.column_stack([record["direction"], record["inverse"]]).astype(np.float64)
+    return Points(places, record["sigma"].astype(np.float64))
+
+
+def put_points(record: NDArray[np.void], points: Points) -> None:
+    """Write the points of a place's keypoints into its records."""
+    count = len(points.sigma)
+    record["direction"][:count], record["inverse"][:count] = points.places[:, :2], points.places[:, 2]
+    record["sigma"][:count] = points.sigma

@@ -1,0 +1,91 @@
+"""The keypoints of a map that is being made: place after place to the disk, then the distances of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.descriptor.model_file import read_model_file, resolve_model
+from edge.errors import MapError
+from edge.keypoints import Keypoints
+from edge.keypoints.drive_points import points_of_drive
+from edge.keypoints.network import NETWORK
+from edge.reference_map.keypoint_file import KeypointsKey, mapped
+from edge.reference_map.keypoint_records import camera_of, keypoints_of, put_points, record_of
+from edge.reference_map.store import Segment
+
+MOST = 300
+"""Keypoints of a place: 22.8 kB. Of 400, 30.4 kB; see docs/keypoints.md for what they gain."""
+ASPECT_PX = 1.0
+"""By which the height of a picture may differ from that of another size's of the same shape."""
+
+
+KeyOf = Callable[[int, int], KeypointsKey]
+"""The key of a map by the height and width of its first picture."""
+
+
+def keypoints_key(height: int, width: int, fov_deg: float) -> KeypointsKey:
+    """Of a new map of pictures of this size, by the network that ships. ModelError."""
+    made = read_model_file(resolve_model(Path(NETWORK))).info
+    return KeypointsKey(NETWORK, made.sha256, MOST, width, height, fov_deg)
+
+
+class KeypointRows:
+    """Writes `keypoints.bin`."""
+
+    def __init__(self, file: Path, key_of: KeyOf) -> None:
+        """OSError."""
+        self._path, self._key_of = file, key_of
+        self._key: KeypointsKey | None = None
+        self._file = file.open("wb")
+        self._count = 0
+        self._new: list[int] = []  # places whose distances are not known yet
+
+    def add(self, keypoints: Keypoints) -> None:
+        """Of the next place. MapError for a picture of another shape."""
+        height, width = keypoints.size
+        key = self._key = self._key or self._key_of(height, width)
+        if abs(height * key.width / width - key.height) > ASPECT_PX:
+            raise MapError(
+                f"pictures of {width} x {height} and of {key.width} x {key.height} pixels: a map with keypoints has"
+                " those of one shape; build two maps, or use --no-keypoints"
+            )
+        self._new.append(self._count)
+        self._write(record_of(keypoints, key))
+
+    def add_record(self, record: NDArray[np.void], key: KeypointsKey) -> None:
+        """Of the next place, as another map of this key has them."""
+        self._key = self._key or key
+        self._write(record)
+
+    def _write(self, record: NDArray[np.void]) -> None:
+        self._file.write(record.tobytes())
+        self._count += 1
+
+    def finish(self, places: NDArray[np.void], segments: Iterable[Segment]) -> KeypointsKey:
+        """Compute the distances of new places by all rows of their drives. places: (N,) of PLACE."""
+        self.close()
+        assert self._key is not None  # a map has places
+        key = self._key
+        records, new = mapped(self._path, key, self._count, writable=True), np.array(self._new, np.intp)
+        for segment in segments:
+            drive = records[segment.start : segment.end]
+            own = places[segment.start : segment.end]
+            heading, looks_back = np.radians(own["heading_deg"]), segment.view == "rear"
+            rows = (new[(new >= segment.start) & (new < segment.end)] - segment.start).tolist()
+
+            def read(row: int, drive: NDArray[np.void] = drive) -> Keypoints:
+                return keypoints_of(drive[row], key)
+
+            found = points_of_drive(read, own["route_m"], heading, camera_of(key), rows, looks_back=looks_back)
+            for row, points in zip(rows, found, strict=True):
+                put_points(drive[row], points)
+        records.flush()  # type: ignore[attr-defined]
+        return key
+
+    def close(self) -> None:
+        """Close the file; more than once is harmless."""
+        self._file.close()

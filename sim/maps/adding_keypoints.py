@@ -1,0 +1,109 @@
+"""`lookback map keypoints`: give a map keypoints from the recordings that it was made of."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.camera.preprocessing import preprocessed_feed
+from edge.config import Config, load_config
+from edge.errors import ConfigError, MapError
+from edge.feed import Feed, FeedImages, read_feed
+from edge.files import AtomicFolder
+from edge.keypoints.network import KeypointNetwork
+from edge.reference_map import ReferenceMap, open_map
+from edge.reference_map.checksums import FileKey, sha256_of
+from edge.reference_map.keypoint_file import KeypointsKey
+from edge.reference_map.store import HEADER, KEYPOINTS, encode_header
+from edge_plugins.mapping.keypoint_rows import KeypointRows, keypoints_key
+
+FOV_DEG = 80.0
+FOV_LIMITS_DEG = 30.0, 120.0
+
+
+def add_fov_option(parser: argparse.ArgumentParser) -> None:
+    """Of the pictures."""
+    about = f"horizontal field of view of the pictures in degrees (default {FOV_DEG:g}), which keypoints need"
+    parser.add_argument("--fov-deg", type=fov_deg, default=FOV_DEG, metavar="DEG", help=about)
+
+
+def fov_deg(text: str) -> float:
+    """A field of view. ConfigError if it is none."""
+    least, most = FOV_LIMITS_DEG
+    try:
+        found = float(text)
+    except ValueError:
+        found = np.nan
+    if not least <= found <= most:
+        raise ConfigError(f"--fov-deg: {text} is not a number of degrees from {least:g} to {most:g}")
+    return found
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback map keypoints`."""
+    parser.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
+    parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="the recordings that it was made of")
+    parser.add_argument("--config", type=Path, help="read flip, crop and mask of [camera] from this file")
+    add_fov_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """The command."""
+    camera = (load_config(args.config) if args.config else Config()).camera
+    feeds = [preprocessed_feed(read_feed(path), camera) for path in args.feeds]
+    key = add_keypoints(open_map(args.map, every_file=True), feeds, args.fov_deg)
+    print(
+        f"{args.map}: {key.most} keypoints of each place, {key.place_bytes / 1e3:.1f} kB, for {key.fov_deg:g} degrees"
+    )
+    return 0
+
+
+def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov: float) -> KeypointsKey:
+    """Write the map anew with keypoints of all places, in place of those that it has. MapError.
+
+    feeds: all that its drives were made of, by their names.
+    """
+    path, header = reference_map.path, reference_map.header
+    by_name = {feed.header.name: feed for feed in feeds}
+    missing = [one.source for one in header.segments if one.source not in by_name]
+    if missing:
+        raise MapError(f"{path}: its drive {missing[0]} is of none of these recordings; name all that it was made of")
+    with AtomicFolder(path) as new:
+        for name in header.files.keys() - {KEYPOINTS}:
+            shutil.copyfile(path / name, new.path / name)
+        rows, extract = (
+            KeypointRows(new.path / KEYPOINTS, partial(keypoints_key, fov_deg=fov)),
+            KeypointNetwork().extract,
+        )
+        for segment in header.segments:
+            own = reference_map.places[segment.start : segment.end]
+            for image in _pictures(by_name[segment.source], own["row"]):
+                rows.add(extract(image))
+        key = rows.finish(reference_map.places, header.segments)
+        file = new.path / KEYPOINTS
+        files = {**header.files, KEYPOINTS: FileKey(file.stat().st_size, sha256_of(file))}
+        made = msgspec.structs.replace(header.with_keypoints(key), files=files, header_sha256="")
+        (new.path / HEADER).write_bytes(encode_header(made))
+        new.put_in_place()
+    return key
+
+
+def _pictures(feed: Feed, rows: NDArray[np.int32]) -> Iterator[NDArray[np.uint8]]:
+    if rows.max() >= len(feed.rows):
+        raise MapError(
+            f"{feed.path}: {len(feed.rows)} pictures, but the map has its picture {rows.max()}; another drive?"
+        )
+    images = FeedImages(feed)
+    try:
+        for row in rows.tolist():
+            yield images.read(row)
+    finally:
+        images.close()
