@@ -46,41 +46,42 @@ class Sight:
     def __init__(self, cameras: NDArray[np.float64], points: NDArray[np.float64]) -> None:
         right_m, ahead_m, turn, pitch = np.moveaxis(cameras, -1, 0)
         a, b, inverse = np.moveaxis(points, -1, 0)
-        self._cos, self._sin = np.cos(turn), np.sin(turn)
-        self._cos_pitch, self._sin_pitch = np.cos(pitch), np.sin(pitch)
+        self._turn, self._pitch = (np.cos(turn), np.sin(turn)), (np.cos(pitch), np.sin(pitch))
         self._camera_at, self._inverse = (right_m, ahead_m), inverse
+        (cos, sin), (cos_pitch, sin_pitch) = self._turn, self._pitch
         beside, before = a - inverse * right_m, 1 - inverse * ahead_m
-        self._x = self._cos * beside - self._sin * before
-        self._level_z = self._sin * beside + self._cos * before
-        self.depth = self._cos_pitch * self._level_z - self._sin_pitch * b
-        self._z = np.where(np.abs(self.depth) > 1e-6, self.depth, 1e-6)
-        self._u, self._v = self._x / self._z, (self._cos_pitch * b + self._sin_pitch * self._level_z) / self._z
-        self.directions = np.stack([self._u, self._v], axis=-1)
+        x, z = cos * beside - sin * before, sin * beside + cos * before
+        self._level = x, z  # before the pitch
+        self.depth = cos_pitch * z - sin_pitch * b
+        self.directions = np.stack([x, cos_pitch * b + sin_pitch * z], axis=-1) / self._z[..., np.newaxis]
 
     def by_inverse(self) -> NDArray[np.float64]:
         """Derivatives (..., 2) of the directions by the points' inverse distance."""
-        right_m, ahead_m = self._camera_at
-        return self._moved(
-            self._sin * ahead_m - self._cos * right_m, np.asarray(-self._sin * right_m - self._cos * ahead_m)
-        )
+        (right_m, ahead_m), (cos, sin) = self._camera_at, self._turn
+        return self._moved(sin * ahead_m - cos * right_m, np.asarray(-sin * right_m - cos * ahead_m))
 
     def by_point(self) -> NDArray[np.float64]:
         """Derivatives (..., 2, 3) by the points: direction and inverse distance."""
-        dz = -self._sin_pitch
-        by_b = np.stack(np.broadcast_arrays(-self._u * dz, self._cos_pitch - self._v * dz), -1) / self._z[..., None]
-        return np.stack([self._moved(self._cos, self._sin), by_b, self.by_inverse()], axis=-1)
+        (cos_pitch, sin_pitch), (u, v) = self._pitch, np.moveaxis(self.directions, -1, 0)
+        by_b = np.stack([u * sin_pitch, cos_pitch + v * sin_pitch], axis=-1) / self._z[..., np.newaxis]
+        return np.stack([self._moved(*self._turn), by_b, self.by_inverse()], axis=-1)
 
     def by_camera(self) -> NDArray[np.float64]:
         """Derivatives (..., 2, 4) by the cameras: right, ahead, turn and pitch."""
-        inverse = self._inverse
-        by_right = self._moved(-self._cos * inverse, -self._sin * inverse)
-        by_ahead = self._moved(self._sin * inverse, -self._cos * inverse)
-        by_turn = self._moved(-self._level_z, self._x)
-        by_pitch = np.stack([self._u * self._v, 1 + self._v * self._v], axis=-1)
-        return np.stack([by_right, by_ahead, by_turn, by_pitch], axis=-1)
+        (cos, sin), (x, z), inverse = self._turn, self._level, self._inverse
+        u, v = np.moveaxis(self.directions, -1, 0)
+        by_right, by_ahead = self._moved(-cos * inverse, -sin * inverse), self._moved(sin * inverse, -cos * inverse)
+        by_pitch = np.stack([u * v, 1 + v * v], axis=-1)
+        return np.stack([by_right, by_ahead, self._moved(-z, x), by_pitch], axis=-1)
+
+    @property
+    def _z(self) -> NDArray[np.float64]:
+        """What is divided by."""
+        return np.where(np.abs(self.depth) > 1e-6, self.depth, 1e-6)
 
     def _moved(self, dx: NDArray[np.float64], d_level_z: NDArray[np.float64]) -> NDArray[np.float64]:
         """How directions move with x and with z before the pitch."""
-        dz = self._cos_pitch * d_level_z
-        du, dv = (dx - self._u * dz) / self._z, (self._sin_pitch * d_level_z - self._v * dz) / self._z
+        (cos_pitch, sin_pitch), (u, v), z = self._pitch, np.moveaxis(self.directions, -1, 0), self._z
+        dz = cos_pitch * d_level_z
+        du, dv = (dx - u * dz) / z, (sin_pitch * d_level_z - v * dz) / z
         return np.stack(np.broadcast_arrays(du, dv), axis=-1)
