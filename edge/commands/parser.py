@@ -64,8 +64,12 @@ MOVED = {
     **dict.fromkeys(("golden", "dev golden"), "replay"),  # whose output is the same, byte for byte
 }
 """Commands of earlier versions, and what they are now."""
-GONE = dict.fromkeys(("train", "dev train"), "the source of version 0.3.0 has it")
-"""Commands of earlier versions that nothing replaces."""
+GONE = {
+    **dict.fromkeys(("train", "dev train"), "the source of version 0.3.0 has it"),
+    "map merge": "copy the maps of both folders into one, docs/living-maps.md",
+    **dict.fromkeys(("map delta", "map apply"), "copy what is new with rsync, docs/fleet.md"),
+}
+"""Commands of earlier versions that are none any more, and what one does instead."""
 
 
 def moved(words: Sequence[str]) -> str | None:

@@ -1,4 +1,4 @@
-"""`lookback map learn | merge | delta | apply`: which drives of a road are searched, and those of a fleet."""
+"""`lookback map learn`: which drives of a road are searched."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from edge.errors import ConfigError, MapError
 from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.map_set import name_of
-from sim.maps.exchange import apply, merge, write_delta
 from sim.maps.files import light
 from sim.maps.keys import is_signed_with
 from sim.maps.learning import LAYERS, STALE_AFTER, Lesson, learn
@@ -28,23 +27,6 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     learning.add_argument("--picture", type=Path, metavar="FILE", help="draw the layers (SVG, PDF, PNG)")
     learning.add_argument("--undo", action="store_true", help="go back to the drives that were searched before")
     learning.set_defaults(run=_learn)
-
-    joining = actions.add_parser("merge", help="join folders of maps, and what was counted on them, in a new folder")
-    joining.add_argument("maps", nargs="+", type=Path, metavar="FOLDER", help="a folder of maps")
-    joining.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="the new folder")
-    joining.set_defaults(run=_merge)
-
-    delta = actions.add_parser("delta", help="write the drives that another folder lacks to one file")
-    delta.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
-    delta.add_argument("--since", type=Path, metavar="PATH", help="that folder, or the delta that it had last")
-    delta.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="the file, .tar.gz")
-    delta.set_defaults(run=_delta)
-
-    applying = actions.add_parser("apply", help="add the drives of a delta to a folder of maps")
-    applying.add_argument("map", type=Path, metavar="FOLDER", help="a folder of maps")
-    applying.add_argument("delta", type=Path, metavar="FILE", help="that `map delta` wrote")
-    applying.add_argument("--require-signature-by", type=Path, metavar="NAME.pub", help="refuse what it did not sign")
-    applying.set_defaults(run=_apply)
 
 
 def _learn(args: argparse.Namespace) -> int:
@@ -68,24 +50,6 @@ def _learn(args: argparse.Namespace) -> int:
         lesson.keep(folder)
     count, done = len(lesson.choice.searched), "would be" if args.dry_run else "are"
     print(f"{args.map}: {count} of {len(lesson.drives)} drives {done} searched")
-    return 0
-
-
-def _merge(args: argparse.Namespace) -> int:
-    print(f"{args.output}: {merge(args.maps, args.output)} drives")
-    return 0
-
-
-def _delta(args: argparse.Namespace) -> int:
-    delta = write_delta(args.map, args.since, args.output)
-    size_mb = delta.size_bytes / 1e6
-    of_a_km = f", {size_mb / delta.length_km:.1f} MB for a km" if delta.length_km else ""
-    print(f"{args.output}: drives: {delta.drives}, files of counts: {delta.tallies}, {size_mb:.1f} MB{of_a_km}")
-    return 0
-
-
-def _apply(args: argparse.Namespace) -> int:
-    print(f"{args.map}: {apply(args.map, args.delta, args.require_signature_by)} new drives")
     return 0
 
 
