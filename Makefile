@@ -85,7 +85,6 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m pip install -qq --editable '.[dev,fuzz]'
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(nproc) -o soak
-	$(BIN)/lookback dev gps -o soak/gps
 
 check: lint docs test test-long smoke
 

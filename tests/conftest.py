@@ -26,7 +26,7 @@ from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, Weights
-from sim.research.alexnet.graph import PAD_LEVEL, alexnet_info
+from sim.research.alexnet import PAD_LEVEL, alexnet_info
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

@@ -39,11 +39,9 @@ COMMANDS = {
 ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
     "ablate": "sim.research.trial.ablate_command",
-    "alexnet": "sim.research.alexnet.command",
     "bench": "sim.bench.board",
     "drive": "sim.trial.drive_command",
     "flights": "sim.research.trial.flights_command",
-    "gps": "sim.research.trial.gps_command",
     "mcap": "sim.datasets.mcap_file",
     "sim": "sim.commands",
 }
@@ -57,7 +55,6 @@ MOVED = {
     "check": "doctor --offline",
     "sim import": "import",
     "dev model": "model",
-    "sim gps": "dev gps",
     "sim flights": "dev flights",
     **dict.fromkeys((f"{DEV} paper", "eval match", "eval networks", "eval run"), "compare"),
     **{name: f"{DEV} {name}" for name in ("bench", "mcap", "sim")},
@@ -66,6 +63,8 @@ MOVED = {
 """Commands of earlier versions, and what they are now."""
 GONE = {
     **dict.fromkeys(("train", "dev train"), "the source of version 0.3.0 has it"),
+    "dev alexnet": "the source at commit 386c0d62 has it; `lookback model import` takes an ONNX file",
+    **dict.fromkeys(("dev gps", "sim gps"), "`lookback dev sim fixes --case D` drives wrong GPS through the daemon"),
     "map merge": "copy the maps of both folders into one, docs/living-maps.md",
     **dict.fromkeys(("map delta", "map apply"), "copy what is new with rsync, docs/fleet.md"),
 }

@@ -1,7 +1,7 @@
 """Drives that were never made, over a map: its own descriptors, changed as another light and another view change them.
 
 After normalization, a place as the next drive will see it is alike to the same place of the map, to those around it,
-and to nothing in particular. How much, was measured on simulated worlds by version 0.3.0
+and to nothing in particular. How much, was measured on simulated worlds by commit 386c0d62
 (`python -m sim.research.evaluation.coverage --similarity`):
 
     query(i) = gain(i) * mean of map(i + k) over a few k  +  sqrt(1 - gain(i)^2) * noise(i)

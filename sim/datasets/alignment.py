@@ -3,8 +3,8 @@
 Pictures turn as the vehicle turns, and flow past as fast as it drives, whichever way the camera looks; a track says
 both. Their correlation over all possible starts is a likelihood, and the creation time says how likely each start is
 before anything was looked at. Phones with Android write the time at which a recording ended, most other cameras that at
-which it began, and some their local time as if it were UTC. `sim.research.evaluation.alignment` lays 20 simulated
-videos over tracks.
+which it began, and some their local time as if it were UTC. docs/recordings.md has the errors of 20
+simulated videos.
 """
 
 from __future__ import annotations

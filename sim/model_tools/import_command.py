@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
         return _keypoints(args)
     is_recipe = str(args.weights) == efficientnet.NAME
     if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
-        raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file; AlexNet's weights: `lookback dev alexnet`")
+        raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file")
     if not (args.calibrate or args.float_only):
         raise ConfigError("model import: give feeds to --calibrate, or --float-only")
     source = _recipe(args) if is_recipe else _file(args)

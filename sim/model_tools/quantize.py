@@ -1,6 +1,6 @@
 """Float graph to int8: static QDQ, signed weights per output channel.
 
-The graph is quantized with given ranges: those of `lookback dev alexnet` may have been measured elsewhere.
+The graph is quantized with given ranges: they may have been measured elsewhere.
 Nothing is fused beforehand: ONNX Runtime's pre-processing would rename the tensors that the ranges are given for.
 """
 

@@ -1,7 +1,7 @@
 """What was measured to build Lookback, and how: not in the wheel, run from a clone.
 
-evaluation  the place belief: on other roads, at any spacing, by light
-trial       `lookback dev gps`, `flights` and `ablate`: errors of GPS; recorded drives anew, and without each rule
-alexnet     `lookback dev alexnet`: networks from weights of AlexNet, as the shipped one was made
+evaluation  the place belief on other roads, and how reliable it is
+trial       `lookback dev flights` and `ablate`: recorded drives anew, and without each rule
+alexnet     the graph of fc6 in float, with which the shipped one is compared
 bench       `make bench`: what each stage costs
 """

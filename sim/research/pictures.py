@@ -1,4 +1,4 @@
-"""README's pictures, the way home as a film and the live page: `python -m sim.research.pictures docs/pictures`."""
+"""README's pictures and the live page: `python -m sim.research.pictures docs/pictures`."""
 
 from __future__ import annotations
 
@@ -22,14 +22,11 @@ from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.network import Network
 from edge.feed import read_feed
-from sim.demo.story import drive_story
 from sim.maps.command import build_map
-from sim.research.film import write_film
 from sim.world.camera import open_renderer
 from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
-FILM = "take_me_home.webp"
 PAGE = "page_home_night.png"
 PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 560), 8699, 14597
 UNDER_WAY_S = 40.0
@@ -66,7 +63,6 @@ ROOT = Path(__file__).parents[2]
 MADE_OF = "made_of.json"
 """Beside the pictures: for each the checksum of what draws it, when it was made."""
 DRAWN_BY = {
-    FILM: ("sim/research/film.py",),
     PAGE: ("edge_plugins/page/page.html", "edge_plugins/page/snapshot.py"),
     "layers.png": ("sim/maps/picture.py",),
 }
@@ -175,8 +171,5 @@ def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
 if __name__ == "__main__":
     pictures = Path(sys.argv[1])
     pictures.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory() as passing:
-        write_film(pictures / FILM, drive_story(Path(passing)), Path(passing))
-        note_sources(pictures, FILM)
     write_grid_picture(pictures)
     write_page_picture(pictures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +17,8 @@ from edge.descriptor.model_file import FC6_FILE, fc6_folder
 from edge.descriptor.network import Network, Regions, cut_regions
 from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.onnx_graph import MEAN_RGB
-from sim.research.alexnet.graph import build_float
-from sim.research.alexnet.weights import read_weights
+from sim.model_tools.onnx_graph import MEAN_RGB, Weights
+from sim.research.alexnet import build_float
 from tests.descriptor.accuracy import matching_accuracy
 
 Oracle = Callable[..., dict[str, NDArray[np.float64]]]
@@ -88,12 +88,18 @@ def test_channel_order_matters(network: Network, images: NDArray[np.uint8]) -> N
     assert not np.array_equal(swapped, network.describe(images))
 
 
+def read_weights(file: Path) -> Weights:
+    with np.load(file) as arrays:
+        return {name.replace("module.", ""): array.astype(np.float32) for name, array in arrays.items()}
+
+
 @pytest.fixture(scope="module")
 def float_network(shared: Path, network: Network, tmp_path_factory: pytest.TempPathFactory) -> Network:
     """The shipped network's weights, in float."""
     pytest.importorskip("onnx", reason="needs the extra `model`")
-    weights, sha256 = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
-    assert sha256 == network.info.weights_sha256
+    file = shared / "model" / "alexnet_places100_fp16.npz"
+    assert hashlib.sha256(file.read_bytes()).hexdigest() == network.info.weights_sha256
+    weights = read_weights(file)
     file = tmp_path_factory.mktemp("float") / "fc6.onnx"
     file.write_bytes(build_float(weights, msgspec.structs.replace(network.info, sha256="")).SerializeToString())
     return Network.load(file)
@@ -116,7 +122,7 @@ def test_int8_keeps_descriptors_and_matches_of_real_frames(
 
 def test_gray_edge_is_close_to_the_edge_of_the_training(shared: Path, float_network: Network, alexnet: Oracle) -> None:
     """Training had zeros after normalization beyond the edge; the graph has one gray for all channels."""
-    weights, _ = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
+    weights = read_weights(shared / "model" / "alexnet_places100_fp16.npz")
     regions = read_regions(shared / "feeds" / "corridor_reference", "whole")[::40, 0]
     mean_level = 255 * np.array(MEAN_RGB)
     expected = np.stack([alexnet(weights, image, pad_level=mean_level)["fc6"] for image in regions])

@@ -10,8 +10,7 @@ import numpy as np
 from edge.descriptor.network import IMAGE, Network, cut_regions, open_session
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.timing import race
-from sim.research.alexnet.graph import alexnet_info, build_float
-from sim.research.alexnet.weights import CONVS, FC6, FC6_SHAPE
+from sim.research.alexnet import CONVS, FC6, FC6_SHAPE, alexnet_info, build_float
 from sim.research.bench.machine import product_of_matrices, read_all
 from sim.research.bench.rows import Row, Section, Target, against, at_most
 

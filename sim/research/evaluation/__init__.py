@@ -1,1 +1,1 @@
-"""The place belief measured: on other roads, at any spacing, by light, and what each claim is worth."""
+"""The place belief measured on other roads, and what each claim is worth."""

@@ -1,7 +1,4 @@
-"""Videos as phones write them, laid over tracks of other clocks: found to a stated sigma, or refused.
-
-`sim.research.evaluation.alignment` lays 20 of them over tracks, and writes how often sigma held.
-"""
+"""Videos as phones write them, laid over tracks of other clocks: found to a stated sigma, or refused."""
 
 from __future__ import annotations
 
@@ -22,12 +19,12 @@ from edge.feed import read_feed
 from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.alignment import STEP_S, Alignment, Motion, likelihoods
 from sim.datasets.commands import add_arguments
-from sim.research.evaluation.alignment import LEAD_S, errors_m, of_android, write_phone_video, write_track
 from sim.traverse import driven_m, whole_sigma_m
 from sim.world.drive import plan_drive
 from sim.world.recording import record_drive
 from sim.world.route import generate_route
 from sim.world.scenario import Scenario
+from tests.sim.datasets.phone_video import LEAD_S, errors_m, of_android, write_phone_video, write_track
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 

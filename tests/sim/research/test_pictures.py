@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import msgspec
-import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
@@ -17,8 +16,6 @@ pytest.importorskip("matplotlib")
 from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import MapView
-from sim.demo.story import laid
-from sim.research.film import PANEL_PX, WINDOW_M, from_above
 from sim.research.pictures import (
     DRAWN_BY,
     MADE_OF,
@@ -45,19 +42,9 @@ def test_a_page_that_does_not_answer_leaves_the_older_picture_as_it_was(tmp_path
     assert (tmp_path / "page.png").read_bytes() == b"older"
 
 
-def test_from_above_the_vehicles_are_as_far_apart_as_they_were() -> None:
-    """10 m to the left of the lane and 2 m to the right, 300 m along the way."""
-    way = laid().way
-    picture = from_above(way, 300.0, -2.0, 10.0).astype(int)
-    blue, green, red = picture.transpose(2, 0, 1)
-    middles = [np.argwhere(mask).mean(axis=0) for mask in ((green - red > 60) & (blue < 100), red - green > 100)]
-    apart_m = np.hypot(*(middles[0] - middles[1])) * WINDOW_M / PANEL_PX[0]
-    assert apart_m == pytest.approx(12.0, abs=0.5)
-
-
 @pytest.mark.parametrize("name", DRAWN_BY)
 def test_a_picture_of_the_docs_is_as_new_as_what_draws_it(name: str) -> None:
-    """If this fails: python -m sim.research.pictures docs/pictures; layers.png: sim.research.evaluation.layers"""
+    """If this fails: python -m sim.research.pictures docs/pictures"""
     pictures = ROOT / "docs/pictures"
     assert msgspec.json.decode((pictures / MADE_OF).read_bytes())[name] == checksum_of_sources(name)
 

@@ -7,7 +7,6 @@ import pytest
 
 from edge.config import AcceptanceConfig
 from sim.research.evaluation.roads import Cut, Described, believe, judge, kept
-from sim.research.evaluation.spacing import FRAMES, LOST, Case, rows_used
 
 PLACES, SPACING_M = 220, 2.0
 
@@ -53,12 +52,3 @@ def test_a_cut_map_keeps_what_its_name_says() -> None:
     assert kept("first half", 9) == [(0, 4)]
     assert kept("second half", 9) == [(4, 9)]
     assert kept("thirds", 9) == [(0, 3), (6, 9)]
-
-
-@pytest.mark.parametrize(("odometer", "step_m"), [("right", 4.0), ("8 % more", 4.0 / 1.08), ("none", 4.0)])
-def test_a_vehicle_uses_pictures_by_what_its_odometer_reads(odometer: str, step_m: float) -> None:
-    rng = np.random.default_rng(3)
-    even, rough = (rows_used(Case(1, 4, frames, odometer), 40_000, rng) for frames in FRAMES)
-    assert np.diff(even).mean() == pytest.approx(step_m, abs=0.01)
-    assert np.diff(rough).max() > 5 * step_m, "some are lost in a row"
-    assert len(rough) == pytest.approx((1 - LOST) * len(even), rel=0.06)
