@@ -55,7 +55,7 @@ class ReadOptions:
     """Options of reading; each kind has some of them, see `KINDS`. None is the kind's own default."""
 
     camera: str | None = None
-    """Which camera (RobotCar: stereo/left; KITTI: image_2; NSAVP: mono_left), end of names (video) or topic (ROS)."""
+    """Which camera (RobotCar: stereo/left; KITTI: image_2), end of names (video) or topic (ROS)."""
     positions: str | None = None
     """Which positions: a file (a log, a CSV file, poses), a topic, or gps | ins (RobotCar)."""
     names: Path | None = None
@@ -108,7 +108,6 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             "equal_index", "Gardens Point: day_left, ...", "names", "fps", truth="rows", tolerance=2.0
         ),
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
-        "nsavp": _kind("nsavp", "NSAVP: folder of one sequence's HDF5 files", "camera", "positions", "crop_bottom"),
         "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),
         "frodobots": _kind("robots", "FrodoBots-2K: folder of one ride", "camera"),
         "fred": _kind("robots", "FRED: folder of one sequence", "camera"),

@@ -17,7 +17,6 @@ LAYOUTS = (
     ("mono_rear.timestamps", "robotcar"),
     ("times.txt", "kitti"),
     ("metadata.yaml", "rosbag"),
-    ("*.h5", "nsavp"),
     ("front_camera_timestamps_*.csv", "frodobots"),
     ("front-imgs", "fred"),
 )
