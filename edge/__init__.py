@@ -22,8 +22,7 @@ The files beside them:
     opened_parts      what the loop needs, opened as the config names it
     plugin            guests of the daemon: the parts in `edge_plugins/`, which only some vehicles need, or of others
     config            the one TOML file
-    map_verification  which maps are used, and how far their positions are trusted
-    map_agreement     whether drives over one road agree about where it is
+    map_verification  which maps are used
     warm_start        what is kept from one run to the next
     errors            everything that can go wrong, in three kinds
     geodesy           degrees and local meters

@@ -196,14 +196,14 @@ class Daemon:
             self._autopilot.status_text("Lookback: new map is not usable", mavlink.MAV_SEVERITY_WARNING)
             return
         maps = self._recognizer.map_set
-        parts.verification = MapVerification(maps, parts.record, self._autopilot.status_text)
+        parts.verification = MapVerification(maps, parts.record)
         self._use_maps()
         log.info("maps opened again: %s", maps)
         self._autopilot.status_text(f"Lookback: new map, {maps.index.places} places", mavlink.MAV_SEVERITY_INFO)
 
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
-        self._drive.update(self._clock_ns(), Maps(self.parts.verification.as_uncertain(self._recognizer.map_set)))
+        self._drive.update(self._clock_ns(), Maps(self._recognizer.map_set))
 
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
@@ -212,7 +212,7 @@ class Daemon:
         if newest is not None:
             maps = self._recognizer.map_set.with_newest(newest)
             self._recognizer.grow_maps(maps)
-            self._drive.update(self._clock_ns(), Maps(parts.verification.as_uncertain(maps), has_grown=True))
+            self._drive.update(self._clock_ns(), Maps(maps, has_grown=True))
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
         """To the journal where it is to have every frame, an event to people, and both to the plug-ins."""

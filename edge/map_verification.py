@@ -1,46 +1,33 @@
-"""Which of the daemon's maps are used, and how far their positions are trusted; published as it becomes known.
+"""Which of the daemon's maps are used; published as it becomes known.
 
 Maps that cannot be used are excluded when they are opened. Checksums are computed while no frame waits, and a map that
-turns out to be damaged is excluded. Drives that disagree about where a road is count as that uncertain.
+turns out to be damaged is excluded.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from edge.files import Behind
-from edge.journal.records import DrivesDisagree, MapExcluded, Record
-from edge.map_agreement import AT_START, as_uncertain, disagreements
+from edge.journal.records import MapExcluded, Record
 from edge.reference_map import ExcludedMap, MapSet
 
 CHECK_BYTES = 8 << 20  # a few milliseconds, and seconds on a bad card
 WAITS_S = 1.0
 """How long the loop waits in all for checksums: a match on a map that is not checked by then counts only when it is."""
-log = logging.getLogger(__name__)
 
 
 class MapVerification:
     """What is left to check of some maps, and what was found."""
 
-    def __init__(
-        self, maps: MapSet, record: Callable[[Record], object], status_text: Callable[[str, int], object]
-    ) -> None:
-        """Compare the drives. record: `Journal.write`. status_text: a line for the pilot, and its severity."""
+    def __init__(self, maps: MapSet, record: Callable[[Record], object]) -> None:
+        """record: `Journal.write`."""
         self._record = record
         for excluded in maps.excluded:
             self._publish_excluded(excluded)
-        self._disagreements = disagreements(maps, AT_START)
-        for one in self._disagreements:
-            log.warning("%s; their positions count as that uncertain", one)
-            record(DrivesDisagree(str(one), round(one.apart_m, 1)))
-            text = f"Lookback: drives of the map are {one.apart_m:.0f} m apart"
-            status_text(text, mavlink.MAV_SEVERITY_WARNING)
         self.checksums = maps.checksum_schedule()
         self._behind, self._damaged, self._may_wait_s = Behind(), dict[Path, str](), WAITS_S
 
@@ -77,10 +64,6 @@ class MapVerification:
         for excluded in maps.excluded[-len(damaged) :]:
             self._publish_excluded(excluded)
         return maps
-
-    def as_uncertain(self, maps: MapSet) -> MapSet:
-        """The maps, the positions of drives that disagree as uncertain as they are apart."""
-        return as_uncertain(maps, self._disagreements)
 
     def _publish_excluded(self, excluded: ExcludedMap) -> None:
         excluded.log()

@@ -87,8 +87,8 @@ class OpenedParts:
         self.recognizer = open_recognizer(config, network=network, newest=newest, stopwatch=self.times.lap)
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
-        self.verification = MapVerification(maps, self.record, self.autopilot.status_text)
-        self.drive.update(self.clock_ns(), Maps(self.verification.as_uncertain(maps)))
+        self.verification = MapVerification(maps, self.record)
+        self.drive.update(self.clock_ns(), Maps(maps))
         self.warm_start = WarmStart(config, self.recognizer)
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:

@@ -2,7 +2,7 @@
 
     cameras/    [camera] kind: OAK, network streams, output of a command
     motion/     [motion]: the vehicle's speed from the ground that two pictures show
-    layers/     drives over one road: what each was good for, and learning which are searched
+    layers/     drives over one road: which are searched, and which are deleted
     mapping/    how maps are made; [mapping]: the drive becomes one while it is driven
     recording/  [recording], and `lookback record`
     home/       [home]: a drive of the map reversed into a mission, on request

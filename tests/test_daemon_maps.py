@@ -22,7 +22,7 @@ from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, Seq
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
-from edge.journal.records import DrivesDisagree, MapExcluded, PlaceFix, StateChanged
+from edge.journal.records import MapExcluded, PlaceFix, StateChanged
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
@@ -101,7 +101,7 @@ class HeldUp(ChecksumSchedule):
 def test_a_slow_disk_holds_up_checksums_and_not_the_loop(street: Path) -> None:
     """At 2 MB a second they held it up for 3.8 s. A match on a map that is not checked does not count yet."""
     maps = open_map_set(street / "map")
-    verification = MapVerification(maps, lambda record: None, lambda text, severity: None)
+    verification = MapVerification(maps, lambda record: None)
     held_up = verification.checksums = HeldUp(street / "map")
     while verification.may_wait:
         assert verification.check_next(maps, [], waits=True) is None
@@ -161,25 +161,6 @@ def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory:
         split_map(open_map(path), path.with_name("tiles"), 64)
         return path.with_name("tiles")
     return path
-
-
-def test_drives_that_disagree_are_published_at_the_start(street: Path, network: Network, tmp_path: Path) -> None:
-    road = np.random.default_rng(0).random((100, 2, 4096), dtype=np.float32)
-    with MapBuilder(
-        tmp_path / "map", model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
-    ) as builder:
-        for east_deg in (0.0, 40 / 98_800):
-            builder.begin_segment("drive", "rear")
-            for row, raw in enumerate(road):
-                at_deg = ORIGIN_LAT_DEG + 2 * row / 110_800, ORIGIN_LON_DEG + east_deg
-                builder.add(raw, Place(row, *at_deg, route_m=2.0 * row))
-        builder.finish()
-    process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
-    said = process.communicate(timeout=120)[1]
-    assert process.returncode == 0, said
-    (found,) = records_of(tmp_path / "events.jsonl", DrivesDisagree)
-    assert found.apart_m == pytest.approx(40.0, abs=0.5)
-    assert f"{found.where}; their positions count as that uncertain" in said
 
 
 @pytest.mark.parametrize("gps", [True, False])

@@ -80,13 +80,6 @@ class PluginFailed(Record, frozen=True, tag="plugin_failed"):
     why: Annotated[str, unit("", "what it failed by")]
 
 
-class DrivesDisagree(Record, frozen=True, tag="drives_disagree"):
-    """Two drives of the map show the same road at different positions, which then count as that uncertain."""
-
-    where: Annotated[str, unit("", "the places of both drives, and their maps")]
-    apart_m: Annotated[float, unit("m", "how far their positions are apart at most")]
-
-
 class LinkChanged(Record, frozen=True, tag="link"):
     """The state of a link changed."""
 

@@ -5,7 +5,7 @@
 `costs`    normalized query (n, R, D) -> integer cosine costs (n, 2, N), one plane for each region order; PCA
 `self_similarity`  which drives are closed laps
 `spatial_index`  which places a known position allows; `route` positions along the drives
-`learned`  which maps are not searched, what is gone, newer positions; `checksums` a piece at a time, between frames
+`checksums` a piece at a time, between frames
 `gps_motion`  whether positions move as the vehicle does
 `map_so_far`  the map of this drive, searched while it grows
 """

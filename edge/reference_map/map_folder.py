@@ -34,6 +34,8 @@ OTHER_FILES = 256
 """Files that the rest of the program may open besides one of each map."""
 SIGNATURE = f"{HEADER}.sig"
 SIGNATURE_BYTES = 64
+KEEP, RETIRED = "keep", "retired"
+"""Marks: empty files in the folder of a map."""
 
 
 def open_map_set(
@@ -42,22 +44,19 @@ def open_map_set(
     require_signature_by: Path | None = None,
     every_file: bool = False,
     newest: MapSoFar | None = None,
-    as_recorded: bool = False,
+    with_retired: bool = False,
 ) -> MapSet:
-    """Open the map at a path, or the maps of a folder that are searched, by what was learned of them (`LearnedFolder`).
+    """Open the map at a path, or the maps of a folder that are searched: those that are not `is_retired`.
 
-    newest: of this drive, searched after all others, if any. as_recorded: all maps, as if nothing had been learned.
+    newest: of this drive, searched after all others, if any. with_retired: all maps of the folder.
 
     Headers and sizes are checked here, the checksums of large files by a `ChecksumSchedule`; with `every_file` all of
-    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded,
-    and newer positions, which nobody has signed, are not used. Raises MapError, and ConfigError for the key.
+    them here, which takes long. require_signature_by: a public key; maps that its owner has not signed are excluded.
+    Raises MapError, and ConfigError for the key.
     """
-    folders, learned = maps_in(path), None
-    if folders and not as_recorded:
-        from edge.reference_map.learned import LearnedFolder  # nothing is learned of a single map
-
-        learned = LearnedFolder(path)
-        folders = learned.searched(folders)
+    folders = maps_in(path)
+    if not with_retired:  # if all are, those that replaced them are gone
+        folders = [folder for folder in folders if not is_retired(folder)] or folders
     _allow_open_files(path, len(folders))
     projections: dict[str, NDArray[np.float32]] = {}
 
@@ -65,7 +64,7 @@ def open_map_set(
         one = open_map(folder, every_file=True) if every_file else open_unverified(folder, projections)
         if require_signature_by is not None:
             check_signature(folder, one.header, require_signature_by)
-        return one if learned is None else learned.applied(one, moves=require_signature_by is None)
+        return one
 
     if not folders and newest is None:
         return MapSet.of(open_one(path))
@@ -109,6 +108,16 @@ def _allow_open_files(path: Path, maps: int) -> None:
 def is_signed(path: Path) -> bool:
     """Whether there is a signature of a map, by whomever."""
     return (path / SIGNATURE).exists()
+
+
+def is_kept(path: Path) -> bool:
+    """Whether a person has marked a map (`lookback map keep`)."""
+    return (path / KEEP).exists()
+
+
+def is_retired(path: Path) -> bool:
+    """Whether a map of a folder is not searched, since others of its road are (`lookback map learn`)."""
+    return (path / RETIRED).exists() and not is_signed(path) and not is_kept(path)
 
 
 def check_signature(path: Path, header: MapHeader, key_file: Path) -> None:

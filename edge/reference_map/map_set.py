@@ -275,13 +275,6 @@ class MapSet:
         reasons = [ExcludedMap(name_of(path), printable(why)) for path, why in damaged.items()]
         return MapSet.of(kept, self.path, [*self.excluded, *reasons])
 
-    def with_accuracy(self, sigma_m: NDArray[np.float32]) -> MapSet:
-        """The same maps, with other accuracies (N,) of the positions."""
-        places = self.places.copy()
-        places["position_sigma_m"] = sigma_m
-        maps = [replace(one, places=places[slice(*rows)]) for one, rows in zip(self.maps, self.index.rows, strict=True)]
-        return replace(self, maps=tuple(maps), places=places, room=None)
-
     def fitting(self, model: ModelKey, descriptor: DescriptorConfig) -> MapSet:
         """A set without the maps whose descriptors this model and these regions cannot be compared with; MapError."""
         unfit = ((one.path, _misfit(one, model, descriptor)) for one in self.maps)

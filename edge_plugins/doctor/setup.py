@@ -20,7 +20,6 @@ from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
 from edge.feed.sampling import spell_spacing
 from edge.journal.records import StateChanged
-from edge.map_agreement import disagreements
 from edge.recognizer import network_for, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
@@ -119,10 +118,8 @@ def _has_maps(path: Path) -> bool:
 
 
 def check_accuracy(examined: Examined) -> Iterator[Found]:
-    """How well the maps know where their places are, and whether their drives agree."""
+    """How well the maps know where their places are."""
     yield good(spell_accuracy(_maps(examined).places))
-    for one in disagreements(_maps(examined)):
-        yield note(str(one), "find out which drive is wrong, and build the map without it")
 
 
 def check_sampling(examined: Examined) -> Iterator[Found]:

@@ -1,4 +1,4 @@
-"""Which drives of a folder of maps pass the same road, and how alike they look there.
+"""Which drives of a folder of maps pass the same road, and which way they looked there.
 
 A stretch is a place of the road and the way along which a camera looked there, within 60 degrees. It has a layer for
 each drive that saw it, so a rear camera on the way out and a front camera on the way home are layers of the same
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,25 +38,6 @@ class Stretch:
     def drives(self) -> set[int]:
         """That pass here, whichever way they looked."""
         return {*self.rows, *self.opposed}
-
-    def without(self, drives: Collection[int]) -> Stretch:
-        """The same, as if some drives had not been made."""
-        kept = (
-            {number: row for number, row in rows.items() if number not in drives} for rows in (self.rows, self.opposed)
-        )
-        return Stretch(*kept)
-
-    def alike(self, maps: Sequence[ReferenceMap]) -> Floats:
-        """Cosine (n, n) of each two layers' descriptors; 0 where they cannot be compared, or are not alike at all."""
-        alike: Floats = np.eye(len(self.rows))
-        kinds = [(maps[number].header.model.sha256, maps[number].header.shrunk_by) for number in self.rows]
-        for kind in set(kinds):
-            which = [layer for layer, one in enumerate(kinds) if one == kind]
-            numbers = [list(self.rows)[layer] for layer in which]
-            values = np.stack([maps[number].descriptors[:, self.rows[number]].ravel() for number in numbers])
-            values = values / np.maximum(np.linalg.norm(values.astype(np.float32), axis=1, keepdims=True), 1.0)
-            alike[np.ix_(which, which)] = np.maximum(values @ values.T, 0.0)
-        return alike
 
 
 def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[Stretch]:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from edge.errors import ConfigError, MapError, reason
 from edge.files import DISK_ERRORS, locked, named_by_time
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.reference_map import MapSoFar
+from edge.reference_map import MapSoFar, maps_in
 from edge.reference_map.gps_motion import GpsMotion
-from edge_plugins.layers.stored import delete_oldest
-from edge_plugins.layers.tally import source_of
+from edge_plugins.layers.newest import choose
+from edge_plugins.layers.stored import delete_oldest, source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.growing_map import GrowingMap
@@ -337,6 +337,16 @@ class LiveMap:
             except MapError as error:
                 log.warning("%s", error)
         delete_oldest(self._folder, self._config.quota_mb * 1e6)
+        self._retire_older()
+
+    def _retire_older(self) -> None:
+        """Search the newest drives of each road from the next start on, not all that were ever made."""
+        layers = self._config.layers
+        try:
+            if 0 < layers < len(maps_in(self._folder)):
+                choose(self._folder, layers, anew=False).mark()
+        except MapError as error:
+            log.warning("%s; no map is retired", error)
 
     def _continue_or_complete(self, found: OpenLog) -> None:
         self._before_long(SLOWEST_S * len(found.places_at))

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from edge.errors import MapError, reason
 from edge.files import replacing
-from edge_plugins.layers.tally import source_of
+from edge_plugins.layers.stored import source_of
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.place_log_records import (
     FORMAT,

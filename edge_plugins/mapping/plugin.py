@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from msgspec import UNSET
@@ -26,7 +25,6 @@ from edge.plugin import Parts, Plugin, UsedFrame
 from edge.recognizer import model_key
 from edge.reference_map import MapSoFar, RegionsKey
 from edge.telemetry.position_history import Awaiting
-from edge_plugins.layers.learner import Learner, learn_command
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters
@@ -78,7 +76,7 @@ class OwnCamera:
 
 
 class Mapping(Plugin):
-    """[mapping]: the camera that maps, if it is one of its own, and the map of this drive; learns while it stands."""
+    """[mapping]: the camera that maps, if it is one of its own, and the map of this drive."""
 
     def __init__(self, config: MappingConfig, parts: Parts) -> None:
         """SetupError for its camera."""
@@ -112,10 +110,6 @@ class Mapping(Plugin):
             kind = "" if camera is UNSET else camera.kind
             pictures = open_picture_check(device, kind, config.gates.min_speed_mps)
             self._own = OwnCamera(self._parts, frames, pictures)
-        self._learner: Learner | None = None
-        if mapping.layers:
-            self._learner = Learner(learn_command(Path(mapping.folder), mapping.layers))
-            opened.enter_context(closing(self._learner))
 
     @property
     def status(self) -> MappingStatus:
@@ -152,7 +146,7 @@ class Mapping(Plugin):
         parts.times.lap("mapping")
 
     def turn(self, spare_s: float | None) -> None:
-        """Map a frame of the second camera where there is time; learn, while the vehicle stands."""
+        """Map a frame of the second camera where there is time."""
         parts = self._parts
         if spare_s is not None:
             parts.times.start()
@@ -160,10 +154,6 @@ class Mapping(Plugin):
             if found:
                 self._awaiting.add(found[0].stamp_ns, found)
             self._add_placed()
-        if self._learner is not None:
-            now_ns = parts.clock_ns()
-            speed_mps = parts.autopilot.vehicle.motion.speed_mps(now_ns)
-            self._learner.follow(now_ns, speed_mps, parts.config.gates.min_speed_mps)
 
     def end(self) -> None:
         """Map what waits for its position, and begin to write the last of it."""

@@ -188,15 +188,14 @@ class MapView:
 
     places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
     drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none. stale: stretches that are no longer there, as drives.
-    own_camera: whether a drive of a camera that looks as this one does is among them; True for an empty map.
+    all maps (any thread may ask); b"" where there is none. own_camera: whether a drive of a camera that looks as this
+    one does is among them; True for an empty map.
     """
 
     places: int
     starts: dict[str, int]
     drives: tuple[Line, ...]
     thumbnail: Callable[[int], bytes]
-    stale: tuple[Line, ...] = ()
     own_camera: bool = True
 
     def as_json(self) -> bytes:
@@ -207,9 +206,8 @@ class MapView:
 def map_view(maps: MapSet, looks: str = "front") -> MapView:
     """What is shown of these maps to a vehicle whose camera looks that way."""
     starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
-    stale = tuple(_line(maps.places[start:end]) for start, end in maps.stale)
     views = {one.view for header in maps.headers for one in header.segments}
-    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, stale, not views or looks in views)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, not views or looks in views)
 
 
 def _outline(maps: MapSet) -> tuple[Line, ...]:

@@ -130,8 +130,7 @@ def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], perce
     print(f"{args.map}: {_basis(args)}")
     resembles = {one.stretch: one.other for one in found}
     for one in sheet.stretches:
-        gone = "; no longer there" if one.is_stale else ""
-        print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{gone}{_alias(resembles.get(one.span))}")
+        print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{_alias(resembles.get(one.span))}")
     print(gap_in_words(sheet.gap, percent))
     print(f"drift always within {args.within_m:g} m: {100 * sheet.completed:.0f} % of the drives")
 
@@ -164,7 +163,7 @@ def _alias(other: Span | None) -> str:
 def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
     drives = {"drives": one.drives, "believed_in": one.believed_in}
-    found = {"share": share, "soon": soon, "is_mean": one.is_mean, "is_stale": one.is_stale, **drives}
+    found = {"share": share, "soon": soon, "is_mean": one.is_mean, **drives}
     return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 A4_INCHES = (8.27, 11.69)
 LEVELS = ((0.8, "#0072B2", "over 80 % of the frames"), (0.4, "#E69F00", "40 to 80 %"), (0.0, "#D55E00", "less"))
 """Least share, color and words; of Okabe and Ito, whose colors differ for every kind of color vision."""
-UNKNOWN, ALIKE, STALE = "#BBBBBB", "#CC79A7", "white"
+UNKNOWN, ALIKE = "#BBBBBB", "#CC79A7"
 BARS_M = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 MOST_ALIKE = 6  # in words, of those that look alike
 GOOD, POOR = 0.9, 0.5
@@ -125,8 +125,6 @@ def _draw_map(axes: Axes, sheet: Sheet, lines: Sequence[Sequence[Sequence[float]
         if alike:
             axes.plot(east_m, north_m, lw=10, color=ALIKE, solid_capstyle="butt")
         axes.plot(east_m, north_m, lw=4.5, color=_color(one), solid_capstyle="butt")
-        if one.is_stale:
-            axes.plot(east_m, north_m, lw=2, color=STALE, solid_capstyle="butt")
         gap = sheet.gap
         if gap is not None and gap.segment == one.span.segment and _overlaps(gap, one):
             axes.plot(east_m, north_m, lw=1.3, color="black", ls=(0, (2, 2)))
@@ -156,8 +154,6 @@ def _draw_strip(axes: Axes, sheet: Sheet, is_alike: Sequence[bool]) -> None:
         length_m = one.span.to_m - one.span.from_m
         edge = _color(one) if one.is_mean else "white"  # no borders where no difference is known
         axes.barh(0, length_m, left=at_m, height=1, color=_color(one), linewidth=0.4, edgecolor=edge)
-        if one.is_stale:
-            axes.barh(0, length_m, left=at_m, height=0.4, color=STALE)
         if alike:
             axes.barh(-0.35, length_m, left=at_m, height=0.3, color=ALIKE)
         if gap is not None and gap.segment == one.span.segment and _overlaps(gap, one):
@@ -171,7 +167,5 @@ def _draw_strip(axes: Axes, sheet: Sheet, is_alike: Sequence[bool]) -> None:
     axes.tick_params(labelsize=8)
     patches = [Patch(color=color, label=words) for _, color, words in LEVELS]
     patches += [Patch(color=UNKNOWN, label="not known"), Patch(color=ALIKE, label="looks like another stretch")]
-    if any(one.is_stale for one in sheet.stretches):
-        patches.append(Patch(facecolor=STALE, edgecolor="#888888", label="hollow: no longer there"))
     axes.legend(handles=patches, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.5), fontsize=8, frameon=False,
                 handlelength=1.2, columnspacing=1.2)  # fmt: skip

@@ -38,8 +38,6 @@ class Stretch:
     believed_in: int
     is_mean: bool = False
     """Whether share and soon are the mean of all stretches far from where drives enter: of each, no more is known."""
-    is_stale: bool = False
-    """Whether half of its places or more are no longer there, by what `map learn` found."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,6 @@ class Sheet:
         weighted = list(zip(gaps, weights, strict=True))
         short = sum(weight for gap, weight in weighted if gap is not None and gap.length_m <= longest_m)
         stretches = tuple(_stretch(span, both, weights, len(rehearsed)) for span in spans)
-        stretches = tuple(replace(one, is_stale=_is_stale(maps, drives, one.span)) for one in stretches)
         stretches = _pooled(stretches, rehearsed)
         return cls(stretches, _typical(weighted), short / max(sum(weights), SPARE_M))
 
@@ -96,7 +93,7 @@ def _pooled(stretches: Sequence[Stretch], rehearsed: Sequence[Sequence[Pass]]) -
     def is_far(one: Stretch) -> bool:
         at_m = entered_m.get(one.span.segment)
         near_m = math.inf if at_m is None else min(abs(one.span.from_m - at_m), abs(one.span.to_m - at_m))
-        return near_m >= KNOWN_M and not one.drives and not one.is_stale and one.share is not None
+        return near_m >= KNOWN_M and not one.drives and one.share is not None
 
     far = [one for one in stretches if is_far(one)]
     if not far:
@@ -113,13 +110,6 @@ def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[Span]:
         for from_m in np.arange(low_m, max(high_m, low_m + SPARE_M), length_m):
             found.append(Span(segment, float(from_m), float(min(from_m + length_m, high_m + SPARE_M))))
     return found
-
-
-def _is_stale(maps: MapSet, drives: Drives, span: Span) -> bool:
-    start, end = maps.index.segment(span.segment)
-    gone = [row for a, b in maps.stale for row in range(max(a, start), min(b, end))]
-    inside = sum(span.from_m <= drives.along_m(row) < span.to_m for row in range(start, end)) if gone else 0
-    return 0 < inside <= 2 * sum(span.from_m <= drives.along_m(row) < span.to_m for row in gone)
 
 
 def longest_gap(one_drive: Sequence[Pass], maps: MapSet) -> Gap | None:

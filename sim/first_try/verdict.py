@@ -12,10 +12,10 @@ from edge.config import Config
 from edge.feed import Feed
 from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
-from edge_plugins.layers.tally import LIGHTS
 from sim.calibration.offset import Offset
 from sim.evaluation.metrics import precision_recall, recall_at_precision
 from sim.evaluation.recognition import Judged, Recognition
+from sim.maps.files import LIGHTS
 from sim.traverse import driven_m
 
 Floats = NDArray[np.float64]

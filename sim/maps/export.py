@@ -1,4 +1,4 @@
-"""`lookback map export`: where the drives of a map are, by their newest positions, as GeoJSON, GPX, KML or CSV."""
+"""`lookback map export`: where the drives of a map are, as GeoJSON, GPX, KML or CSV."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,6 @@ class Line:
     recording: str
     first: int
     places: NDArray[np.void]
-    is_stale: NDArray[np.bool_]
 
     @property
     def points(self) -> list[tuple[float, float]]:
@@ -50,9 +48,6 @@ def add_arguments(actions: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def lines_of(maps: MapSet) -> Iterator[Line]:
     """Those of all drives that are searched."""
-    stale = np.zeros(maps.index.places, dtype=bool)
-    for start, end in maps.stale:
-        stale[start:end] = True
     known = ~np.isnan(maps.places["lat_deg"])
     for drive, (start, end) in enumerate(maps.index.segments):
         number = maps.index.map_of(start)
@@ -60,7 +55,7 @@ def lines_of(maps: MapSet) -> Iterator[Line]:
         for part in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if part.size:
                 about = maps.names[number], maps.index.view(drive), maps.index.recording(drive)
-                yield Line(*about, int(part[0]) - maps.index.starts[number], maps.places[part], stale[part])
+                yield Line(*about, int(part[0]) - maps.index.starts[number], maps.places[part])
 
 
 def _on_ground(lines: Sequence[Line]) -> list[GroundLine]:
@@ -68,21 +63,18 @@ def _on_ground(lines: Sequence[Line]) -> list[GroundLine]:
     return [GroundLine(line.name, line.points, f"{line.view}, {line.recording}") for line in lines]
 
 
-def _pieces(lines: Sequence[Line]) -> list[GroundLine]:
-    """A line for each drive, and one for each stretch of it that is no longer there."""
+def _with_properties(lines: Sequence[Line]) -> list[GroundLine]:
+    """A line for each drive, and what is known of it."""
     found = []
     for line in lines:
-        borders = [0, *(np.flatnonzero(np.diff(line.is_stale)) + 1).tolist(), len(line.is_stale)]
-        for first, end in pairwise(borders):
-            properties = {
-                "map": line.name,
-                "view": line.view,
-                "recording": line.recording,
-                "first_place": line.first + first,
-                "is_stale": bool(line.is_stale[first]),
-                "sigma_m": _median(line.places["position_sigma_m"][first:end]),
-            }
-            found.append(GroundLine(line.name, line.points[first:end], properties=properties))
+        properties = {
+            "map": line.name,
+            "view": line.view,
+            "recording": line.recording,
+            "first_place": line.first,
+            "sigma_m": _median(line.places["position_sigma_m"]),
+        }
+        found.append(GroundLine(line.name, line.points, properties=properties))
     return found
 
 
@@ -90,17 +82,17 @@ def as_csv(lines: Sequence[Line]) -> str:
     """A row for each place; what is not known is empty."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["map", "place", "view", *COLUMNS, "source", "recording", "is_stale"])
+    table.writerow(["map", "place", "view", *COLUMNS, "source", "recording"])
     for line in lines:
-        for row, (place, is_stale) in enumerate(zip(line.places, line.is_stale.tolist(), strict=True)):
+        for row, place in enumerate(line.places):
             values = ["" if np.isnan(place[name]) else repr(float(place[name])) for name in COLUMNS]
-            about = POSITION_SOURCES[place["position_source"]], line.recording, int(is_stale)
+            about = POSITION_SOURCES[place["position_source"]], line.recording
             table.writerow([line.name, line.first + row, line.view, *values, *about])
     return text.getvalue()
 
 
 WRITERS: dict[str, Callable[[Sequence[Line]], str]] = {
-    ".geojson": lambda lines: as_geojson(_pieces(lines)),
+    ".geojson": lambda lines: as_geojson(_with_properties(lines)),
     ".gpx": lambda lines: as_gpx(_on_ground(lines)),
     ".kml": lambda lines: as_kml(_on_ground(lines)),
     ".csv": as_csv,

@@ -16,20 +16,21 @@ import numpy as np
 
 from edge.errors import FrameError, MapError
 from edge.feed import decode_picture
-from edge.map_agreement import disagreements
 from edge.reference_map import ReferenceMap, maps_in, open_map, open_map_set
-from edge.reference_map.learned import LearnedFolder
+from edge.reference_map.map_folder import KEEP, is_retired
 from edge.reference_map.map_set import name_of
 from edge.reference_map.store import HEADER, MapHeader
-from edge_plugins.layers.stored import KEEP_FILE, StoredMap, stored_maps
-from edge_plugins.layers.tally import light_of, read_tallies
+from edge_plugins.layers.stored import StoredMap, stored_maps
 from edge_plugins.mapping.builder import spell_accuracy
 from edge_plugins.mapping.place_log import logs_in, map_of
+from sim.maps.agreement import disagreements
 from sim.maps.keys import make_key, sign_map
 from sim.maps.tiles import split_map
 from sim.output import refusing
 
 SAMPLED_PICTURES = 16
+LIGHTS = ((40.0, "dark"), (80.0, "dim"), (256.0, "bright"))
+"""Mean gray level, of 255, below which pictures are called that."""
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -49,7 +50,7 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     split = add("split", _split, "cut a large map into tiles", "the map's folder")
     split.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for the tiles")
     split.add_argument("--places", type=int, required=True, metavar="N", help="places per tile (at most N + 63)")
-    add("list", _list, "list the maps of a folder, and how often each was recognized", "a folder of maps")
+    add("list", _list, "list the maps of a folder, and which may be deleted", "a folder of maps")
     keep = add("keep", _keep, "mark a map so that live mapping never deletes it", "the map's folder")
     keep.add_argument("--undo", action="store_true", help="remove the mark")
     sign = add("sign", _sign, "check every byte of a map, or of each map of a folder, and sign it")
@@ -70,13 +71,8 @@ def _info(args: argparse.Namespace) -> int:
         print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
     for excluded in maps.excluded:
         print(f"excluded  {excluded.why}")
-    learned = LearnedFolder(args.map)
-    for path in maps_in(args.map):
-        if learned.retires(path):
-            print(f"retired   {name_of(path)}: not searched; see `map learn`")
-    for name, one in zip(maps.names, maps.maps, strict=True):
-        for start, end in one.stale:
-            print(f"stale     {name}: places {start} to {end - 1} are passed, and recognized no more; not searched")
+    for path in filter(is_retired, maps_in(args.map)):
+        print(f"retired   {name_of(path)}: not searched; see `map learn`")
     return 0
 
 
@@ -134,7 +130,7 @@ def _verify(args: argparse.Namespace) -> int:
     print(f"{args.map}: valid; all {count} checksums match")
     found = disagreements(maps)
     for one in found:
-        print(f"{args.map}: {one}; one of the two drives is wrong, so both count as that uncertain")
+        print(f"{args.map}: {one}; one of the two drives is wrong: delete it, or build the map without it")
     return 1 if found else 0
 
 
@@ -164,7 +160,7 @@ def _sign(args: argparse.Namespace) -> int:
 
 
 def _list(args: argparse.Namespace) -> int:
-    maps = stored_maps(args.map, read_tallies(args.map))
+    maps = stored_maps(args.map)
     width = max((len(one.path.name) for one in maps), default=0)
     for one in maps:
         print(f"{name_of(one.path):{width}}  {_spell(one)}")
@@ -177,11 +173,10 @@ def _list(args: argparse.Namespace) -> int:
 
 def _spell(one: StoredMap) -> str:
     made = datetime.fromtimestamp(one.made_unix_s, tz=timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    used = f"recognized {one.recognized} times" if one.recognized else "not recognized yet"
     is_kept = one.is_kept or one.is_signed
     stays = "kept" if is_kept else "may be deleted" if one.is_from_drive else "not from live mapping"
     stays += ", retired" if one.is_retired else ""
-    return f"{made}  {one.header.places:6} places  {one.size_bytes / 1e6:8.1f} MB  {light(one.path)}  {used}  {stays}"
+    return f"{made}  {one.header.places:6} places  {one.size_bytes / 1e6:8.1f} MB  {light(one.path)}  {stays}"
 
 
 def light(path: Path) -> str:
@@ -195,7 +190,8 @@ def light(path: Path) -> str:
                 levels.append(float(decode_picture("", thumbnail, cv2.IMREAD_GRAYSCALE).mean()))
     except (MapError, OSError):
         return "damaged"
-    return light_of(float(np.median(levels)) if levels else float("nan"))
+    level = float(np.median(levels)) if levels else float("nan")
+    return next((name for limit, name in LIGHTS if level < limit), "light unknown")
 
 
 def _keep(args: argparse.Namespace) -> int:
@@ -203,8 +199,8 @@ def _keep(args: argparse.Namespace) -> int:
         raise MapError(f"{args.map}: not a map; name the folder of one")
     with refusing(MapError, f"{args.map}: cannot mark it"):
         if args.undo:
-            (args.map / KEEP_FILE).unlink(missing_ok=True)
+            (args.map / KEEP).unlink(missing_ok=True)
         else:
-            (args.map / KEEP_FILE).touch()
+            (args.map / KEEP).touch()
     print(f"{args.map}: {'may be deleted' if args.undo else 'kept'}")
     return 0

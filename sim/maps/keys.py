@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 
 from edge.errors import ConfigError, MapError
 from edge.files import replacing
 from edge.reference_map.map_folder import SIGNATURE, ed25519_keys, read_key_of, signed_bytes
-from edge.reference_map.store import open_map, read_header
+from edge.reference_map.store import open_map
 from sim.output import refusing
 
 
@@ -30,14 +29,6 @@ def make_key(path: Path) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: cannot write a key here: {error.strerror}") from None
     return public
-
-
-def is_signed_with(path: Path, key_file: Path) -> bool:
-    """Whether the signature of a map is that of a secret key; ConfigError for the key."""
-    key = ed25519_keys().Ed25519PrivateKey.from_private_bytes(read_key_of(key_file, is_secret=True))
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        return bool((path / SIGNATURE).read_text("ascii").strip() == key.sign(signed_bytes(read_header(path))).hex())
-    return False
 
 
 def sign_map(path: Path, key_file: Path) -> None:

@@ -64,7 +64,6 @@ MADE_OF = "made_of.json"
 """Beside the pictures: for each the checksum of what draws it, when it was made."""
 DRAWN_BY = {
     PAGE: ("edge_plugins/page/page.html", "edge_plugins/page/snapshot.py"),
-    "layers.png": ("sim/maps/picture.py",),
 }
 """The sources that a picture's look depends on. What it shows is of the day when it was made."""
 

@@ -19,7 +19,6 @@ from edge.journal.journal import Journal, QueuedJournal, earlier_files, rotate
 from edge.journal.records import (
     KINDS,
     SCHEMA,
-    DrivesDisagree,
     FixAnswered,
     FixChecked,
     FixSent,
@@ -237,7 +236,6 @@ EVERY_KIND: tuple[Record, ...] = (
     FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
-    DrivesDisagree("places 3 to 9 of out and 12 to 18 of again", 41.5),
     GpsJudged("wrong", -3.5, 12.0, 1.0),
     HomeAnswered(True, "uploaded and verified: 300 m back along drive 1 (out), 12 waypoints for 151 places", 13),
     SourceSetAnswered(2, "ACCEPTED"),

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.map_agreement import as_uncertain
 from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route, open_map
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
@@ -138,7 +137,6 @@ def test_growing_copies_no_place_that_was_there(tmp_path: Path) -> None:
     before = MapSet.of(old.maps, tmp_path).with_newest(growing.first(100))
     after = before.with_newest(growing.first(150))
     assert np.shares_memory(before.places, after.places)
-    assert as_uncertain(after, []) is after
     afresh = MapSet.of([*old.maps, growing.first(150)], tmp_path)
     assert after.places.tobytes() == afresh.places.tobytes()
     assert (len(before.places), after.index.rows, after.laps) == (200, afresh.index.rows, afresh.laps)

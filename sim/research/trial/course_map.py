@@ -11,11 +11,10 @@ import numpy as np
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.recognizer import model_key
-from edge.reference_map.learned import LearnedFolder
 from edge.reference_map.store import RegionsKey
+from edge_plugins.layers.newest import choose
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from sim import ORIGIN_ALT_M, geodetic
-from sim.maps.learning import learn
 from sim.research.trial.course import CourseDraft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.records import Array
@@ -43,7 +42,7 @@ def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLib
                 _drive_stretch(builder, draft, number, library, rngs)
             builder.finish()
     if draft.layers:
-        learn(path).keep(LearnedFolder(path))
+        choose(path).mark()
 
 
 def _drive_stretch(

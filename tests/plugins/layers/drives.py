@@ -1,21 +1,17 @@
-"""Drives over one straight road as maps of a folder, small, and what a daemon counts on them."""
+"""Drives over one straight road as maps of a folder, small."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.config import SamplingConfig
-from edge.files import wait_for_writes
 from edge.geodesy import moved
-from edge.reference_map import ModelKey, RegionsKey, open_map_set
-from edge_plugins.layers.tally import DriveTally
+from edge.reference_map import ModelKey, RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place
 
 MODEL, DIMENSIONS = ModelKey("test", "0" * 64, "fc6", 32), 32
@@ -34,10 +30,6 @@ class Driven:
     made_s: float = MADE_S
     is_placed: bool = True
     back: bool = False
-    east_m: float = 0.0
-    sigma_m: float = 1.5
-    off_from: int = 0
-    """Places of the road from there on are recorded `east_m` of the truth."""
 
 
 def build(path: Path, drive: Driven) -> Path:
@@ -50,33 +42,10 @@ def build(path: Path, drive: Driven) -> Path:
         builder.begin_segment(f"drive of {path.name}", drive.view)
         rows = list(range(drive.start, drive.end))[:: -1 if drive.back else 1]
         for row, at in enumerate(rows):
-            lat_deg, lon_deg = (
-                moved(-27.0, 153.0, drive.east_m * (at >= drive.off_from), at * SPACING_M)
-                if drive.is_placed
-                else (np.nan, np.nan)
-            )
+            lat_deg, lon_deg = moved(-27.0, 153.0, 0.0, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
             heading_deg = 180.0 * drive.back
             where = row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M
-            builder.add(seen[at], Place(*where, position_sigma_m=drive.sigma_m, position_source="gps"))
+            builder.add(seen[at], Place(*where, position_sigma_m=1.5, position_source="gps"))
         builder.finish()
     os.utime(path / "map.json", (drive.made_s, drive.made_s))
     return path
-
-
-def picture(gray: int) -> NDArray[np.uint8]:
-    return np.full((16, 16, 3), gray, np.uint8)
-
-
-def count(folder: Path, name: str, rows: Iterable[int], began_s: float, gray: int = 120, detour_m: float = 0.0) -> None:
-    """A run of a daemon with a front camera that recognized these rows of one map, and no others.
-
-    detour_m: driven off the road, halfway.
-    """
-    maps = open_map_set(folder)
-    first = maps.index.starts[maps.names.index(name)]
-    tally = DriveTally(folder, "front", began_s, f"{name}-{gray}")
-    for row in rows:
-        driven_m = row * SPACING_M + detour_m * (row >= 100)
-        tally.count(maps, first + row, "forward", picture(gray), driven_m, 0)
-    tally.close()
-    wait_for_writes()

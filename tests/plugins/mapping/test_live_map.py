@@ -21,21 +21,18 @@ from numpy.typing import NDArray
 from edge.__main__ import main
 from edge.config import SamplingConfig
 from edge.errors import ConfigError
-from edge.files import wait_for_writes
 from edge.geodesy import VehiclePosition
-from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set, read_header
-from edge.reference_map.learned import Learned, LearnedFolder
+from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set
+from edge.reference_map.map_folder import KEEP, RETIRED
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
-from edge_plugins.layers.stored import KEEP_FILE, delete_oldest, stored_maps
-from edge_plugins.layers.tally import DriveTally, read_tallies
+from edge_plugins.layers.stored import delete_oldest, stored_maps
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.own_motion import OwnDriven
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
-from tests.plugins.layers.drives import count
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
 IMAGE = np.full((48, 64, 3), 120, np.uint8)
@@ -398,10 +395,9 @@ def make_drive(folder: Path, unix_s: float) -> Path:
 
 def test_the_maps_of_a_folder_are_listed_and_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = make_drive(tmp_path, START_S)
-    count(tmp_path, path.name, [0], START_S + 5000)
     assert main(["map", "list", str(tmp_path)]) == 0
     assert re.search(
-        rf"{path.name}  2026-09-21 \d\d:\d\d UTC +30 places .* MB  bright  recognized 1 times  may be deleted",
+        rf"{path.name}  2026-09-21 \d\d:\d\d UTC +30 places .* MB  bright  may be deleted",
         capsys.readouterr().out,
     )
     assert main(["map", "keep", str(path)]) == 0
@@ -410,40 +406,34 @@ def test_the_maps_of_a_folder_are_listed_and_marked(tmp_path: Path, capsys: pyte
     assert main(["map", "keep", str(path), "--undo"]) == 0
     assert main(["map", "keep", str(tmp_path)]) == 78
     make_drive(tmp_path, START_S + 1000)
-    assert delete_oldest(tmp_path, 1.0) == [other], "not recognized since"
+    assert delete_oldest(tmp_path, 1.0) == [path], "the older one"
     assert delete_oldest(tmp_path, 0.0) == [], "the last layer of its road"
 
 
-def test_what_is_recognized_on_the_map_of_this_drive_counts_when_it_is_finished(tmp_path: Path) -> None:
-    mapped = live(tmp_path, resume_min=0.0)
-    drive(mapped, range(30))
-    tally = DriveTally(tmp_path, "front", START_S, "run")
-    tally.count(open_map_set(tmp_path, newest=mapped.whole()), 20, "reverse", IMAGE, 80.0, 0)
-    tally.close()
-    wait_for_writes()
-    mapped.close()
-    live(tmp_path, START_S + 1000, resume_min=0.0).close()
-    (made,) = stored_maps(tmp_path, read_tallies(tmp_path))
-    assert (made.recognized, made.used_unix_s) == (1, START_S)
-
-
-def test_the_quota_deletes_the_drives_that_nobody_needed_for_longest(tmp_path: Path) -> None:
+def test_the_quota_deletes_retired_drives_and_then_the_oldest(tmp_path: Path) -> None:
     paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(6)]
-    (paths[0] / KEEP_FILE).touch()
+    (paths[0] / KEEP).touch()
     (paths[1] / "map.json.sig").write_text("00")
     own = paths[2].rename(tmp_path / "my own name")
-    count(tmp_path, paths[3].name, [0], START_S + 99_000)
-    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path, [])}
-    assert delete_oldest(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and was recognized later"
-    LearnedFolder(tmp_path).add(Learned({paths[3].name: read_header(paths[3]).header_sha256}), {})
-    assert delete_oldest(tmp_path, 0.0) == [paths[3], paths[5]], "3 is retired"
+    (paths[4] / RETIRED).touch()
+    sizes = {one.path: one.size_bytes for one in stored_maps(tmp_path)}
+    assert delete_oldest(tmp_path, sum(sizes.values()) - 1) == [paths[4]], "3 is older, and searched"
+    assert delete_oldest(tmp_path, 0.0) == [paths[3], paths[5]]
     assert {path for path in tmp_path.iterdir() if (path / "map.json").exists()} == {paths[0], paths[1], own}
+
+
+def test_of_the_drives_of_a_road_the_newest_are_searched_from_the_next_start_on(tmp_path: Path) -> None:
+    paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(3)]
+    live(tmp_path, START_S + 9000, layers=0).close()
+    assert len(open_map_set(tmp_path).names) == 3
+    live(tmp_path, START_S + 9000, layers=1).close()
+    assert open_map_set(tmp_path).names == (paths[2].name,)
 
 
 def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp_path: Path) -> None:
     by_clock = make_drive(tmp_path, START_S)
     without = make_drive(tmp_path, 1000.0)
-    assert delete_oldest(tmp_path, 1.5 * stored_maps(tmp_path, [])[0].size_bytes) == [by_clock]
+    assert delete_oldest(tmp_path, 1.5 * stored_maps(tmp_path)[0].size_bytes) == [by_clock]
     assert without.is_dir()
 
 

@@ -171,7 +171,6 @@ def test_the_route_and_the_page_itself(page: StatusPage) -> None:
         "places": 500,
         "starts": {"north": 0, "south": 300},
         "drives": [[[1.0, 2.0], [1.001, 2.0]], []],
-        "stale": [],
         "own_camera": True,
     }
     code, body, headers = get(page, "/")

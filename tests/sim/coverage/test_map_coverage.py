@@ -9,13 +9,11 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from edge.__main__ import main
 from edge.config import Config, SamplingConfig
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
-from edge.reference_map.learned import Learned, LearnedFolder
 from edge.reference_map.store import ModelKey, RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
@@ -105,21 +103,6 @@ def test_the_command(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture
     features = json.loads(output.read_text())["features"]
     assert [one["properties"]["share"] for one in features] == [0.6, pytest.approx(0.6, abs=0.01), None, None]
     assert features[0]["geometry"]["coordinates"][0] == [153.0, -27.0]
-
-
-def test_what_is_no_longer_there_is_named(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `sim`")
-    learned = Learned(stale={maps.headers[0].header_sha256: [(50, 100)]})
-    LearnedFolder(tmp_path).add(learned, {})
-    frames = [replace(one, map="map") for one in drive([range(0, 200)])]
-    journal, output = write(tmp_path / "a.jsonl", frames), tmp_path / "sheet.geojson"
-    options = ["--rehearsals", "0", "--geojson", str(output), "--picture", str(tmp_path / "sheet.svg")]
-    assert main(["map", "coverage", str(tmp_path), journal, *options]) == 0
-    gone = [line.split(":")[0] for line in capsys.readouterr().out.splitlines() if "no longer there" in line]
-    assert gone == ["drive 1,   100 to   200 m"]
-    features = json.loads(output.read_text())["features"]
-    assert [one["properties"]["is_stale"] for one in features] == [False, True, *[False] * 6]
-    assert "hollow: no longer there" in (tmp_path / "sheet.svg").read_text()
 
 
 def test_what_cannot_be_used_is_one_line(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

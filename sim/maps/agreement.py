@@ -3,7 +3,7 @@
 Of each drive, windows of places are searched in the other drives that passed nearby, as a vehicle's frames are: the
 line through the descriptors says which places show the same, and their positions should be the same as well. Where
 windows in a row find the same displacement and it is more than the accuracy of both drives explains, one of them is
-wrong, and nobody knows which: both are then as uncertain as they are apart.
+wrong, and nobody knows which.
 
 Only drives whose cameras looked the same way are compared: with one view in one direction, or with opposed views in
 opposite directions. Otherwise what is seen lies ahead, by a distance that the map does not know. Over simulated drives
@@ -40,8 +40,6 @@ WINDOWS = 3
 """So many windows in a row whose displacements are alike are believed."""
 EXPLAINED_SIGMAS = 2.0
 """Displacement that accuracy explains, in standard deviations of both drives together."""
-AT_START = 300
-"""Windows that are searched when the daemon starts: about 2 s; all are by `lookback map verify`."""
 SLOPES = slopes_around_diagonal(0.1, 5)
 Rows = tuple[Path, int, int]
 
@@ -86,53 +84,32 @@ class Compared:
     apart_m: NDArray[np.float64]
     explained_m: float
     alike_m: float
-    is_one_view: bool
 
 
-def disagreements(maps: MapSet, most_windows: int | None = None) -> list[Disagreement]:
-    """All that are found; most_windows: search about so many, evenly spread."""
-    return disagreements_of(maps, compared(maps, most_windows))
-
-
-def disagreements_of(maps: MapSet, windows: Sequence[Compared]) -> list[Disagreement]:
-    """What some windows, which were `compared`, say."""
+def disagreements(maps: MapSet) -> list[Disagreement]:
+    """All that are found."""
     found = []
-    for _, of_pair in groupby(windows, key=lambda one: one.drives):
+    for _, of_pair in groupby(_compared(maps), key=lambda one: one.drives):
         found += [_spelled(maps, run) for run in _runs(list(of_pair))]
     return found
 
 
-def as_uncertain(maps: MapSet, found: Sequence[Disagreement]) -> MapSet:
-    """The same maps, the positions of those stretches as uncertain as they are apart."""
-    if not found:
-        return maps
-    sigma_m = maps.places["position_sigma_m"].copy()
-    starts = dict(zip((one.path for one in maps.maps), maps.index.starts, strict=False))
-    for one in found:
-        for path, first, end in one.stretches:
-            if path in starts:
-                rows = slice(starts[path] + first, starts[path] + end)
-                sigma_m[rows] = np.fmax(sigma_m[rows], one.apart_m)
-    return maps.with_accuracy(sigma_m)
-
-
-def compared(maps: MapSet, most_windows: int | None = None) -> list[Compared]:
-    """Windows, about so many, of which another drive shows the same; by the pair of drives, then by where."""
+def _compared(maps: MapSet) -> list[Compared]:
+    """Windows of which another drive shows the same; by the pair of drives, then by where."""
     places = maps.places
     origin = first_known(places["lat_deg"], places["lon_deg"])
     if origin is None or len(maps.index.segments) < 2:
         return []
     ground_m, sigma_m = east_north(places["lat_deg"], places["lon_deg"], origin), sigmas_m(places)
-    every = 1 if most_windows is None else max(1, maps.index.places // STEP // most_windows)
-    found = (_compare(maps, ground_m, sigma_m, *window) for window in _windows(maps, STEP * every))
+    found = (_compare(maps, ground_m, sigma_m, *window) for window in _windows(maps))
     return sorted((one for one in found if one is not None), key=lambda one: (one.drives, one.places))
 
 
-def _windows(maps: MapSet, step: int) -> Iterator[tuple[int, int, tuple[int, int]]]:
+def _windows(maps: MapSet) -> Iterator[tuple[int, int, tuple[int, int]]]:
     """The first place of each window, its drive, and places [start, end) of an earlier drive that passed nearby."""
     index, places = maps.index, maps.places
     for drive, (start, end) in enumerate(index.segments):
-        for first in range(start, end - LENGTH + 1, step):
+        for first in range(start, end - LENGTH + 1, STEP):
             middle = places[first + LENGTH // 2]
             if math.isnan(middle["lat_deg"]) or index.map_of(first) != index.map_of(first + LENGTH - 1):
                 continue
@@ -181,8 +158,8 @@ def _compare(
         return None
     places = round(middle), round(there)
     explained_m = pairing.explained_m + EXPLAINED_SIGMAS * math.hypot(*sigma_m[list(places)])
-    pair, is_one_view = (other, drive), pairing is ONE_VIEW
-    return Compared(pair, (places[1], places[0]), apart_m, explained_m, pairing.alike_m, is_one_view)
+    pair = other, drive
+    return Compared(pair, (places[1], places[0]), apart_m, explained_m, pairing.alike_m)
 
 
 def _encoded(maps: MapSet, first: int) -> NDArray[np.int8]:

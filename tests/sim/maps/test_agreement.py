@@ -1,4 +1,4 @@
-"""Two drives over one road that disagree about where it is: found, published, and as uncertain as they are apart."""
+"""Two drives over one road that disagree about where it is: found and named."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ import pytest
 from edge.__main__ import main
 from edge.config import SamplingConfig
 from edge.geodesy import PositionSource, moved
-from edge.map_agreement import LENGTH, as_uncertain, disagreements
-from edge.reference_map import Route, open_map, open_map_set
+from edge.reference_map import open_map, open_map_set
 from edge.reference_map.store import ModelKey, RegionsKey
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
-from sim.maps.outvoted import outvoted
+from sim.maps.agreement import LENGTH, disagreements
 from sim.maps.tiles import split_map
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 64)
@@ -112,13 +111,12 @@ def test_what_the_accuracy_explains_and_what_cannot_be_compared_is_none(second: 
     assert disagreements(open_map_set(tmp_path / "map")) == []
 
 
-def test_only_the_stretch_where_they_disagree_is_uncertain(tmp_path: Path) -> None:
+def test_only_the_stretch_where_they_disagree_is_named(tmp_path: Path) -> None:
     build(tmp_path / "map", [Driven(), Driven(east_m=40.0, wrong_from=100)])
-    maps = open_map_set(tmp_path / "map")
-    route = Route(as_uncertain(maps, disagreements(maps)))
-    sigmas_m = [position.sigma_m for place in (20, 150, 220, 350) if (position := route.position(place, 0.0))]
-    assert sigmas_m == pytest.approx([1.0, 40.0, 1.0, 40.0], abs=1.0)
-    assert [one.sigma_m for place in (20, 150) if (one := Route(maps).position(place, 0.0))] == [1.0, 1.0]
+    (found,) = disagreements(open_map_set(tmp_path / "map"))
+    (_, first, end), (_, second, second_end) = found.stretches
+    assert (end, second_end) == (200, 400)
+    assert (first, second) == (pytest.approx(100, abs=20), pytest.approx(300, abs=20))
 
 
 def test_drives_in_several_maps_and_tiles_are_compared(tmp_path: Path) -> None:
@@ -127,56 +125,9 @@ def test_drives_in_several_maps_and_tiles_are_compared(tmp_path: Path) -> None:
     maps = open_map_set(tmp_path / "maps")
     (found,) = disagreements(maps)
     assert [path.name for path, _, _ in found.stretches] == ["a", "b"]
-    assert set(as_uncertain(maps, [found]).places["position_sigma_m"].round()) == {40.0}
-    left = maps.without({tmp_path / "maps" / "a": "gone"})
-    assert set(as_uncertain(left, [found]).maps[0].places["position_sigma_m"].round()) == {40.0}
     build(tmp_path / "whole", [Driven(), Driven(east_m=40.0)])
     split_map(open_map(tmp_path / "whole"), tmp_path / "tiles", 150)
     assert disagreements(open_map_set(tmp_path / "tiles"))
-
-
-def outvoted_of(folder: Path) -> dict[Path, float]:
-    maps = open_map_set(folder)
-    return outvoted(maps, disagreements(maps))
-
-
-@pytest.mark.parametrize("wrong", [Driven(north_m=15.0), Driven(east_m=-15.0), Driven(east_m=40.0, wrong_from=100)])
-def test_one_that_others_contradict_is_named(wrong: Driven, tmp_path: Path) -> None:
-    for number, drive in enumerate((Driven(), wrong, Driven(east_m=2.0))):
-        build(tmp_path / "maps" / str(number), [*[Driven(road=9, end=2)] * number, drive])
-    (path, apart_m), *others = outvoted_of(tmp_path / "maps").items()
-    assert (path.name, others) == ("1", [])
-    assert apart_m == pytest.approx(40.0 if wrong.wrong_from else 15.0, abs=2.1)
-
-
-def test_of_two_that_disagree_and_of_two_recordings_nobody_knows_which_is_wrong(tmp_path: Path) -> None:
-    build(tmp_path / "maps" / "0", [Driven()])
-    build(tmp_path / "maps" / "1", [Driven(road=9, end=2), Driven(east_m=40.0)])
-    assert outvoted_of(tmp_path / "maps") == {}
-    build(tmp_path / "maps" / "2", [Driven(start=2)])
-    assert outvoted_of(tmp_path / "maps") == {}, "a part of the recording that 0 is of"
-
-
-@pytest.mark.parametrize(
-    ("wrong", "third", "named"),
-    [
-        (Driven(east_m=15.0), Driven(view="front"), ["1"]),
-        (Driven(east_m=-15.0, wrong_from=60), Driven(view="front", east_m=3.0), ["1"]),
-        (Driven(north_m=15.0), Driven(view="front"), []),
-        (Driven(east_m=12.0), Driven(view="front", back=True), []),
-        (Driven(east_m=15.0), Driven(view="front", east_m=200.0), []),
-        (Driven(east_m=15.0), Driven(view="front", east_m=NAN), []),
-        (Driven(east_m=15.0), Driven(view="front", east_m=30.0), []),
-    ],
-    ids=["aside", "aside from there on", "along", "the other lane", "another road", "nowhere", "beside both"],
-)
-def test_of_two_that_disagree_the_one_beside_the_way_of_a_third_is_wrong(
-    wrong: Driven, third: Driven, named: list[str], tmp_path: Path
-) -> None:
-    """The third one looked another way, so that no picture of it can be compared."""
-    for number, drive in enumerate((Driven(), wrong, third)):
-        build(tmp_path / "maps" / str(number), [*[Driven(road=9, end=2)] * number, drive])
-    assert [path.name for path in outvoted_of(tmp_path / "maps")] == named
 
 
 def test_a_drive_without_positions_agrees_with_everything(tmp_path: Path) -> None:
