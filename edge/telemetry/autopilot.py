@@ -375,6 +375,6 @@ def open_port(config: TelemetryConfig, link: LinkConfig, number: int, clock_ns: 
     if link.signing_key:
         from edge.telemetry.signing import Signer, load_key  # which few links need
 
-        signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number, clock_ns=clock_ns)
+        signer = Signer(load_key(link.signing_key), Path(f"{config.signing_clock}.{number}"), number)
     codec = MavlinkCodec(config.system_id or FIRST_SYSTEM_ID, config.component_id, signer)
     return Port(parse_connection(link.connection, where), codec, clock_ns)

@@ -41,30 +41,6 @@ Stream: TypeAlias = tuple[int, int, int]
 """Link, system, component: all three are covered by a signature."""
 
 
-class SignatureCheck(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
-    """pymavlink's codec, which checks signatures; whether a frame is new is left to `accepts`.
-
-    pymavlink stores a frame's timestamp before it checks the signature, and accepts any timestamp with a valid one, so
-    that one frame dated far ahead would lock the real sender out for good.
-    """
-
-    accepts: Callable[[Stream, int], bool]
-
-    def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
-        """Whether the frame is signed with our key, and new."""
-        signing = self.signing
-        ours, signing.timestamp = signing.timestamp, 0  # so that nothing is too old for pymavlink
-        signing.stream_timestamps.clear()
-        is_signed = super().check_signature(msgbuf, srcSystem, srcComponent)
-        signing.timestamp = ours
-        # 1 byte of link id and 6 of timestamp, before the 6 of the signature.
-        timestamp = int.from_bytes(msgbuf[-12:-6], "little")
-        if not is_signed or not self.accepts((msgbuf[-13], srcSystem, srcComponent), timestamp):
-            return False
-        signing.timestamp = max(ours, timestamp)
-        return True
-
-
 class Unsigned:
     """Signs nothing, and accepts what is not signed; `signing.Signer` does otherwise."""
 
@@ -76,16 +52,36 @@ class Unsigned:
     def advance(self) -> None:
         """Before each frame."""
 
+    def follow_clock(self) -> None:
+        """Before what has arrived is decoded."""
+
     def store(self) -> None:
         """Nothing will be sent or decoded for a while."""
 
 
-class _Parser(SignatureCheck):
+class _Parser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
     """pymavlink's codec, which loses no link for good."""
 
     buf: bytearray
     buf_index: int
+    checked: Callable[..., None]
+    """Called with the stream of each signed frame, and whether it `is_signed` with our key and new."""
     _useless_in_a_row = 0
+
+    def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
+        """As pymavlink has it, which stores a frame's timestamp before it checks the signature: one forged frame that
+        is dated far ahead would lock the real sender out for good.
+        """
+        stream: Stream = msgbuf[-13], srcSystem, srcComponent
+        newest = self.signing.stream_timestamps
+        before = newest.get(stream)
+        is_signed = bool(super().check_signature(msgbuf, srcSystem, srcComponent))
+        if not is_signed and before is None:
+            newest.pop(stream, None)
+        elif not is_signed:
+            newest[stream] = before
+        self.checked(stream, is_signed=is_signed)
+        return is_signed
 
     def parse_char(self, c: Sequence[int]) -> Any:
         """The next message in what has arrived; after many useless ones, also from within the last of those.
@@ -151,6 +147,7 @@ class MavlinkCodec:
         """
         if not data:
             return []
+        self._signer.follow_clock()
         messages = self._mavlink.parse_buffer(data) or []
         if self._mavlink.buf_index > TRIM_BYTES:  # pymavlink only empties its buffer when a read ends with a frame
             del self._mavlink.buf[: self._mavlink.buf_index]

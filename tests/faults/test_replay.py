@@ -127,7 +127,7 @@ def test_a_recording_is_played_to_a_new_run(
                 turns(process)
         turns(process)
         assert told_up(tmp_path) == 1, "a replay has been believed"
-        assert "signed frame rejected: timestamp replayed" in process.told()
+        assert "signed frame rejected: another key, or its timestamp is not new" in process.told()
 
         put_forward_s = ahead_s
         drive_until(autopilot, cable, lambda: told_up(tmp_path) == 2, process)

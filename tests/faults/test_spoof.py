@@ -39,7 +39,7 @@ def test_attacks_on_a_signed_link(rounds: int, tmp_path: Path, seed: int, figure
         return now_ns
 
     def signer(name: str, key: bytes, ahead_s: float = 0.0) -> Signer:
-        return Signer(key, tmp_path / name, 0, lambda: start_s + now_ns / 1e9 + ahead_s, clock_ns)
+        return Signer(key, tmp_path / name, 0, lambda: start_s + now_ns / 1e9 + ahead_s)
 
     cable = open_pty()
     connection = AutopilotConnection(
@@ -58,7 +58,7 @@ def test_attacks_on_a_signed_link(rounds: int, tmp_path: Path, seed: int, figure
     attackers: dict[str, Sender] = {
         "unsigned": vehicle(SOUTH, None),
         "another key": vehicle(SOUTH, signer("forger", OTHER)),
-        "future-dated": vehicle(SOUTH, signer("future", KEY, ahead_s=HOUR_S)),
+        "future-dated": vehicle(SOUTH, signer("future", OTHER, ahead_s=HOUR_S)),
         "stale": vehicle(SOUTH, signer("stale", KEY, ahead_s=-HOUR_S)),
     }
     old: list[bytes] = []

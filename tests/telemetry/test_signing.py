@@ -141,7 +141,7 @@ def test_after_a_crash_nothing_is_taken_twice_and_who_is_past_what_was_kept_is_h
         assert crashed.decode(frames[-1])
     restarted = codec(tmp_path, "ours")
     assert not any(restarted.decode(frame) for frame in frames)
-    assert caplog.text.count("timestamp replayed or more than 60 s off") == 1
+    assert caplog.text.count("its timestamp is not new") == 1
     heard_after_s = 0.0
     while not restarted.decode(theirs.encode(BEAT)):
         heard_after_s, now_s = heard_after_s + 0.1, now_s + 0.1
@@ -200,23 +200,13 @@ def test_the_peer_is_heard_before_anything_is_signed(tmp_path: Path, open_rig: C
     assert stamp_of(rig.connection._port.codec.encode(BEAT)) > (4_000_000_000 - EPOCH_S) * TICKS_PER_S
 
 
-def test_a_frame_from_the_future_with_our_key_is_refused_and_leaves_no_trace(tmp_path: Path) -> None:
-    ours, theirs = codec(tmp_path, "ours"), codec(tmp_path, "theirs")
-    from_the_future = codec(tmp_path, "future", now_s=NOW_S + 86400).encode(BEAT)
-    assert ours.decode(theirs.encode(BEAT))
-    assert not ours.decode(from_the_future)
-    assert ours.decode(theirs.encode(BEAT)), "a good one still is"
-    assert stamp_of(ours.encode(BEAT)) < (NOW_S + 60 - EPOCH_S) * TICKS_PER_S
+def test_what_was_recorded_over_a_minute_ago_begins_no_stream(tmp_path: Path) -> None:
+    recorded = codec(tmp_path, "theirs").encode(BEAT)
+    assert not codec(tmp_path, "late", now_s=NOW_S + 61).decode(recorded)
+    assert codec(tmp_path, "soon", now_s=NOW_S + 59).decode(recorded)
 
 
-def test_a_computer_without_a_clock_believes_a_peer_that_goes_on_in_its_own_time(tmp_path: Path) -> None:
-    now_ns = 0
-    ours = MavlinkCodec(1, 191, Signer(KEY, tmp_path / "ours", 0, lambda: EPOCH_S + 1e6, lambda: now_ns))
-    heard = []
-    for second in range(8):
-        now_ns = second * 1_000_000_000
-        frame = codec(tmp_path, f"theirs{second}", now_s=NOW_S + second).encode(BEAT)
-        heard.append(bool(ours.decode(frame)))
-    assert heard == [False] * 3 + [True] * 5
-    old = codec(tmp_path, "old", now_s=EPOCH_S + 1e6).encode(BEAT)
-    assert not ours.decode(old)
+def test_a_computer_without_a_clock_hears_its_peer_and_goes_on_in_its_time(tmp_path: Path) -> None:
+    ours = codec(tmp_path, "ours", now_s=EPOCH_S + 1e6)
+    assert ours.decode(codec(tmp_path, "theirs").encode(BEAT))
+    assert stamp_of(ours.encode(BEAT)) >= (NOW_S - EPOCH_S) * TICKS_PER_S
