@@ -6,9 +6,9 @@ takes a quarter of what a used frame takes, and it looks at most once in five of
 
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
 so that no foreign web site can read the page by a name that it points here. What changes something is POST with [page]
-token in a header of its own, which a browser sends to the page's own site only. Who has not sent a request after
-HEAD_S, or reads slower than PATIENCE_S, is cut off; there are CONNECTIONS at most, of one address CONNECTIONS_OF_ONE,
-so that no address locks out another.
+token in a header of its own, which a browser sends to the page's own site only. There are so many PLACES for this
+computer itself, and as many for all others; where one more comes, who has waited longest goes, first of those that have
+not sent a whole request. So nobody who is slow, and however many they are, keeps out who comes next.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ import signal
 import socket
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import cv2
 import uvicorn
@@ -49,8 +49,7 @@ from edge_plugins.page.snapshot import MapView, Snapshot
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
 ANSWER_S = 2.0  # how long the daemon's loop may take to hand over a snapshot
-PATIENCE_S, HEAD_S = 10.0, 1.0
-CONNECTIONS, CONNECTIONS_OF_ONE = 24, 12  # a browser opens 6
+PLACES = 24  # a browser opens 6
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
 SERVICE = {
@@ -77,9 +76,7 @@ log = logging.getLogger(__name__)
 class StatusPage:
     """Owns the socket, the thread and the server in it. `wanted` and `show` are the daemon's side of it."""
 
-    def __init__(
-        self, config: PageConfig, map_view: MapView, *, answer_s: float = ANSWER_S, patience_s: float = PATIENCE_S
-    ) -> None:
+    def __init__(self, config: PageConfig, map_view: MapView, *, answer_s: float = ANSWER_S) -> None:
         """Listen and start. OSError when the address cannot be listened on."""
         self.wanted = False
         """Whether somebody waits for a snapshot."""
@@ -94,10 +91,10 @@ class StatusPage:
         self._jpeg: tuple[int | None, bytes] = None, b""
         self._pending: asyncio.Future[None] | None = None
         family = socket.AF_INET6 if ":" in config.bind else socket.AF_INET
-        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=CONNECTIONS)
+        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=2 * PLACES)
         self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
-        self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts), patience_s))
+        self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts)))
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
@@ -316,53 +313,32 @@ class _OnlyForUs:
         return True
 
 
-class _ImpatientProtocol(H11Protocol):
-    """HTTP/1.1 that ends a connection without a whole request after HEAD_S, or without a whole answer after
-    `patience_s`; uvicorn waits for ever.
-    """
+class _Connection(H11Protocol):
+    """HTTP/1.1 of uvicorn, which would wait for ever for whoever is slow, until all places are taken."""
 
-    def __init__(self, patience_s: float, by_address: Counter[str], config: uvicorn.Config, **others: Any) -> None:
-        super().__init__(config, **others)
-        self._patience_s, self._by_address = patience_s, by_address
-        self._deadline: asyncio.TimerHandle | None = None
-        self._address = ""
+    came_s = 0.0
+    is_local = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a place, of whoever has waited longest if there is none."""
         super().connection_made(transport)
-        self._deadline = self.loop.call_later(min(HEAD_S, self._patience_s), transport.abort)
-        self._address = self.client[0] if self.client else ""
-        self._by_address[self._address] += 1
-        if self._by_address[self._address] > CONNECTIONS_OF_ONE:
-            transport.abort()
-
-    def data_received(self, data: bytes) -> None:
-        is_first = self.cycle is None
-        super().data_received(data)
-        if is_first and self.cycle is not None:
-            self._wait_for_answer()
-
-    def on_response_complete(self) -> None:
-        self._wait_for_answer()
-        super().on_response_complete()
-
-    def _wait_for_answer(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-        if not self.transport.is_closing():
-            self._deadline = self.loop.call_later(self._patience_s, self.transport.abort)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-        self._by_address -= Counter([self._address])  # and forget addresses that have none
-        super().connection_lost(exc)
+        self.came_s = self.loop.time()
+        self.is_local = self.client is not None and ipaddress.ip_address(self.client[0]).is_loopback
+        others = [
+            one
+            for one in self.connections
+            if isinstance(one, _Connection) and one.is_local == self.is_local and not one.transport.is_closing()
+        ]
+        if len(others) > PLACES:
+            # Without a cycle there was no whole head yet.
+            min(others, key=lambda one: (one.cycle is not None, one.came_s)).transport.abort()
 
 
-def _server_config(app: ASGIApp, patience_s: float) -> uvicorn.Config:
+def _server_config(app: ASGIApp) -> uvicorn.Config:
     logging.getLogger("uvicorn").setLevel(logging.ERROR)  # a bad request is no news for the vehicle's log
     return uvicorn.Config(
         app,
-        http=partial(_ImpatientProtocol, patience_s, Counter()),  # type: ignore[arg-type]  # it calls it, as it would a class
+        http=_Connection,
         ws="none",
         loop="asyncio",
         lifespan="off",
@@ -371,7 +347,7 @@ def _server_config(app: ASGIApp, patience_s: float) -> uvicorn.Config:
         server_header=False,
         date_header=False,  # it would be that of the start
         proxy_headers=False,
-        limit_concurrency=CONNECTIONS,
+        limit_concurrency=2 * PLACES + 1,
         timeout_keep_alive=5,
         timeout_graceful_shutdown=1,
         h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
