@@ -89,7 +89,7 @@ class Daemon:
 
     def _process_if_place(self, frame: Frame) -> bool:
         """Process a frame that shows a new place, by [sampling]; False if it does not."""
-        self.parts.plugins.each(lambda plugin: plugin.frame(frame))
+        self.parts.plugins.show(frame)
         distance_m = self._autopilot.vehicle.motion.distance_m(frame.stamp_ns)
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
@@ -208,9 +208,8 @@ class Daemon:
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
         parts = self.parts
-        newest = parts.plugins.grown_map()
-        if newest is not None:
-            maps = self._recognizer.map_set.with_newest(newest)
+        maps = parts.plugins.grown_maps(self._recognizer.map_set)
+        if maps is not None:
             self._recognizer.grow_maps(maps)
             self._drive.update(self._clock_ns(), Maps(maps, has_grown=True))
 

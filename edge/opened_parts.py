@@ -20,7 +20,7 @@ from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
 from edge.localization import Drive, Maps, PositionEstimator
 from edge.map_verification import MapVerification
-from edge.plugin import Parts, Plugins
+from edge.plugin import Parts, Plugins, Recognized
 from edge.recognizer import network_for, open_recognizer
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
@@ -76,7 +76,8 @@ class OpenedParts:
             self.plugins.open(shared)
             self._open_recognizer(network)
             self._open_camera(parts, frames)
-            shared.recognizer, shared.pictures, shared.camera = self.recognizer, self.pictures, self.camera
+            shared.recognizer = Recognized(self.recognizer)
+            shared.pictures, shared.camera = self.pictures, self.camera
             self.plugins.start()
 
     def _lost(self) -> int:

@@ -10,7 +10,7 @@ import logging
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -27,13 +27,35 @@ from edge.health.monitor import StageTimes
 from edge.journal.records import FrameUsed, PlaceFix, PluginFailed, Record
 from edge.localization import Drive
 from edge.recognizer import PlaceRecognizer
-from edge.reference_map import MapSoFar
+from edge.reference_map import MapSet, MapSoFar
+from edge.reference_map.place_records import PLACE
 from edge.sequence import PlaceMatch
 from edge.telemetry.autopilot import DRAIN_S, AutopilotConnection, Service
 from edge.telemetry.codec import Message
 
 T = TypeVar("T")
+FAILURES = (Exception, SystemExit)
+"""What a plug-in may raise without an effect on anything else; a person's Ctrl-C is none of its."""
 log = logging.getLogger(__name__)
+
+
+class Recognized:
+    """What a plug-in may read of the recognizer, and no way to change what is recognized."""
+
+    def __init__(self, recognizer: PlaceRecognizer) -> None:
+        self._recognizer = recognizer
+        self.config, self.model_name = recognizer.config, recognizer.model_name
+        self.raw_of, self.describe, self.cost_view = recognizer.raw_of, recognizer.describe, recognizer.cost_view
+
+    @property
+    def map_set(self) -> MapSet:
+        """As the recognizer has it."""
+        return self._recognizer.map_set
+
+    @property
+    def is_in_line(self) -> bool:
+        """As the recognizer has it."""
+        return self._recognizer.is_in_line
 
 
 @dataclass
@@ -55,7 +77,7 @@ class Parts:
     lost: Callable[[], int]
     plugins: Plugins
     mapping_frames: Frames | None = None
-    recognizer: PlaceRecognizer = field(init=False)
+    recognizer: Recognized = field(init=False)
     pictures: PictureCheck = field(init=False)
     camera: Frames = field(init=False)
 
@@ -94,7 +116,10 @@ class Plugin:
         """Everything is open: the recognizer, its maps, the camera."""
 
     def frame(self, frame: Frame) -> None:
-        """A picture that shows something, also where it shows no new place; before its place is recognized."""
+        """A picture that shows something, also where it shows no new place; before its place is recognized.
+
+        It cannot be written to.
+        """
 
     def frame_used(self, used: UsedFrame) -> None:
         """A frame was recognized, and is in the journal."""
@@ -120,7 +145,7 @@ class Plugins:
         self._open: dict[str, Plugin] = {}
         self._newest: MapSoFar | None = None
         self._link = link
-        link.services.append(self)
+        link.serve(self)
 
     def open(self, parts: Parts) -> None:
         """Open those that the config asks for; SetupError for one that cannot be."""
@@ -139,6 +164,13 @@ class Plugins:
         for name, plugin in list(self._open.items()):
             self._call(name, partial(moment, plugin))
 
+    def show(self, frame: Frame) -> None:
+        """Call each with a picture."""
+        image = frame.image.view()
+        image.flags.writeable = False
+        shown = replace(frame, image=image)
+        self.each(lambda plugin: plugin.frame(shown))
+
     def ask(self, name: str, what: Callable[..., T]) -> T | None:
         """What a call of the plug-in of that name returns, for another one: it is the former that ends if it fails.
 
@@ -148,14 +180,18 @@ class Plugins:
 
     def newest_map(self) -> MapSoFar | None:
         """The map of this drive, None where nothing maps it."""
-        newest = (self._call(name, plugin.newest_map) for name, plugin in list(self._open.items()))
+        newest = (self._call(name, partial(_checked_map, plugin)) for name, plugin in list(self._open.items()))
         self._newest = next((one for one in newest if one is not None), None)
         return self._newest
 
-    def grown_map(self) -> MapSoFar | None:
-        """The same where it has grown since it was asked for last, else None."""
-        before = self._newest
-        return None if self.newest_map() is before else self._newest
+    def grown_maps(self, maps: MapSet) -> MapSet | None:
+        """Some maps, with the map of this drive where it has grown since it was asked for last, else None."""
+        for name, plugin in list(self._open.items()):
+            newest = self._call(name, partial(_checked_map, plugin))
+            if newest is not None and newest is not self._newest:
+                self._newest = newest
+                return self._call(name, partial(maps.with_newest, newest))
+        return None
 
     def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
         """As `Service` has it, for those of all; what is due is sent here, since sending is where a wrong one fails."""
@@ -189,18 +225,18 @@ class Plugins:
         """What a call of a plug-in returns; None where it fails, and is closed, or was closed before."""
         try:
             return call() if name in self._open else None
-        except Exception as error:
+        except FAILURES as error:
             self._end(name, error)
             return None
 
-    def _end(self, name: str, error: Exception | None = None) -> bool:
+    def _end(self, name: str, error: BaseException | None = None) -> bool:
         """Close one, because of an error or at the end; whether it had last words for the autopilot."""
         plugin, has_said = self._open.pop(name), False
         now_ns = self._link.clock_ns()
         for step in (partial(self._serve, lambda service: service.abandon(now_ns), plugin), plugin.close):
             try:
                 has_said = bool(step()) or has_said
-            except Exception as another:
+            except FAILURES as another:
                 error = error or another
         if error is not None:
             at = traceback.extract_tb(error.__traceback__)[-1]
@@ -210,3 +246,13 @@ class Plugins:
             self._link.record(PluginFailed(name, why))
             self._link.status_text(f"Lookback: {name} failed, goes on without", mavlink.MAV_SEVERITY_WARNING)
         return has_said
+
+
+def _checked_map(plugin: Plugin) -> MapSoFar | None:
+    """Its map of this drive; TypeError or ValueError for what is none."""
+    newest = plugin.newest_map()
+    if newest is not None and not isinstance(newest, MapSoFar):
+        raise TypeError(f"newest_map: {type(newest).__name__} is no map of a drive")
+    if newest is not None and (newest.places.dtype, len(newest.places)) != (PLACE, newest.header.places):
+        raise ValueError(f"newest_map: has other places than the {newest.header.places} of its header")
+    return newest

@@ -30,12 +30,15 @@ from tests.udp_port import free_port
 FRAMES, PERIOD_NS = 60, 200_000_000
 OTHERS = '''
 """Plug-ins of another package: each keeps what it was called for, and fails where it is told to."""
+import sys
 from typing import Annotated, ClassVar, Literal
+import numpy as np
 from msgspec import Meta
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import FilePath, Section
 from edge.journal.records import Record, unit
 from edge.plugin import Plugin
+from edge.reference_map import MapSoFar
 from edge.telemetry.position_history import Awaiting
 
 class WitnessConfig(Section, frozen=True):
@@ -58,7 +61,7 @@ class WitnessCalled(Record, frozen=True, tag="witness_called"):
 
 class Witness(Plugin):
     def __init__(self, config, parts):
-        self.config, self.parts, self.seen = config, parts, []
+        self.config, self.parts, self.seen, self.newest = config, parts, [], None
         self.service = self
         self.awaiting = Awaiting(parts.autopilot.history)
         self.call("open")
@@ -69,12 +72,16 @@ class Witness(Plugin):
     def start(self):
         self.call("start")
     def frame(self, frame):
+        if self.config.fails in INTRUSIONS:
+            INTRUSIONS[self.config.fails](self, frame)
         self.parts.record(WitnessCalled(frame.index, self if self.config.fails == "record" else None))
         self.seen.append(("frame", frame.index))
         if frame.index == 20:
             self.call("frame 20")
             self.parts.plugins.ask("other", lambda other: other.call("asked"))
         self.awaiting.add(frame.stamp_ns, frame)
+    def newest_map(self):
+        return self.newest
     def frame_used(self, used):
         self.seen.append(("frame_used", used.frame.index, used.record.emitted, used.place and used.place.place))
     def turn(self, spare_s):
@@ -95,6 +102,22 @@ class Witness(Plugin):
 
 class Other(Witness):
     pass
+
+def broken_map(self, frame):
+    maps = self.parts.recognizer.map_set
+    one = maps.maps[0]
+    places = np.zeros(one.header.places, [("lat", "f8")])
+    fields = dict(vars(one), places=places, path=one.path / "drive")
+    self.newest = MapSoFar(**fields, matcher=maps.matchers[0], mean=None, deviation=None, thumbnails=None)
+
+INTRUSIONS = {
+    "paints": lambda self, frame: frame.image.fill(0),
+    "resets": lambda self, frame: self.parts.recognizer.reset(),
+    "joins the link": lambda self, frame: self.parts.autopilot.serve(object()),
+    "broken map": broken_map,
+    "another map": lambda self, frame: setattr(self, "newest", object()),
+    "exits": lambda self, frame: sys.exit(3),
+}
 
 def nothing():
     return None
@@ -228,6 +251,12 @@ def test_it_is_called_at_its_moments_in_order(installed: Path, open_street: Open
         ("due", "KeyError: 'due'"),
         ("message", "AttributeError"),
         ("record", "TypeError"),
+        ("paints", "ValueError: assignment destination is read-only"),
+        ("resets", "AttributeError: 'Recognized' object has no attribute 'reset'"),
+        ("joins the link", "RuntimeError: the link has a service"),
+        ("broken map", "ValueError: newest_map: has other places"),
+        ("another map", "TypeError: newest_map: object is no map of a drive"),
+        ("exits", "SystemExit: 3"),
     ],
 )
 def test_one_that_fails_is_gone_and_costs_nothing_else(

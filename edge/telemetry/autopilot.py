@@ -100,8 +100,7 @@ class AutopilotConnection:
         self._own: Own | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
-        self.services: list[Service] = []
-        """Further exchanges on the autopilot's link."""
+        self._service: Service | None = None
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
         self._was_doubled = False
@@ -255,12 +254,18 @@ class AutopilotConnection:
     def close(self) -> None:
         """Close the links; more than once is harmless, and poll() would open them again."""
         self.restore_sources()
-        abandoned = [message for service in self.services for message in service.abandon(self.clock_ns())]
+        abandoned = self._service.abandon(self.clock_ns()) if self._service else []
         self.send(abandoned)
         if abandoned:
             time.sleep(DRAIN_S)
         for link in self._links:
             link.port.close()
+
+    def serve(self, service: Service) -> None:
+        """Let it exchange messages on the autopilot's link as well. RuntimeError where another one does."""
+        if self._service:
+            raise RuntimeError("the link has a service; a plug-in's is its attribute `service`")
+        self._service = service
 
     def _warn(self, text: str) -> None:
         self.status_text(text, mavlink.MAV_SEVERITY_WARNING)
@@ -273,8 +278,8 @@ class AutopilotConnection:
                 self._answer(message)
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                     self._keep_position(now_ns)
-            for service in self.services:
-                self.send(service.read(message, now_ns, is_for_us=self._is_for_us(message)))
+            if self._service:
+                self.send(self._service.read(message, now_ns, is_for_us=self._is_for_us(message)))
         self.vehicle.expire(now_ns)
         self._update_state()
 
@@ -314,8 +319,8 @@ class AutopilotConnection:
         self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
 
     def _send_due(self, now_ns: int) -> None:
-        for service in self.services:
-            self.send(service.due(now_ns))
+        if self._service:
+            self.send(self._service.due(now_ns))
         if self.state != "up":
             return
         if self.requests.session is not self.vehicle.session:

@@ -113,7 +113,7 @@ def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
     parse_connection(connection, "--upload")
     link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""))
     home = HomeRequests(config, link)
-    link.services.append(home)
+    link.serve(home)
     answers: list[Answer] = []
     with closing(link):
         home.plan = plan

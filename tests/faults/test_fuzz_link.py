@@ -216,7 +216,7 @@ class Turns:
         self.drive = Drive(self.estimator)
         self.link = AutopilotConnection(config, self.clock_ns, gates=gates, drive=self.drive)
         self.home = HomeRequests(home, self.link)
-        self.link.services.append(self.home)
+        self.link.serve(self.home)
         self.home.plan = lambda start: WAY
         self.autopilot: SimulatedAutopilot | None = None
         if self.stranger.cable is not None:

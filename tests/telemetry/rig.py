@@ -130,7 +130,7 @@ class Rig:
         self.unable = ""
         """Why nothing is recognized now."""
         self.home = HomeRequests(self._home, self.connection)
-        self.connection.services.append(self.home)
+        self.connection.serve(self.home)
 
     def send_position(self, fix: PlaceFix) -> bool:
         """Of a place that is recognized now; whether it was sent."""
