@@ -326,10 +326,10 @@ class _Connection(H11Protocol):
         self.is_local = self.client is not None and ipaddress.ip_address(self.client[0]).is_loopback
         others = [
             one
-            for one in self.connections
+            for one in self.connections - {self}
             if isinstance(one, _Connection) and one.is_local == self.is_local and not one.transport.is_closing()
         ]
-        if len(others) > PLACES:
+        if len(others) >= PLACES:
             # Without a cycle there was no whole head yet.
             min(others, key=lambda one: (one.cycle is not None, one.came_s)).transport.abort()
 
