@@ -20,6 +20,7 @@ The steps, each of which can be replaced by your own arrays:
     nearest     S -> the best place of each frame alone
     search      S -> the best place by a sequence of frames, along the reference and against it (eq. 2 and 3)
     believe     descriptors -> places with the probability that each is right, as the vehicle's daemon has it
+    keypoints   a picture -> its points; verify: which of two pictures' points agree, so one look says the place
     truth       two recordings -> which places are right (Q, N); recall_at, pr_curve, auc, match_pairs score by it
     plot        curves, or S with what was found
     Map, Recognizer   a map on the disk, and one picture after another recognized on it
@@ -32,25 +33,30 @@ from lookback import own_packages  # noqa: F401  # before anything of them is im
 
 # isort: split
 from edge.errors import LookbackError as Error
+from edge.keypoints import Keypoints, Verified
 from edge.sequence import PlaceMatch
 from lookback.description import describe, normalize
 from lookback.maps import Map, Recognizer
 from lookback.matching import believe, compare, nearest, search
 from lookback.plotting import plot
 from lookback.scoring import Curve, auc, match_pairs, pr_curve, recall_at, truth
+from lookback.verification import keypoints, verify
 from sim.compare.matching import Matches
 
 __all__ = [
     "Curve",
     "Error",
+    "Keypoints",
     "Map",
     "Matches",
     "PlaceMatch",
     "Recognizer",
+    "Verified",
     "auc",
     "believe",
     "compare",
     "describe",
+    "keypoints",
     "match_pairs",
     "nearest",
     "normalize",
@@ -59,4 +65,5 @@ __all__ = [
     "recall_at",
     "search",
     "truth",
+    "verify",
 ]

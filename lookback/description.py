@@ -73,10 +73,11 @@ def _images(pictures: Pictures) -> tuple[Iterator[NDArray[np.uint8]], int | None
         feed = read_drive(Path(pictures))
         opened = FeedImages(feed)
         return (opened.read(row) for row in range(len(feed.rows))), len(feed.rows)
-    return (_image(one) for one in pictures), len(pictures) if isinstance(pictures, Sized) else None
+    return (image_of(one) for one in pictures), len(pictures) if isinstance(pictures, Sized) else None
 
 
-def _image(given: str | Path | NDArray[np.uint8]) -> NDArray[np.uint8]:
+def image_of(given: str | Path | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture (H, W, 3) uint8 BGR, read where it is a file. ValueError for other arrays."""
     if isinstance(given, (str, Path)):
         return read_picture(Path(given), cv2.IMREAD_COLOR)
     image = np.asarray(given)

@@ -37,6 +37,10 @@ class Keypoints:
     def __len__(self) -> int:
         return len(self.xy)
 
+    def best(self, most: int) -> Keypoints:
+        """The first `most` of them."""
+        return Keypoints(self.xy[:most], self.scores[:most], self.descriptors[:most], self.size)
+
 
 @dataclass(frozen=True, eq=False)
 class Verified:

@@ -39,7 +39,10 @@ def verify(query: Keypoints, reference: Keypoints) -> Verified:
         points.xy[rows] * (LONGER_SIDE_PX / max(points.size))
         for points, rows in zip((query, reference), matches.T, strict=True)
     )
-    _, explained = cv2.findFundamentalMat(one, other, cv2.USAC_MAGSAC, TOLERANCE_PX, CERTAINTY, HYPOTHESES)
+    try:
+        _, explained = cv2.findFundamentalMat(one, other, cv2.USAC_MAGSAC, TOLERANCE_PX, CERTAINTY, HYPOTHESES)
+    except cv2.error:  # OpenCV 5 where the best of its hypotheses cannot be improved
+        explained = None
     if explained is None:
         return Verified(matches[:0], len(matches))
     return Verified(matches[explained.ravel() > 0], len(matches))

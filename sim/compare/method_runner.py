@@ -36,6 +36,7 @@ from sim.compare.methods import SEQUENCES, Method, find_method, query_rows, refe
 from sim.compare.plan import Pair, Plan
 from sim.compare.traverses import Traverse, place_coordinates, true_errors
 from sim.compare.truth import read_matrix
+from sim.compare.verification import Verification
 from sim.evaluation.metrics import Answers
 
 FEWEST = 10
@@ -119,6 +120,7 @@ class MethodRunner:
         self._data = data
         self.plan = plan
         self.descriptions = descriptions
+        self._verification = Verification()
         self.traverse = cache(open_traverse)
         self._ahead: dict[tuple[str, str], float] = {}
 
@@ -156,7 +158,11 @@ class MethodRunner:
             return float("nan")
         source = method.network, method.layer, method.regions
         self.descriptions.raw(reference, *source)
-        return self.descriptions.frame_ms(query, *source)
+        described_ms = self.descriptions.frame_ms(query, *source)
+        if method.keypoints:
+            self._verification.keypoints(reference)
+            described_ms += self._verification.frame_ms(query)
+        return described_ms
 
     def offset(self, pair: Pair, text: str) -> float:
         """How far ahead the right place lies: as the plan says, or as this method measures it on another drive."""
@@ -192,7 +198,10 @@ class MethodRunner:
         rows = query_rows(method, raw[1], length, starts)
         if method.single:
             costs = np.stack([costs_of(one.rows[:1])[0].min(axis=0) for one in rows])
-            return match_alone(1 - costs / COST_ONE)
+            alone = match_alone(1 - costs / COST_ONE)
+            if not method.keypoints:
+                return alone
+            return self._verification.reordered(alone, reference, query, method.keypoints)
         search = self._open_search(pair, reference, query, length, described.shape[1])
         return match(rows, costs_of, search, starts)
 

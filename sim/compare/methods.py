@@ -18,6 +18,7 @@ from edge.descriptor.network import Regions
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.descriptor.open_network import normalized_set
 from edge.errors import ConfigError
+from edge.keypoints.network import MOST
 
 Raw = NDArray[np.float32]
 
@@ -31,7 +32,8 @@ class Method:
     nsd: whether descriptors are normalized: the map over its whole set (eq. 1) and the query online (section III-B).
     recognizer: the row is what `lookback run` does, with its own matcher: the places that it believes with their
     confidence, or the best line of each frame with its uniqueness. Of all others, the region order of each frame is
-    that of lower cost, as in the paper. description: the row in words.
+    that of lower cost, as in the paper. keypoints: the ten best places are put in the order of the inliers of so many
+    keypoints; 0: they are not. description: the row in words.
     """
 
     name: str
@@ -42,12 +44,16 @@ class Method:
     recognizer: Literal["", "belief", "uniqueness"] = ""
     network: str = ""
     single: bool = False
+    keypoints: int = 0
 
 
 def _rows() -> Iterator[Method]:
     alone = "the whole image's descriptor, best match of each frame alone"
     yield Method("Raw-single", f"{alone}, not normalized", nsd=False, single=True)
     yield Method("NSD-single", f"{alone}, normalized", single=True)
+    for name, most in (("Keypoints", MOST), ("Keypoints-300", 300), ("Keypoints-200", 200)):
+        about = f"the ten best places of NSD-single, by the inliers of {most} keypoints"
+        yield Method(name, about, single=True, keypoints=most)
     yield Method("Raw-conv3", "conv3 of the whole image, not normalized", "conv3", nsd=False)
     yield Method("NSD-conv3", "conv3, normalized (reference over its set, query online)", "conv3")
     yield Method("Raw-fc6", "fc6 of the whole image, not normalized", nsd=False)

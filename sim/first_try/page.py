@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 import edge
 from edge.feed import FeedImages
+from edge.keypoints.network import KeypointNetwork
 from sim.calibration.command import Lines
 from sim.datasets import sheet
 from sim.datasets.alignment import Alignment
 from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
+from sim.evaluation.matched_points import side_by_side
 from sim.evaluation.metrics import precision_recall
 from sim.first_try.verdict import Tried, Verdict, distances_m
 from sim.traverse import driven_m
@@ -109,14 +111,20 @@ def _pictures(tried: Tried) -> report.Section:
         rows = np.array([row for row, one in enumerate(seen.used) if one.map_row is not None], dtype=int)
         title = "Best matches, none of them believed"
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, PAIRS).round().astype(int))] if rows.size else rows
-    pairs = []
+    pairs, network = [], KeypointNetwork()
     for row in chosen:
         one = seen.used[row]
         assert one.map_row is not None
         error_m = "" if tried.judged is None else _error(tried, int(row))
-        here = report.Picture.of(query.read(one.frame), f"query, frame {one.frame}")
-        there = f"place {one.place}{error_m}, confidence {one.confidence:.2f}, {one.direction}"
-        pairs.append([here, report.Picture.of(places.read(one.map_row), there)])
+        both = query.read(one.frame), places.read(one.map_row)
+        here, there = f"query, frame {one.frame}", f"place {one.place}{error_m}, confidence {one.confidence:.2f}"
+        if one.order == "same":
+            pair, found = side_by_side(network, *both)
+            words = f"{here}; {there}, {one.direction}: {found.inliers} points agree"
+            pairs.append([report.Picture.of(pair, words)])
+        else:  # keypoints say nothing of opposite views
+            words = f"{there}, {one.direction}, from opposite views"
+            pairs.append([report.Picture.of(both[0], here), report.Picture.of(both[1], words)])
     film = _film(tried, query, places)
     query.close()
     places.close()

@@ -17,6 +17,7 @@ from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
 from edge.descriptor.model_file import GRID, read_model_file
 from edge.descriptor.network import IMAGE, Network, cut_regions, open_session, pictures_for
 from edge.descriptor.open_network import normalized_set
+from edge.keypoints.network import KeypointNetwork
 from edge.reference_map import ModelKey
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence import Travel
@@ -78,7 +79,16 @@ def main() -> None:
     """Describe the pictures by the grid, search with the descriptors that are given, and print what is exact."""
     drives = np.load(sys.argv[1])
     road, home = drives["road"], drives["home"]
-    np.savez(sys.argv[2], raw=by_grid(drives["pictures"]), costs=costs_of(road, home), matched=matched(road, home))
+    found = KeypointNetwork().extract(drives["pictures"][0])
+    np.savez(
+        sys.argv[2],
+        raw=by_grid(drives["pictures"]),
+        costs=costs_of(road, home),
+        matched=matched(road, home),
+        xy=found.xy,
+        scores=found.scores,
+        descriptors=found.descriptors,
+    )
     print_exact()
 
 

@@ -30,6 +30,9 @@ PROGRAM = Path(__file__).with_name("processor_answers.py")
 TOLERANCE = 1e-5
 """Of the grid's values between processors, as a share of the largest: ten times what a Cortex-A76 differed by (9.6e-7,
 emulated; a Haswell by nothing)."""
+KEYPOINTS = ("xy", "scores", "descriptors")
+XY_TOLERANCE, SCORE_TOLERANCE = 1e-2, 1e-4
+"""Of keypoints, in pixels and of scores up to 1."""
 BEST, PLACE, IS_BELIEVED, CONFIDENCE = range(4)
 
 
@@ -94,6 +97,20 @@ def check_as_here(drives: Path, tmp_path: Path, *command: str, **environment: st
     assert costs <= 1  # of 16384, what a cosine distance of 1 costs
     np.testing.assert_array_equal(there["matched"][:, :CONFIDENCE], here["matched"][:, :CONFIDENCE])
     np.testing.assert_allclose(there["matched"][:, CONFIDENCE], here["matched"][:, CONFIDENCE], atol=1e-3)
+    check_keypoints(here, there)
+
+
+def check_keypoints(here: dict[str, NDArray[np.float64]], there: dict[str, NDArray[np.float64]]) -> None:
+    """The same points, but for some of those whose score is that of the last one kept."""
+    pixels = [{tuple(pixel): row for row, pixel in enumerate(np.rint(one["xy"] * 8).tolist())} for one in (here, there)]
+    rows = np.array([(row, pixels[1][pixel]) for pixel, row in pixels[0].items() if pixel in pixels[1]])
+    one, other = ({key: each[key][rows[:, side]] for key in KEYPOINTS} for side, each in enumerate((here, there)))
+    off = {key: float(np.abs(one[key].astype(float) - other[key]).max()) for key in KEYPOINTS}
+    print(f"{len(rows)} of {len(here['xy'])} keypoints are the same; they differ by {off}")
+    assert len(rows) >= 0.99 * len(here["xy"])
+    assert off["xy"] <= XY_TOLERANCE
+    assert off["scores"] <= SCORE_TOLERANCE
+    assert off["descriptors"] <= 1  # of 127
 
 
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="runs this Python on an older processor of the same kind")

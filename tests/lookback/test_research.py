@@ -143,3 +143,13 @@ def test_what_the_user_calls_sim_hides_nothing_silently(tmp_path: Path) -> None:
         [sys.executable, "-c", "import lookback"], cwd=tmp_path, env=here, capture_output=True, text=True, check=False
     )
     assert "sim/__init__.py hides the package 'sim' that Lookback is made of" in done.stderr.splitlines()[-1]
+
+
+def test_one_look_says_which_place_a_picture_shows(folders: tuple[Path, Path]) -> None:
+    """By the points that agree: of files, of images and of points alike."""
+    out, again = (sorted(folder.glob("*.png"), key=lambda file: int(file.stem)) for folder in folders)
+    places = [lookback.keypoints(file) for file in out]
+    query = lookback.keypoints(np.asarray(cv2.imread(str(again[5])), np.uint8))  # of place 15
+    inliers = [lookback.verify(query, place).inliers for place in places]
+    assert int(np.argmax(inliers)) == 15
+    assert inliers[15] == lookback.verify(again[5], out[15]).inliers > 3 * max(inliers[:10] + inliers[21:])

@@ -19,6 +19,7 @@ from sim.bench.frames import SIZE_PX
 from sim.research.bench import (
     daemon_rows,
     frame_rows,
+    keypoint_rows,
     map_rows,
     mapping_rows,
     matching_rows,
@@ -62,6 +63,7 @@ def _sections(machine: Machine, folder: Path, rounds: int, *, quick: bool) -> It
     places, maps, frames = (QUICK, QUICK, 60) if quick else (FULL, FULL_MAPS, 300)
     yield network_rows.measure(rounds)
     yield motion_rows.measure(rounds)
+    yield keypoint_rows.measure(rounds)
     yield matching_rows.measure(machine, places, rounds)
     yield search_rows.measure(places, rounds)
     yield frame_rows.measure(folder, USUAL, frames)

@@ -17,7 +17,7 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
-from sim.research.bench import daemon_rows, frame_rows, map_rows, mapping_rows, motion_rows, search_rows
+from sim.research.bench import daemon_rows, frame_rows, keypoint_rows, map_rows, mapping_rows, motion_rows, search_rows
 from sim.research.bench.machine import Machine
 from sim.research.bench.map_rows import seen_at, write_simulated_tiles
 from sim.research.bench.rows import Row, Section, Target, page
@@ -139,3 +139,10 @@ def test_matching_against_rivals() -> None:
 
     section = matching_rows.measure(MACHINE, [300], 2, dimensions=64)
     assert {row.what for row in section.rows} >= {"faiss SQ8, one order", "ours"}
+
+
+def test_keypoints_and_their_comparison_stand_beside_the_grid() -> None:
+    rows = keypoint_rows.measure(1).rows
+    assert {row.against for row in rows} == {keypoint_rows.GRID}
+    assert [row.what.split(",")[0] for row in rows[:3]] == ["keypoints of one picture", "verify", "verify"]
+    assert all(row.times and row.times.median_ms > 0 for row in rows)
