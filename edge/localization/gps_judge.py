@@ -30,6 +30,7 @@ from edge.sequence import PlaceMatch
 FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.979, two of five simulated drives in snow that were hardly recognized were warned of."""
+SHAPED = 0.98  # confidence of places that vouch for GPS having moved
 UNSEEN_M = 80.0
 """What is not recognized before that is said; down to half of it where the last places made GPS doubtful. With honest
 GPS it is said in none of 35 drives home by night, and in 9 of 91 in the map's direction at dusk, in rain and snow."""
@@ -161,6 +162,7 @@ def compare(
         along_sigma_m=math.hypot(place_m, gps_m),
         left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m, drive.whole_sigma_m[1]),
         each_sigma_m=max(place_m, rig.sigma_across_m, gps_m),
+        shape=drive.recording if drive.checked_m > 0 and match.confidence >= SHAPED else "",
     )
 
 

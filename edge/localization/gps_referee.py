@@ -14,14 +14,15 @@ docs/integrity.md has the derivation.
 Where they disagree, a place may be another one and a recording of the map may lie elsewhere, just as GPS may be wrong.
 The third witness decides: the vehicle's own motion, in which GPS has no part, since the two last agreed (or since GPS
 was lost before any place judged it). GPS is wrong where the places moved as the vehicle did and GPS did not; the map is
-wrong where it is the other way round; and where own motion cannot say, or is not known, they disagree, and that is all.
+wrong where it is the other way round. Where own motion cannot say, or is not known, GPS is wrong as well that departs
+steadily from a recording with which it agreed, and which keeps its shape; and else they disagree, and that is all.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -47,6 +48,10 @@ DOUBTFUL = 3.0
 """Score (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
 NEWEST = 3
 """Of so many comparisons in a row the one counts that says least."""
+DEPARTS_M, DEPARTS, UNSTEADY = 20.0, 1.5, 0.25
+"""How far GPS departs over three stretches of a recording that keeps its shape, at least, and for each meter that it
+was off in the first: on another street that looks the same, it is that far off all along. By which share of that it may
+be elsewhere than half of it in their middle: one that jumps may have been right."""
 LONGEST_GAP_M = 240.0
 """Without a place, after which comparisons do not add up any more."""
 KEPT = 32  # agreeing comparisons
@@ -72,6 +77,7 @@ class Comparison:
     left_sigma_m: float
     each_sigma_m: float
     motion: Displacement | None = None
+    shape: str = ""
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -233,7 +239,24 @@ class GpsReferee:
         ]
         is_gps = any(min(one) >= DOUBTFUL for one in says)
         is_map = any(max(one) <= -DOUBTFUL for one in says)
+        is_gps |= not is_map and self._has_departed(samples[row + 1 :], {one.shape for one in agreed})
         return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong"
+
+    def _has_departed(self, grows: Sequence[_Sample], agreed: Collection[str]) -> bool:
+        """Whether GPS moved away steadily from a recording that keeps its shape, and with which it agreed before.
+
+        A street beside that looks the same keeps its distance, and one that leads away is not recognized so far aside.
+        """
+        if not grows or self._at_m - grows[0].at_m < 2 * CORRELATION_M:
+            return False
+        middle = min(grows, key=lambda one: abs(2 * one.at_m - grows[0].at_m - self._at_m))
+        first, half, last = (one.comparison for one in (grows[0], middle, grows[-1]))
+        if not first.shape or first.shape not in agreed or not first.shape == half.shape == last.shape:
+            return False
+        grown_m, half_m = _offset(last) - _offset(first), _offset(half) - _offset(first)
+        square = float(grown_m @ grown_m)
+        departs_m = max(DEPARTS_M, DEPARTS * float(np.hypot(*_offset(first))))
+        return square >= departs_m**2 and abs(float(half_m @ grown_m) / square - 0.5) <= UNSTEADY
 
     def _moved_without_gps(self, agreed: Sequence[Comparison], now: Comparison) -> float:
         """Logarithm of how much more likely the places moved as the vehicle did than GPS; 0 where nobody knows."""

@@ -243,3 +243,66 @@ def test_without_places_nothing_is_said(long_road: Road) -> None:
     assert Vehicle(long_road).drive.known.gps == GpsVerdict()
     verdicts = drive(long_road, right, 700.0, sees=lambda at_m: long_road.match(at_m) if at_m < 300.0 else None)
     assert verdicts[-1].state == "cannot say"
+
+
+def departs(road: Road, offset: Offset, sees: Callable[[float], PlaceMatch | None] | None = None) -> list[GpsVerdict]:
+    """Without own motion."""
+    return drive(road, offset, 1400.0, sees=sees, odometer=None)
+
+
+@pytest.mark.parametrize("share", [0.12, 0.25])
+@pytest.mark.parametrize("has_odometer", [True, False])
+def test_gps_that_departs_from_a_recording_that_keeps_its_shape_is_wrong(
+    mapped: MakeRoad, share: float, has_odometer: bool
+) -> None:
+    """Also where own motion is not known; a recording of whose shape nothing is known is no witness."""
+    road = mapped(replace(part(0, 1500), has_odometer=has_odometer))
+    verdicts = departs(road, lambda at_m: (share * max(0.0, at_m - 600.0), 0.0))
+    assert "map wrong" not in states(verdicts)
+    if has_odometer:
+        assert share * (called_at_m(verdicts) - 600.0) < 65.0
+    else:
+        assert verdicts[-1].state == "disagrees"
+
+
+@pytest.mark.parametrize("off_m", [25.0, 60.0])
+@pytest.mark.parametrize("gap_m", [0.0, 80.0])
+def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(mapped: MakeRoad, off_m: float, gap_m: float) -> None:
+    """The vehicle changes to it: GPS is right, and keeps its distance from the recording that is recognized."""
+    road = mapped(replace(part(0, 1500), has_odometer=True))
+
+    def sees(at_m: float) -> PlaceMatch | None:
+        return None if 600.0 < at_m <= 600.0 + gap_m else road.match(at_m)
+
+    found = states(departs(road, lambda at_m: (off_m if at_m > 600.0 else 0.0, 0.0), sees))
+    assert "wrong" not in found
+    assert found[-1] == "disagrees"
+
+
+def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(mapped: MakeRoad) -> None:
+    """By one meter in six; it is taken for the mapped one as far as the lane was shown to a vehicle beside it, 20 m."""
+    road = mapped(replace(part(0, 1500), has_odometer=True))
+
+    def sees(at_m: float) -> PlaceMatch | None:
+        return road.match(at_m) if at_m < 600.0 + 6 * 20.0 else None
+
+    assert "wrong" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.75])
+def test_a_recording_that_is_25_m_off_in_part_makes_no_gps_wrong(mapped: MakeRoad, share: float) -> None:
+    """Places that are wrong count as agreed for a while; own motion since then must not speak for them.
+
+    share: of the errors' variance that is in the places, and not in GPS.
+    """
+    road = mapped(part(0, 600, recording="all"), Stretch(600, 1100, 0.0, 25.0, 3.0, recording="all"))
+    found = []
+    for seed in range(12):
+        places = honest(seed, 1000)
+        one, states_of = Vehicle(road, SETTINGS), []
+        for error in places[:540]:
+            one.move()
+            gps = gps_at(one.north_m + math.sqrt(1 - share) * error[1], math.sqrt(1 - share) * error[0])
+            states_of.append(one.show(road.match(one.north_m + share * error[1]), gps).state)
+        found.append("wrong" in states_of)
+    assert not any(found)
