@@ -158,10 +158,10 @@ class Route:
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
         lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigmas_m(known)
+        # An odometer that agrees shows the shape of a drive, and not when its pictures were taken.
         checked_m, whole_m = 0.0, self._index.whole_sigma_m(segment)
         if self._index.moved_as_driven(segment):
             checked_m = float(np.hypot(*east_north(lat_deg, lon_deg).T).max(initial=0.0))
-            whole_m = whole_m or 0.0
         whole_sigma_m = UNKNOWN_WHOLE_M if whole_m is None else (whole_m, 0.0)
         about = segment, self._index.recording(segment), checked_m, whole_sigma_m, len(records)
         return Drive(*about, *extent_m, spacing_m, *lines)

@@ -55,6 +55,7 @@ def record_drive(
         height=scenario.height,
         source=f"simulated, seed {scenario.seed}, {scenario.light}, {scenario.direction}, drive {scenario.drive_seed}",
         notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
+        time_sigma_s=0.0,
         odometer=True,
     )
     # The feed first: a folder that cannot be written to is known before the world is built.

@@ -26,7 +26,8 @@ class Stretch:
 
     continues: it is no segment of its own, but of one with the stretch before, which ends where it begins. recording:
     that it comes from, by default one of its own. has_odometer: whether its meters were measured. whole_sigma_m: see
-    `Segment`. late_m: by how much its positions are further along the road than its pictures.
+    `Segment`. late_m: by how much its positions, and the heading of a log with an odometer, are further
+    along the road than its pictures.
     """
 
     begins_m: float
@@ -103,10 +104,12 @@ def build_maps(
                 builder.begin_segment(recording, "rear", has_odometer=stretch.has_odometer, whole_sigma_m=whole_m)
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
             for row, s in enumerate(at_m):
-                east_m, north_m = line[min(int(s + stretch.late_m), len(line) - 1)] + [stretch.east_m, stretch.north_m]
+                logged = min(int(s + stretch.late_m), len(line) - 1)
+                looks = heading[logged if stretch.has_odometer else int(s)]  # wheels, heading, positions: of one log
+                east_m, north_m = line[logged] + [stretch.east_m, stretch.north_m]
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
-                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(heading[int(s)]) % 360, route_m
+                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(looks) % 360, route_m
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
             found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
             index += len(at_m)

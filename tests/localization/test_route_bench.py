@@ -104,9 +104,12 @@ FALSE: dict[str, Callable[[np.random.Generator], Course]] = {
 }
 
 
-def unaligned(begins_m: float, late_m: float, gps: bool = True) -> Course:
-    """A recording whose pictures are late as a whole; nobody knows how well they were laid over its positions."""
-    stretch = Stretch(begins_m, 1160.0, whole_sigma_m=None, late_m=late_m)
+def unaligned(begins_m: float, late_m: float, gps: bool = True, has_odometer: bool = False) -> Course:
+    """A recording whose pictures are late as a whole; nobody knows how well they were laid over its positions.
+
+    has_odometer: whether the log has one, which agrees with the positions.
+    """
+    stretch = Stretch(begins_m, 1160.0, has_odometer=has_odometer, whole_sigma_m=None, late_m=late_m)
     return Course(stretches=(stretch,), gps=gps)
 
 
@@ -136,12 +139,13 @@ def check_false(results: list[Result]) -> None:
     assert not any(result.sigmas for result in results)
 
 
+@pytest.mark.parametrize("has_odometer", [False, True], ids=["", "with an odometer"])
 @pytest.mark.parametrize(("begins_m", "gps"), [(520.0, True), (0.0, False)], ids=["after 450 m", "no GPS from boot"])
 def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_off(
-    begins_m: float, gps: bool, tmp_path: Path
+    begins_m: float, gps: bool, has_odometer: bool, tmp_path: Path
 ) -> None:
     """It confirms itself over hundreds of meters; with the sigma of a known one positions are 7 of them off."""
-    result = Bench(unaligned(begins_m, 30.0, gps), 0, tmp_path).run()
+    result = Bench(unaligned(begins_m, 30.0, gps, has_odometer), 0, tmp_path).run()
     assert result.sigmas and max(result.sigmas) <= 4.0
     assert result.bounded and not any(one.is_exceeded for one in result.bounded)
 
