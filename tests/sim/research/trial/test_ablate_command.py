@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.localization import route_filter
 from edge.localization.drive_file import DriveFile
+from sim.research.trial.ablate_command import CONSTANTS
 from tests.golden.harness import HERE
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
@@ -45,3 +47,10 @@ def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: py
 def test_without_lists_it_says_what_makes_them(tmp_path: Path) -> None:
     with pytest.raises(FeedError, match="`lookback dev flights FOLDER -o"):
         run(str(tmp_path), str(EXCERPT.parent))
+
+
+def test_the_page_names_no_constant_that_is_gone() -> None:
+    text = (Path(__file__).parents[4] / "docs" / "integrity.md").read_text(encoding="utf-8")
+    section = text.partition("<!-- ablation: begin -->")[2].partition("<!-- ablation: end -->")[0]
+    named = set(re.findall(r"`([a-z_]+\.[A-Za-z_]+)`", section))
+    assert len(named) > 10 and named <= CONSTANTS.keys()
