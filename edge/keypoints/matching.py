@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints, Verified
+from edge.keypoints.network import LONGER_SIDE
 
 LEAST_COSINE = 0.82
 """Of two descriptors of one point; the authors' own (`XFeat.match`)."""
-TOLERANCE_PX, LONGER_SIDE_PX = 1.5, 320
-"""How far a point may lie from its epipolar line, in a picture whose longer side has so many pixels."""
+TOLERANCE_PX = 1.5
+"""How far a point may lie from its epipolar line, in the picture that the network was given."""
 HYPOTHESES, CERTAINTY = 500, 0.999
 _LEAST_MATCHES = 8
 """Seven points fix a fundamental matrix."""
@@ -30,13 +31,13 @@ def mutual_matches(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDAr
 def verify(query: Keypoints, reference: Keypoints) -> Verified:
     """The matches that one fundamental matrix explains, found by MAGSAC++; the same each time for the same points.
 
-    Both pictures count as if their longer side had LONGER_SIDE_PX pixels, so cameras of any two resolutions compare.
+    Both pictures count as if their longer side had LONGER_SIDE pixels, so cameras of any two resolutions compare.
     """
     matches = mutual_matches(query.descriptors, reference.descriptors)
     if len(matches) < _LEAST_MATCHES:
         return Verified(matches[:0], len(matches))
     one, other = (
-        points.xy[rows] * (LONGER_SIDE_PX / max(points.size))
+        points.xy[rows] * (LONGER_SIDE / max(points.size))
         for points, rows in zip((query, reference), matches.T, strict=True)
     )
     try:
