@@ -25,6 +25,7 @@ COMMANDS = {
     "home": "sim.home.command",
     "config": "edge.commands.config_file",
     "doctor": "edge_plugins.doctor.command",
+    "bundle": "sim.bundle",
     "calibrate": "sim.calibration.command",
     "compare": "sim.compare.command",
     "completion": "sim.completion",

@@ -5,20 +5,24 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from edge.localization import Fix, Refusal
 from edge.localization.drive_file import read_drive, replay
+from sim.bundle import drive_list
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev drive`."""
-    parser.add_argument("file", type=Path, metavar="FILE", help="list of a drive, as [telemetry] drive names it")
+    about = "list of a drive, as [telemetry] drive names it, or what `lookback bundle` made"
+    parser.add_argument("file", type=Path, metavar="FILE", help=about)
     parser.add_argument("--all", action="store_true", help="print every answer, not only those that differ")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    config, entries = read_drive(args.file)
+    with TemporaryDirectory() as folder:
+        config, entries = read_drive(drive_list(args.file, Path(folder)))
     began_ns = entries[0][0] if entries else 0
     differing, counts = 0, Counter[str]()
     for t_ns, asked, now in replay(config, entries):
