@@ -149,6 +149,10 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
     yield good(
         f"{config.connection}: {autopilot_name(vehicle.session.autopilot)} {version}, system {vehicle.system_id}"
     )
+    yield good(
+        f"ground stations: texts are shown as of system {vehicle.system_id}; the values (NAMED_VALUE_FLOAT) by Mission"
+        " Planner and MAVProxy, not by QGroundControl"
+    )
     if config.emit == "auto":
         suitable, why = suitable_message(vehicle.session.autopilot, vehicle.session.version)
         yield good(f"emit = auto: {suitable.name}, {why}") if suitable else note(f"emit = auto: report, {why}")

@@ -99,6 +99,7 @@ def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path],
     findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert [one for one in findings if one.level == "bad"] == []
     assert "ArduPilot 4." in told(findings, "autopilot", "good")
+    assert "texts are shown as of system 1; the values" in told(findings, "autopilot", "good")
     assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
     assert "EK3_SRC1_POSXY = 3, GPS" in told(findings, "parameter", "good")
     assert "WENC_POS_Y = -0.2" in told(findings, "parameter", "good")
