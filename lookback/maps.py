@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -14,11 +15,16 @@ from numpy.typing import NDArray
 from edge.config import NETWORKS, CameraConfig, DescriptorConfig, SamplingConfig, SequenceConfig
 from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
+from edge.keypoints import Camera
+from edge.keypoints.pose import Pose, look
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
+from edge.reference_map.keypoint_records import keypoints_of, points_of
 from edge.sequence import PlaceMatch, Travel
+from edge_plugins.mapping.keypoint_rows import keypoints_key
 from lookback import checks
 from lookback.description import network_of
+from lookback.verification import Picture, keypoints
 from sim.datasets.pictures import read_drive
 from sim.maps.command import build_map
 from sim.traverse import config_as_mapped, driven_m
@@ -39,11 +45,13 @@ class Map:
         model: str | Path = "grid",
         spacing_m: float = 2.0,
         view: View | None = None,
+        fov_deg: float | None = None,
     ) -> Map:
         """Describe a recording or a folder of pictures, and write its map into a new folder.
 
         model: as of `describe`, but a file of `lookback model import`. spacing_m: between places; of a recording that
         knows no meters every picture is one. view: which way the camera looked (None: as recorded, else front).
+        fov_deg: horizontal, of the pictures, which then have keypoints, see `pose`.
         Raises `Error`.
         """
         checks.number("spacing_m", spacing_m, least=0.01)
@@ -53,8 +61,10 @@ class Map:
             feed = replace(feed, header=msgspec.structs.replace(feed.header, view=view))
         is_metric = driven_m(feed) is not None
         sampling = SamplingConfig(by="distance", spacing_m=spacing_m) if is_metric else SamplingConfig(by="frames")
+        key_of = None if fov_deg is None else partial(keypoints_key, fov_deg=fov_deg)
         with contextlib.redirect_stdout(io.StringIO()):
-            build_map([feed], Path(path), DescriptorConfig(), sampling, network=network_of(str(model)))
+            made_by = network_of(str(model))
+            build_map([feed], Path(path), DescriptorConfig(), sampling, network=made_by, keypoints=key_of)
         return cls.open(path, model=model)
 
     @classmethod
@@ -84,6 +94,21 @@ class Map:
     def picture(self, place: int) -> NDArray[np.uint8]:
         """A small picture (H, W, 3) uint8 BGR of a place. Raises `Error` where there is none."""
         return decode_picture(f"{self.path}: place {place}", self.opened.thumbnail(place))
+
+    def pose(self, picture: Picture, place: int, *, fov_deg: float | None = None) -> Pose | None:
+        """From where a picture shows a place: meters to the right and ahead of the place's camera, and the turn.
+
+        picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: as the map's). None
+        where too few points agree: it shows another place, or its camera looked the other way. Raises `Error` for a
+        map without keypoints.
+        """
+        key, records = self.opened.header.keypoints_key, self.opened.keypoints
+        if key is None or records is None:
+            raise MapError(f"{self.path}: no keypoints; add them with `lookback map keypoints`")
+        query = keypoints(picture)
+        height = round(key.width * query.size[0] / query.size[1])
+        camera = Camera(key.width, height, key.fov_deg if fov_deg is None else fov_deg)
+        return look(query, keypoints_of(records[place], key), points_of(records[place]), camera)
 
 
 class Recognizer:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.keypoints import Keypoints
+from edge.keypoints.matching import mutual_matches
 from edge.keypoints.points import Points
 from edge.keypoints.view_geometry import Camera, Sight
 
@@ -23,10 +25,10 @@ FEWEST_POINTS = 12
 """That agree on a pose."""
 PIXEL_SIGMA = 1.0
 """Of a match between drives."""
-CAUTION = 0.8
-"""Times the share of points that agree to the power of -1.5: so much errors exceed the sigmas of least squares, since
-matches nearby, and points of the same rows, err alike, and where many disagree, those that agree are worse. The largest
-error of the three was 1.2 of those sigmas (rms) where nearly all points agreed, and 3.0 where less than half did."""
+CAUTION = -1.5
+"""The power of the share of points that agree by which errors exceed the sigmas of least squares: matches nearby, and
+points of the same rows, err alike, and where many disagree, those that agree are worse. Set on
+the roads 9701 and 9702; docs/keypoints.md has what it is worth on others."""
 KERNEL = 2.0
 """Sigmas at which a match has a quarter of its weight; it agrees up to twice that."""
 WIDEST = 4.0
@@ -89,9 +91,22 @@ def pose_of(
     if agrees.sum() < FEWEST_POINTS:
         return None
     _, information = _step(cameras, off, jacobian, KERNEL)
-    covariance = np.linalg.inv(information[best])[:3, :3] * CAUTION**2 / agrees.mean() ** 3
+    covariance = np.linalg.inv(information[best])[:3, :3] * agrees.mean() ** (2 * CAUTION)
     right_m, ahead_m, turn, _ = cameras[best].tolist()
     return Pose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
+
+
+def look(
+    query: Keypoints, place: Keypoints, points: Points, camera: Camera, starts: NDArray[np.float64] = STARTS
+) -> Pose | None:
+    """The pose of a picture's camera by the points of a row of the map that it sees; None if those are too few.
+
+    place, points: of the row. camera: of the query, whose pixels count as so many as the camera says.
+    """
+    mine, theirs = mutual_matches(query.descriptors, place.descriptors).T
+    known = points.is_known[theirs]
+    seen = camera.directions(query.xy[mine[known]] * (camera.width / query.size[1]))
+    return pose_of(points[theirs[known]], seen, camera, starts)
 
 
 def _whitened(

@@ -18,7 +18,8 @@ from edge.reference_map.keypoint_records import camera_of, keypoints_of, put_poi
 from edge.reference_map.store import Segment
 
 MOST = 300
-"""Keypoints of a place: 22.8 kB. Of 400, 30.4 kB; see docs/keypoints.md for what they gain."""
+"""Keypoints of a place: 22.8 kB. Home at night, 57 of 60 frames of one road had a pose by 200, and all by 300 and 400,
+whose errors were alike."""
 ASPECT_PX = 1.0
 """By which the height of a picture may differ from that of another size's of the same shape."""
 
@@ -30,7 +31,7 @@ KeyOf = Callable[[int, int], KeypointsKey]
 def keypoints_key(height: int, width: int, fov_deg: float) -> KeypointsKey:
     """Of a new map of pictures of this size, by the network that ships. ModelError."""
     made = read_model_file(resolve_model(Path(NETWORK))).info
-    return KeypointsKey(NETWORK, made.sha256, MOST, width, height, fov_deg)
+    return KeypointsKey(NETWORK, made.sha256, MOST, width, height, float(fov_deg))
 
 
 class KeypointRows:

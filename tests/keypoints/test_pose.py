@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.keypoints.pose import FEWEST_POINTS, Pose, pose_of
+from edge.keypoints import Keypoints
+from edge.keypoints.pose import FEWEST_POINTS, Pose, look, pose_of
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
 HOME = (3.5, 1.0, 0.05, 0.02)
 
 
-def look(seed: int, camera: tuple[float, ...], *, wrong: float = 0.3) -> tuple[Pose | None, NDArray[np.float64]]:
+def one_look(seed: int, camera: tuple[float, ...], *, wrong: float = 0.3) -> tuple[Pose | None, NDArray[np.float64]]:
     """A pose, and how far it is off in sigmas: right, ahead, turned. wrong: share of the matches."""
     rng = np.random.default_rng(seed)
     world_m = street(rng, 120)
@@ -29,7 +30,7 @@ def look(seed: int, camera: tuple[float, ...], *, wrong: float = 0.3) -> tuple[P
 
 @pytest.mark.parametrize("camera", [HOME, (-0.5, -4.0, 0.0, 0.0), (0.0, 6.0, -0.1, -0.03)])
 def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
-    looks = [look(seed, camera) for seed in range(12)]
+    looks = [one_look(seed, camera) for seed in range(12)]
     assert all(pose is not None and pose.count > 50 for pose, _ in looks)
     rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
     assert (rms < 1.6).all(), rms
@@ -38,7 +39,7 @@ def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) ->
 
 
 def test_a_pose_aside_is_not_pulled_to_where_the_map_was_driven() -> None:
-    off = np.mean([look(seed, HOME, wrong=0.0)[1] for seed in range(30)], axis=0)
+    off = np.mean([one_look(seed, HOME, wrong=0.0)[1] for seed in range(30)], axis=0)
     assert np.abs(off[[0, 2]]).max() < 0.7, off
 
 
@@ -64,3 +65,25 @@ def test_a_followed_vehicle_needs_one_start() -> None:
     assert cold is not None
     assert followed is not None
     assert (followed.right_m, followed.ahead_m) == pytest.approx((cold.right_m, cold.ahead_m), abs=0.05)
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_look_matches_descriptors_in_a_picture_of_any_size(scale: int) -> None:
+    rng = np.random.default_rng(7)
+    world_m = street(rng, 100)
+    points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)
+    descriptors = rng.normal(size=(100, 64))
+    descriptors = np.rint(127 * descriptors / np.linalg.norm(descriptors, axis=1, keepdims=True)).astype(np.int8)
+
+    def keypoints(camera: tuple[float, ...], order: NDArray[np.intp], scale: int) -> Keypoints:
+        xy = (seen(world_m, camera) * CAMERA.focal_px + CAMERA.middle)[order] * scale
+        return Keypoints(
+            xy.astype(np.float32), np.ones(100, np.float32), descriptors[order], (240 * scale, 320 * scale)
+        )
+
+    query, place = keypoints(HOME, rng.permutation(100), scale), keypoints((0, 0, 0, 0), np.arange(100), 1)
+    pose = look(query, place, points, CAMERA)
+    assert pose is not None
+    assert (pose.right_m, pose.ahead_m, pose.turn) == pytest.approx(HOME[:3], abs=0.2)
+    other = Keypoints(query.xy, query.scores, np.flip(query.descriptors, axis=1), query.size)
+    assert look(other, place, points, CAMERA) is None

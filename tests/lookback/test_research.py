@@ -153,3 +153,13 @@ def test_one_look_says_which_place_a_picture_shows(folders: tuple[Path, Path]) -
     inliers = [lookback.verify(query, place).inliers for place in places]
     assert int(np.argmax(inliers)) == 15
     assert inliers[15] == lookback.verify(again[5], out[15]).inliers > 3 * max(inliers[:10] + inliers[21:])
+
+
+def test_a_map_with_keypoints_is_asked_for_poses_and_one_without_says_what_to_do(
+    folders: tuple[Path, Path], tmp_path: Path
+) -> None:
+    without = lookback.Map.build(folders[0], tmp_path / "without")
+    with pytest.raises(lookback.Error, match="no keypoints; add them with `lookback map keypoints`"):
+        without.pose(street(3, 1.0, 3), 3)
+    with_them = lookback.Map.build(folders[0], tmp_path / "with", fov_deg=80)
+    assert with_them.pose(street(3, 1.0, 3), 3) is None, "nobody knows how far these pictures are apart"

@@ -1,0 +1,137 @@
+"""One look at a map with keypoints: how far poses are off on simulated roads, as the table of docs/keypoints.md.
+
+    python -m sim.research.evaluation.poses 9601 9602 --folder DRIVES --write docs/keypoints.md
+
+One frame each, without any filter: of the five places nearest to the truth the one on which most points agree. What is
+made stays in the folder, and is not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.feed import FeedImages, View, read_feed
+from edge.geodesy import east_north
+from edge.keypoints import Keypoints
+from edge.keypoints.network import KeypointNetwork
+from edge.keypoints.pose import Pose, look
+from edge.reference_map import ReferenceMap, open_map
+from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
+from edge_plugins.mapping.keypoint_rows import keypoints_key
+from sim.maps.command import build_map
+from sim.world.recording import record_drive
+from sim.world.scenario import LightName, Scenario
+
+LENGTH_M, QUERY_M = 300.0, 5.0
+DRIVES: dict[str, tuple[View, Scenario]] = {
+    "front": ("front", Scenario(length_m=LENGTH_M, drive_seed=12, lane_m=2.25)),
+    "home": ("rear", Scenario(length_m=LENGTH_M, drive_seed=13, direction="reverse")),
+}
+"""The view of the map's camera, and the drive on it: half a meter beside, and in the lane of the way home."""
+LIGHTS: tuple[LightName, ...] = ("dusk", "night", "snow")
+AROUND = 2
+BEGIN, END = "<!-- poses -->", "<!-- end of poses -->"
+
+
+def main() -> None:
+    """Measure, print and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("roads", nargs="+", type=int, metavar="SEED")
+    parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
+    parser.add_argument("--write", type=Path, metavar="PAGE")
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    rows = [_row(args.folder, *case) for case in product(DRIVES, LIGHTS, args.roads)]
+    head = "| drive | light | road | with a pose | along | across | heading | rms over sigma |"
+    table = "\n".join([head, "|---" * 8 + "|", *rows])
+    print(table)
+    if args.write:
+        before, rest = args.write.read_text(encoding="utf-8").split(BEGIN)
+        after = rest.split(END)[1]
+        args.write.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
+
+
+def _row(folder: Path, drive: str, light: LightName, road: int) -> str:
+    view, made = DRIVES[drive]
+    reference = _map(folder, road, view)
+    query = _drive(folder / f"{road}_{drive}_{light}", replace(made, seed=road, light=light), QUERY_M)
+    off, count = _errors(reference, query)
+    size = np.abs(off[:, 0]) * (1, 1, np.degrees(1))
+    spelled = [
+        f"{median:.2f} / {most:.2f} / {nearly:.2f} {unit}"
+        for (median, most, nearly), unit in zip(
+            np.percentile(size, (50, 90, 95), axis=0).T[[1, 0, 2]], ("m", "m", "deg"), strict=True
+        )
+    ]
+    rms = np.sqrt(np.square(off[:, 0] / off[:, 1]).mean(axis=0))[[1, 0, 2]]
+    spelled.append(", ".join(f"{one:.2f}" for one in rms))
+    return f"| {drive} | {light} | {road} | {len(off)} of {count} | {' | '.join(spelled)} |"
+
+
+def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
+    if not path.exists():
+        record_drive(scenario, path, spacing_m=spacing_m)
+    return path
+
+
+def _map(folder: Path, road: int, view: View) -> ReferenceMap:
+    path = folder / f"{road}_{view}_map"
+    if not path.exists():
+        feed = _drive(folder / f"{road}_{view}", Scenario(road, LENGTH_M, view=view, drive_seed=11), 2.0)
+        key = partial(keypoints_key, fov_deg=Scenario().fov_deg)
+        build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), keypoints=key)
+    return open_map(path, every_file=True)
+
+
+def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
+    """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
+    network, feed = KeypointNetwork(), read_feed(query)
+    places, images = reference.places, FeedImages(feed)
+    origin = (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
+    at = east_north(places["lat_deg"], places["lon_deg"], origin)
+    looks_back = np.pi * (reference.header.segments[0].view == "rear")
+    found = []
+    for index, row in enumerate(feed.rows):
+        assert row.lat_deg is not None
+        assert row.lon_deg is not None
+        assert row.heading_deg is not None
+        here = east_north(np.array([row.lat_deg]), np.array([row.lon_deg]), origin)[0]
+        nearest = int(np.hypot(*(at - here).T).argmin())
+        keypoints = network.extract(images.read(index))
+        tried = range(max(0, nearest - AROUND), min(len(places), nearest + AROUND + 1))
+        poses = [(pose, place) for place in tried if (pose := _pose(reference, place, keypoints)) is not None]
+        if poses:
+            pose, place = max(poses, key=lambda one: one[0].count)
+            heading = np.radians(places["heading_deg"][place]) + looks_back
+            right, ahead = _turned(here - at[place], heading)
+            turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
+            off = np.array([pose.right_m - right, pose.ahead_m - ahead, pose.turn - turn])
+            found.append((off, np.sqrt(np.diag(pose.covariance))))
+    images.close()
+    return np.array(found), len(feed.rows)
+
+
+def _pose(reference: ReferenceMap, place: int, keypoints: Keypoints) -> Pose | None:
+    key, records = reference.header.keypoints_key, reference.keypoints
+    assert key is not None
+    assert records is not None
+    return look(keypoints, keypoints_of(records[place], key), points_of(records[place]), camera_of(key))
+
+
+def _turned(moved_m: NDArray[np.float64], heading: float) -> tuple[float, float]:
+    """East and north as right and ahead."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return float(moved_m @ (cos, -sin)), float(moved_m @ (sin, cos))
+
+
+if __name__ == "__main__":
+    main()
