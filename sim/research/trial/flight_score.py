@@ -19,6 +19,11 @@ FALSE_M = 25.0
 """Of a believed place from the truth: the lines end up to 20 m off where a stretch begins."""
 
 
+RESET_M = 0.15
+"""Between two of the autopilot's positions, 0.1 s apart, from what its velocity says: more is a reset. Without Lookback
+(ardupilot_off911) no step is so large."""
+
+
 class SentPosition(msgspec.Struct, frozen=True):
     """A position that was sent: how far from the truth, in the direction of travel and to its right.
 
@@ -138,6 +143,29 @@ def autopilot_errors(drive: RecordedDrive) -> Array:
     after = (own["mono_s"] >= drive.gps_lost_s) & (own["mono_s"] <= stops_s)
     off_m = np.stack([own["east_m"], own["north_m"]])[:, after] - drive.true_m(own["mono_s"][after])
     return np.asarray(np.hypot(*off_m))
+
+
+def dead_reckoning_errors(drive: RecordedDrive) -> Array:
+    """Meters by which the autopilot's position would be off without positions of ours (n,), from the loss of GPS on.
+
+    Its own as recorded, with its velocity in place of each step that a position of ours made. That is more than it
+    would have been, since after a reset a filter does not correct the position for the heading error that its compass
+    finds. None where GPS was not lost on the way.
+    """
+    own, (sets_off_s, stops_s) = drive.own, drive.moves_s
+    after = (own["mono_s"] >= drive.gps_lost_s) & (own["mono_s"] <= stops_s)
+    if drive.gps_lost_s == sets_off_s or not after.any():
+        return np.empty(0)
+    time_s = own["mono_s"][after]
+    here_m, velocity_mps = (
+        np.stack([own[f"east_{unit}"], own[f"north_{unit}"]], axis=1)[after] for unit in ("m", "mps")
+    )
+    steps_m = np.diff(here_m, axis=0)
+    driven_m = (velocity_mps[1:] + velocity_mps[:-1]) / 2 * np.diff(time_s)[:, None]
+    is_stream = any(one.message.get_type() == "GLOBAL_POSITION_SENSOR" for one in drive.link)
+    is_ours = is_stream | (np.hypot(*(steps_m - driven_m).T) > RESET_M)
+    reckoned_m = here_m[0] + np.cumsum(np.where(is_ours[:, None], driven_m, steps_m), axis=0)
+    return np.asarray(np.hypot(*(reckoned_m.T - drive.true_m(time_s[1:]))))
 
 
 def lane_errors(drive: RecordedDrive) -> Array:

@@ -17,7 +17,7 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
-from sim.research.trial.flight_score import Score, autopilot_errors, lane_errors, score
+from sim.research.trial.flight_score import Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
 from sim.research.trial.table import put_between
@@ -28,21 +28,24 @@ from sim.trial.views import RoadLibrary
 HEADER = (
     "| drive | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
     " | levels, exceeded along, across | first after | longest silence | frames used, believed, false"
-    " | autopilot's error | beside its lane |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|"
+    " | dead reckoning's error | autopilot's error | beside its lane |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 SECTION = "flights"
+WORSE_M = 0.5
+"""By so much the median error of positions may be above that of none before the drive counts as made worse."""
 
 
 class Flight(msgspec.Struct, frozen=True):
     """A drive as it was recorded, and as the daemon of today does; recorded: of the autopilot and of the vehicle.
 
-    lost_m: driven since GPS was lost.
+    reckoned_m: of the autopilot without positions, see `dead_reckoning_errors`. lost_m: driven since GPS was lost.
     """
 
     name: str
     then: Score
     now: Score
+    reckoned_m: list[float]
     autopilot_m: list[float]
     lane_m: list[float]
     lost_m: float
@@ -158,6 +161,7 @@ def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, librar
         drive.name,
         score(drive, then, drive.sent, drive.used),
         score(drive, sent, list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))),
+        _three(dead_reckoning_errors(drive)),
         _three(autopilot_errors(drive)),
         _three(lane_errors(drive)),
         round(drive.lost_m, 1),
@@ -176,8 +180,8 @@ def rows(flight: Flight | Failed) -> str:
     """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
     if isinstance(flight, Failed):
         return f"| {flight.name} | not replayed: {flight.why} |"
-    recorded = " | ".join(_spread(errors_m) for errors_m in (flight.autopilot_m, flight.lane_m))
-    return f"| {flight.name}, then | {_row(flight.then)} | {recorded} |\n| now | {_row(flight.now)} | | |"
+    recorded = " | ".join(_spread(errors_m) for errors_m in (flight.reckoned_m, flight.autopilot_m, flight.lane_m))
+    return f"| {flight.name}, then | {_row(flight.then)} | {recorded} |\n| now | {_row(flight.now)} | | | |"
 
 
 def _row(found: Score) -> str:
@@ -203,8 +207,17 @@ def summary(flights: Sequence[Flight | Failed]) -> str:
     """What all drives say together."""
     replayed = [one for one in flights if isinstance(one, Flight)]
     together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
+    together += [_made_worse(replayed)]
     lost_km = sum(one.lost_m for one in replayed) / 1000
     return "\n".join([f"All {len(replayed)} drives together, {lost_km:.1f} km since GPS was lost:\n", *together])
+
+
+def _made_worse(flights: Sequence[Flight]) -> str:
+    """The drives whose positions of today are worse than none."""
+    known = [one for one in flights if one.reckoned_m and one.now.positions]
+    worse_m = {one.name: float(one.now.row()["median_m"]) - one.reckoned_m[0] for one in known}
+    names = ", ".join(f"{name} ({by_m:.1f} m)" for name, by_m in worse_m.items() if by_m > WORSE_M)
+    return f"- median error over {WORSE_M} m above that of dead reckoning: {names or 'none'} of {len(known)} drives"
 
 
 def _together(scores: Sequence[Score]) -> str:
