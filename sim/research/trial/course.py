@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -145,8 +145,13 @@ class Course:
     least_m: float = 0.0
 
 
-def drafted(course: Course, seed: int, length_m: float, world: int) -> CourseDraft:
-    """The course of a seed."""
+def drafted(
+    course: Course, seed: int, length_m: float, world: int, odometer_percent: float | None = None
+) -> CourseDraft:
+    """The course of a seed. odometer_percent: by which the wheels are wrong, up or down by the seed; None: 3."""
     draft = CourseDraft(np.random.default_rng([seed, 7]), max(length_m, course.least_m), world)
+    if odometer_percent is not None:
+        scale = 1.0 + math.copysign(odometer_percent / 100.0, draft.errors.scale - 1.0)
+        draft.errors = replace(draft.errors, scale=scale)
     course.lay(draft)
     return draft

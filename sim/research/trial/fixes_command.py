@@ -52,6 +52,8 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--length-m", type=float, default=LENGTH_M, metavar="M", help=length)
     roads = f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})"
     parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
+    odometer = "by which the wheels are wrong, for courses that do not say so themselves (default 3)"
+    parser.add_argument("--odometer", type=float, metavar="PERCENT", help=odometer)
     layers = "drive each on a map of eight layers as well, and compare the cases"
     parser.add_argument("--layers", action="store_true", help=layers)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
@@ -77,6 +79,7 @@ def _run(args: argparse.Namespace) -> int:
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
+        what += "" if args.odometer is None else f" --odometer {args.odometer:g}"
         what += " --layers" * args.layers
         table = layers_in_short(scores) if args.layers else in_short(scores)
         name = f"layers {'cases' if args.case else driven}" if args.layers else "results"
@@ -151,7 +154,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     args.output.mkdir(parents=True, exist_ok=True)
     worlds = list(dict.fromkeys(one.world for one in planned))
     parts = [[one for one in planned if one.world in worlds[job :: args.jobs]] for job in range(args.jobs)]
-    of_part = partial(drive_part, length_m=args.length_m, folder=args.output)
+    of_part = partial(drive_part, length_m=args.length_m, folder=args.output, odometer=args.odometer)
     if args.jobs == 1:
         found = [of_part(planned)]
     else:
@@ -160,7 +163,9 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     return {one: run for runs in found for one, run in runs.items()}
 
 
-def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:
+def drive_part(
+    planned: Sequence[Planned], length_m: float, folder: Path, odometer: float | None = None
+) -> dict[Planned, CourseRun]:
     """Drives in one process."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     library, runs = RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views"), {}
@@ -169,7 +174,7 @@ def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dic
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
             course = on_layers(COURSES[one.course]) if one.layers else COURSES[one.course]
-            runs[one] = drive(course, one.seed, length_m, one.world, journals, library)
+            runs[one] = drive(course, one.seed, length_m, one.world, journals, library, odometer)
             print(line(f"{one.course}{', eight layers' * one.layers}", runs[one]), flush=True)
     finally:
         library.save()
@@ -192,5 +197,7 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError("--runs: at least 1")
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
+    if args.odometer is not None and not 0 <= args.odometer <= 50:
+        raise ConfigError(f"--odometer: {args.odometer:g} is not between 0 and 50")
     if not SHORTEST_M <= args.length_m <= 20000:
         raise ConfigError(f"--length-m: {args.length_m:g} is not between {SHORTEST_M:g} and 20000")

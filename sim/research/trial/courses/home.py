@@ -12,6 +12,7 @@ from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import turned_twice
 from sim.trial.driver import Leg
 from sim.trial.take_me_home import SET_OFF_M, home_by, out_and_home
+from sim.trial.way import along
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
@@ -25,6 +26,13 @@ HOME = (*USUAL, arrives, on_its_lane, resumes)
 @course("G", "home", rules=(*USUAL, close, sends, resumes))
 def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
+
+
+@course("G", "again-dusk")
+def _again(draft: CourseDraft) -> None:
+    """The same way as the map at dusk, where only the lane says how far across the road the vehicle is."""
+    draft.home = draft.road(light="dusk", direction="forward")
+    draft.drive(along(draft.home, 0.0, draft.length_m))
 
 
 @course("G", "take-me-home", rules=HOME)
