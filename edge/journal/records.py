@@ -139,6 +139,7 @@ class PlaceFix(Record, frozen=True, tag="place"):
     confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1")] = 0.0
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
+    by_lane: Annotated[bool, unit("", "whether nothing but the lane says where across the route it is")] = False
 
     @property
     def sigma_m(self) -> float:

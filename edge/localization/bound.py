@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import msgspec
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, Own
+from edge.localization.events import BOUND_WRONG, Fix, Own
 from edge.sequence import Reckoning
 
 PERIOD_NS = 1_000_000_000  # between two that are kept
@@ -29,13 +30,47 @@ log = logging.getLogger(__name__)
 class Bound:
     """GPS or a position of ours bounded the autopilot's: to one standard deviation, after so many meters driven.
 
-    wrong: probability that it was wrong. by_gps: whether GPS did.
+    wrong: probability that it was wrong. by_gps: whether GPS did. axes: in each of two directions by itself.
     """
 
     sigma_m: float
     driven_m: float
     wrong: float
     by_gps: bool
+    axes: Axes
+
+
+class Axes(NamedTuple):
+    """Of a position, along a heading and across it: one standard deviation each, after so many meters driven.
+
+    What a position of ours left as it was goes on from before: its error grows with the distance, not with its root.
+    """
+
+    heading_deg: float
+    sigmas_m: tuple[float, float]
+    driven_m: tuple[float, float]
+
+    def at(self, heading_deg: float, driven_m: float, drift: float) -> tuple[float, float]:
+        """Standard deviations along another heading and across it, after so many meters."""
+        along_m, across_m = (
+            math.hypot(sigma_m, drift * max(0.0, driven_m - before_m))
+            for sigma_m, before_m in zip(self.sigmas_m, self.driven_m, strict=True)
+        )
+        turned_rad = math.radians(heading_deg - self.heading_deg)
+        cos, sin = math.cos(turned_rad), math.sin(turned_rad)
+        return math.hypot(cos * along_m, sin * across_m), math.hypot(sin * along_m, cos * across_m)
+
+    def bound_by(self, fix: Fix, driven_m: float, drift: float) -> Axes:
+        """After the autopilot has used a position of ours."""
+        place, before = fix.place, self.sigmas_m
+        assert place.heading_deg is not None
+        sigmas_m, driven = [place.sigma_along_m, place.sigma_across_m], [driven_m, driven_m]
+        for axis, now_m in enumerate(self.at(place.heading_deg, driven_m, drift)):
+            if fix.keeps[axis]:
+                sigmas_m[axis] = min(*before, now_m)
+                grown_m = math.sqrt(now_m**2 - sigmas_m[axis] ** 2)
+                driven[axis] = driven_m - grown_m / drift if drift else driven_m
+        return Axes(place.heading_deg, (sigmas_m[0], sigmas_m[1]), (driven[0], driven[1]))
 
 
 @dataclass(frozen=True)
@@ -150,9 +185,20 @@ class OwnPosition:
         self._sent_ns, self.rests_on_fixes = t_ns, True
 
     def bind(self, sigma_m: float, own: Own, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
-        """It is as good as that now. wrong: the probability that what bounds it is."""
+        """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps), False
+            axes = Axes(0.0, (sigma_m, sigma_m), (own.driven_m, own.driven_m))
+            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps, axes), False
+
+    def bind_by_fix(self, fix: Fix, left_m: float, own: Own) -> None:
+        """It has used a position, and is so far from it now."""
+        before, place = self.bound, fix.place
+        self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
+        if own.driven_m is None or left_m > place.sigma_m or place.heading_deg is None:
+            return
+        assert self.bound is not None
+        axes = (before or self.bound).axes.bound_by(fix, own.driven_m, max(self._drift, place.velocity_error))
+        self.bound = replace(self.bound, axes=axes)
 
     def watch_aid(self, own: Own) -> None:
         """One whose velocity nothing measures runs away, until it is bound anew."""
@@ -229,6 +275,15 @@ class OwnPosition:
             return None
         driven_m = max(0.0, own.driven_m - self.bound.driven_m)
         return max(math.hypot(self.bound.sigma_m, max(self._drift, velocity_error) * driven_m), least_m)
+
+    def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
+        """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
+        is_unknown = self.bound is None or self._has_run_away or not own.is_aided
+        if is_unknown or own.driven_m is None or fix.heading_deg is None:
+            return None
+        assert self.bound is not None
+        axes_m = self.bound.axes.at(fix.heading_deg, own.driven_m, max(self._drift, fix.velocity_error))
+        return max(axes_m[0], least_m), max(axes_m[1], least_m)
 
     def reckoned(self, fix: PlaceFix, motion: Displacement | None, own: Own) -> Reckoned | None:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""

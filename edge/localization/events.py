@@ -141,13 +141,15 @@ class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
-    the autopilot's, once that has used it. motion: see `Frame`, at its moment.
+    the autopilot's, once that has used it. motion: see `Frame`, at its moment. keeps: whether the autopilot's own
+    position is kept along the way, and across it.
     """
 
     place: PlaceFix
     level: ProtectionLevel
     bound_wrong: float = BOUND_WRONG
     motion: Displacement | None = None
+    keeps: tuple[bool, bool] = (False, False)
 
 
 class Limits(Struct, frozen=True, tag=True):

@@ -31,7 +31,7 @@ from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsVerdict
-from edge.localization.integrity import ONE_MORE, Facts
+from edge.localization.integrity import ONE_MORE, Best, Facts, better_of
 from edge.localization.refusals import RULES, Refusal, Rule, refusal
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
@@ -104,7 +104,9 @@ class PositionEstimator:
         refused = refusal(facts, self._rules)
         if refused is not None:
             return refused
-        return Fix(facts.place, facts.level, min(BOUND_WRONG, ONE_MORE * facts.place_wrong), motion)
+        bound_wrong = min(BOUND_WRONG, ONE_MORE * facts.place_wrong)
+        best = facts.best or Best(facts.place)
+        return Fix(best.place, facts.level, bound_wrong, motion, best.keeps)
 
     def snapshot(self) -> bytes:
         """What bounds the autopilot's own position, b"" for nothing."""
@@ -184,19 +186,21 @@ class PositionEstimator:
             self._bound.anchor(believed)
         self._bound.trust(believed, is_doubted=self._gps.is_doubted)
         kept_m = self._bound.keep(t_ns, own, is_by_gps=believed.gps_sigma_m is not None)
-        if kept_m is not None:
-            self._bind_by_fix(kept_m, BOUND_WRONG)
+        if kept_m is not None and own.is_aided:
+            self._bind(kept_m)
+            self._gps.bound()
 
     def _use_used(self, t_ns: int, used: Used) -> None:
         if used.left_m is None or used.fix is None:
             self._bound.sent(t_ns)
         else:
-            self._bind_by_fix(max(used.fix.place.sigma_m, used.left_m), used.fix.bound_wrong)
+            self._bind_by_fix(used.fix, used.left_m)
 
-    def _bind_by_fix(self, sigma_m: float, wrong: float) -> None:
+    def _bind_by_fix(self, fix: Fix, left_m: float) -> None:
         """The autopilot has used a position: its own is as good as that. Of one that nothing aids, nobody knows."""
         if self._own.is_aided:
-            self._bind(sigma_m, wrong)
+            self._bound.bind_by_fix(fix, left_m, self._own)
+            self._claims.contradict_nothing()
             self._gps.bound()
 
     def _bind(self, sigma_m: float, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
@@ -213,10 +217,21 @@ class PositionEstimator:
             return self._filter.at(t_ns, self._moved), self._moved
         return self._filter.at_exposure(), self._exposed
 
+    def _best(self, fix: PlaceFix, own: Own, limits: Limits) -> Best | None:
+        """What would be sent of a fix: see `better_of`."""
+        if limits.again is not None:
+            return Best(fix, limits.again.keeps)
+        bound = self._bound.bound
+        axes_m = self._bound.axes_m(own, fix, own.accuracy_m or 0.0) if limits.is_reset else None
+        if axes_m is None or bound is None or own.position is None or not fix.is_position:
+            return Best(fix)
+        return better_of(fix, own.position, axes_m, by_gps=bound.by_gps)
+
     def _facts(self, t_ns: int, fix: PlaceFix | None, motion: Displacement | None, limits: Limits) -> Facts:
         own, bound = self._gps.believed(self._own), self._bound
-        reckoned = None if fix is None else bound.reckoned(fix, motion, own)
         position: VehiclePosition | None = own.position
+        best = None if fix is None else self._best(fix, own, limits)
+        reckoned = None if fix is None else bound.reckoned(fix if best is None else best.place, motion, own)
         sigma_m = bound.sigma_m(own, self._velocity_error, own.accuracy_m or 0.0)
         is_by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
         if not own.is_aided:  # its own position has run away, or is ours
@@ -228,6 +243,7 @@ class PositionEstimator:
             gates=self._config.gates,
             limits=limits,
             fix=fix,
+            best=best,
             motion=motion,
             own=own,
             position=position,

@@ -132,11 +132,11 @@ RULES = (
     ),
     Rule(
         "less accurate than the autopilot",
-        "a reset that is less certain than the autopilot by over a fifth; one of over 10 m, unless twice as certain; "
-        "any of over 10 m where nothing measures the velocity",
+        "a reset that is less certain than the autopilot along the road and across it: by over a fifth, or over 10 m "
+        "and not twice as certain; any of over 10 m where nothing measures the velocity",
         "a good position is replaced by a worse one",
         "test_a_reset_never_makes_a_position_less_accurate",
-        lambda now: now.place.sigma_m > now.most_sigma_m,
+        lambda now: now.is_worse,
         is_certain=True,
     ),
 )

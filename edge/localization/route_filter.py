@@ -25,7 +25,7 @@ from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
+from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import RecentInnovations, ReckonedTrack, Track
 from edge.reference_map import Route
@@ -256,6 +256,7 @@ class RouteFilter:
             confidence=round(match.confidence, 3),
             velocity_error=round(estimate.velocity_error, 4),
             disputed=self._is_disputed,
+            by_lane=estimate.since_regions_m >= CORRELATION_M,
             map=UNSET if match.map is None else match.map,
         )
 
@@ -265,6 +266,8 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
 
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
+    if estimate.since_regions_m < CORRELATION_M:
+        return 0.0  # whose lines are compared at each scale that the odometer may have
     scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
     since_m = sighting.passed.since_m[:2]
     return (2**2 - 1**2) * scale_variance * float(since_m @ since_m)

@@ -1,0 +1,80 @@
+"""Which part of a position is sent: along the way and across it, the better of it and the autopilot's own."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.journal.records import PlaceFix
+from edge.localization import Fix, ProtectionLevel
+from edge.localization.bound import Axes
+from edge.localization.integrity import BESIDE_M, GROWS, better_of
+from tests.localization.events_of import Road, S, Vehicle
+from tests.localization.route_course import HOME, Stretch
+
+FIX = PlaceFix(
+    S, 1, *HOME, 90.0, sigma_along_m=4.0, sigma_across_m=3.0, direction="forward", order="same", uniqueness=1.2
+)
+
+
+def own(east_m: float, north_m: float) -> VehiclePosition:
+    lat_deg, lon_deg = moved(*HOME, east_m, north_m)
+    return VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0)
+
+
+def placed(place: PlaceFix) -> tuple[float, float]:
+    assert place.lat_deg is not None and place.lon_deg is not None
+    return east_north_of(place.lat_deg, place.lon_deg, HOME)
+
+
+@pytest.mark.parametrize(
+    ("axes_m", "by_lane", "keeps", "place_m"),
+    [
+        ((9.0, 9.0), False, (False, False), (0.0, 0.0)),
+        ((9.0, 1.0), False, (False, True), (0.0, 5.0)),
+        ((1.0, 9.0), False, (True, False), (7.0, 0.0)),
+        ((9.0, 0.99 * BESIDE_M), True, (False, True), (0.0, 5.0)),
+        ((9.0, 1.01 * BESIDE_M), True, (False, False), (0.0, 0.0)),
+    ],
+)
+def test_in_each_direction_the_better_of_both_is_sent(
+    axes_m: tuple[float, float], by_lane: bool, keeps: tuple[bool, bool], place_m: tuple[float, float]
+) -> None:
+    """The road leads east; the autopilot has the vehicle 7 m further along it and 5 m to the left."""
+    found = better_of(replace(FIX, by_lane=by_lane), own(7.0, 5.0), axes_m, by_gps=False)
+    assert found is not None and found.keeps == keeps
+    assert placed(found.place) == pytest.approx(place_m, abs=0.01)
+    sigmas_m = found.place.sigma_along_m, found.place.sigma_across_m
+    expected_m = [one_m if keep else fix_m for one_m, keep, fix_m in zip(axes_m, keeps, (4.0, 3.0), strict=True)]
+    assert sigmas_m == pytest.approx(expected_m, abs=0.01)
+
+
+def test_a_position_that_is_better_in_neither_direction_is_none() -> None:
+    """One after another may be less certain by a fifth; one after GPS may not."""
+    barely_m = 4.0 / (0.99 * GROWS), 3.0 / (0.99 * GROWS)
+    assert better_of(FIX, own(0.0, 0.0), barely_m, by_gps=False) is not None
+    assert better_of(FIX, own(0.0, 0.0), barely_m, by_gps=True) is None
+
+
+def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
+    """A hundred positions in a row that keep the autopilot's own across."""
+    axes, drift = Axes(90.0, (3.0, 3.0), (0.0, 0.0)), 0.04
+    for driven_m in range(8, 801, 8):
+        fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
+        axes = axes.bound_by(fix, float(driven_m), drift)
+    assert axes.at(90.0, 800.0, drift) == pytest.approx((4.0, math.hypot(3.0, drift * 800.0)))
+    assert axes.at(0.0, 800.0, drift) == pytest.approx((math.hypot(3.0, drift * 800.0), 4.0)), "after a bend"
+
+
+def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_sent(tmp_path: Path) -> None:
+    """Without parallax: the lane would make every position say that the vehicle is on it."""
+    one = Vehicle(Road(tmp_path, Stretch(0.0, 1200.0)))
+    one.go(150, gps=True)
+    one.go(100)
+    answer = one.ask(is_reset=True)
+    assert isinstance(answer, Fix) and answer.keeps == (False, True)
+    assert answer.place.by_lane and answer.place.sigma_across_m > answer.place.sigma_along_m
