@@ -63,3 +63,28 @@ def test_what_is_cited_is_the_release() -> None:
     cited, (version, date) = (GITHUB.parent / "CITATION.cff").read_text(), released()
     assert f"\nversion: {version}\n" in cited
     assert f"\ndate-released: {date}\n" in cited
+
+
+FORMS = sorted((GITHUB / "ISSUE_TEMPLATE").glob("*.yml"))
+
+
+@pytest.mark.parametrize("file", FORMS, ids=lambda file: file.name)
+def test_forms_of_issues_are_as_github_wants_them(file: Path) -> None:
+    """https://docs.github.com/en/communities/using-templates-to-encourage-useful-issues-and-pull-requests/syntax-for-issue-forms"""
+    yaml = pytest.importorskip("yaml")
+    form = yaml.safe_load(file.read_text(encoding="utf-8"))
+    if file.name == "config.yml":
+        assert form == {"blank_issues_enabled": True}
+        return
+    assert set(form) == {"name", "description", "body"}
+    fields = [one for one in form["body"] if one["type"] != "markdown"]
+    assert fields and {one["type"] for one in fields} <= {"textarea", "input"}
+    assert len({one["id"] for one in fields}) == len(fields)
+    assert all(one["attributes"]["label"] for one in fields)
+    assert any(one.get("validations", {}).get("required") for one in fields)
+
+
+def test_what_a_drive_that_went_wrong_needs_is_asked_for() -> None:
+    text = (GITHUB / "ISSUE_TEMPLATE" / "drive.yml").read_text(encoding="utf-8")
+    for word in ("journal", "map.json", "lookback doctor", "lookback record", "lookback --version"):
+        assert word in text
