@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,6 +33,12 @@ HEADER = (
     " | dead reckoning's error | autopilot's error | beside its lane |\n"
     "|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
+KINDS_HEADER = (
+    "| drives | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
+    " | levels, exceeded along, across | dead reckoning's error, median of the drives |\n"
+    "|---|---|---|---|---|---|---|"
+)
+RECORDED_M = ("reckoned_m", "autopilot_m", "lane_m")
 SECTION = "flights"
 WORSE_M = 0.5
 """By so much the median error of positions may be above that of none before the drive counts as made worse."""
@@ -39,10 +47,12 @@ WORSE_M = 0.5
 class Flight(msgspec.Struct, frozen=True):
     """A drive as it was recorded, and as the daemon of today does; recorded: of the autopilot and of the vehicle.
 
-    reckoned_m: of the autopilot without positions, see `dead_reckoning_errors`. lost_m: driven since GPS was lost.
+    kind: its firmware and its light. reckoned_m: of the autopilot without positions, see `dead_reckoning_errors`.
+    lost_m: driven since GPS was lost.
     """
 
     name: str
+    kind: str
     then: Score
     now: Score
     reckoned_m: list[float]
@@ -69,7 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
     parser.add_argument("--model", type=Path, help="the network of the maps and the daemon (default fc6, as recorded)")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
+    about = "a page of docs, to write what each kind of drive has into, and beside it a CSV file with all drives"
+    parser.add_argument("--page", type=Path, metavar="FILE", help=about)
     parser.add_argument("--summary", type=Path, metavar="FILE", help="a page of docs, to write its last lines into")
     parser.set_defaults(run=_run)
 
@@ -83,11 +94,58 @@ def _run(args: argparse.Namespace) -> int:
     args.output.mkdir(parents=True, exist_ok=True)
     flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model)
     given = " ".join([*(path.name for path in args.flights), *([f"--model {args.model}"] if args.model else [])])
-    for file, text in ((args.page, table(flights)), (args.summary, summary(flights))):
-        if file is not None:
-            put_between(SECTION, file, f"`lookback dev flights {given}` of version {__version__}:\n\n{text}")
+    publish(flights, given, args.page, args.summary)
     print(table(flights))
     return 0
+
+
+def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None, summary_page: Path | None) -> None:
+    """Write the table of kinds into one page, with a CSV of all drives beside it, and what they say together into two.
+
+    given: the arguments of the command.
+    """
+    made = f"`lookback dev flights {given}` of version {__version__}:\n\n"
+    if summary_page is not None:
+        put_between(SECTION, summary_page, made + summary(flights))
+    if page is not None:
+        put_between(SECTION, page, made + kinds_table(flights))
+        with page.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(cells(flights))
+
+
+def cells(flights: Sequence[Flight | Failed]) -> Iterator[list[object]]:
+    """Every figure of every drive, two rows each, below one of their names."""
+    names = [f"{name}_{share}" for name in RECORDED_M for share in ("median", "p95", "max")]
+    keys = list(Score([], 0.0, 0, 0, 0, []).row())
+    yield ["drive", "kind", "when", *keys, *names]
+    for flight in flights:
+        if isinstance(flight, Failed):
+            yield [flight.name, f"not replayed: {flight.why}"]
+            continue
+        recorded = [one for name in RECORDED_M for one in getattr(flight, name) or [""] * 3]
+        for when, found in (("then", flight.then), ("now", flight.now)):
+            figures = ["" if math.isnan(one) else f"{one:.3f}".rstrip("0").rstrip(".") for one in found.row().values()]
+            yield [flight.name, flight.kind, when, *figures, *recorded]
+
+
+def kinds_table(flights: Sequence[Flight | Failed]) -> str:
+    """The positions of all drives of a firmware in a light together, as recorded and now; and what all say together."""
+    kinds: dict[str, list[Flight]] = {}
+    for flight in flights:
+        if isinstance(flight, Flight):
+            kinds.setdefault(flight.kind, []).append(flight)
+    lines = [KINDS_HEADER]
+    for kind, drives in sorted(kinds.items()):
+        reckoned_m = [one.reckoned_m[0] for one in drives if one.reckoned_m]
+        for when in ("then", "now"):
+            row = " | ".join(_row(_pooled([getattr(one, when) for one in drives])).split(" | ")[:5])
+            alone = f"{np.median(reckoned_m):.1f} m" if when == "now" and reckoned_m else ""
+            lines.append(f"| {len(drives)} {kind}, {when} | {row} | {alone} |")
+    return "\n".join([*lines, "", summary(flights)])
+
+
+def _pooled(scores: Sequence[Score]) -> Score:
+    return Score([position for one in scores for position in one.positions], 0.0, 0, 0, 0, [])
 
 
 def _inside(folder: Path) -> list[Path]:
@@ -159,6 +217,7 @@ def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, librar
     journal = folder / JOURNAL
     return Flight(
         drive.name,
+        f"{'ArduPilot' if drive.name.startswith('ardupilot') else 'PX4'}, {drive.scenario.light}",
         score(drive, then, drive.sent, drive.used),
         score(drive, sent, list(records_of(journal, FixSent)), list(records_of(journal, FrameUsed))),
         _three(dead_reckoning_errors(drive)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import gzip
 import json
 import shutil
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -20,8 +22,8 @@ from edge.journal.records import FixSent
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import geodetic
 from sim.research.trial.flight_camera import FlightCamera, Scenes
-from sim.research.trial.flight_score import Score, score
-from sim.research.trial.flights_command import Flight, page, replay_all
+from sim.research.trial.flight_score import Score, SentPosition, score
+from sim.research.trial.flights_command import Failed, Flight, page, publish, replay_all
 from sim.research.trial.recorded_drive import JOURNAL, LINK, RecordedDrive, first_boot, read_drive
 from tests.golden.harness import HERE
 
@@ -112,10 +114,34 @@ def test_exposures_are_those_of_the_journal_or_of_the_config_without_one(drive: 
 def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) -> None:
     text = mavlink.MAVLink_statustext_message(4, b"Lookback: GPS is wrong")
     now = score(drive, [(drive.gps_lost_s + 1.5, text)], [], drive.used)
-    found = page([Flight("night", score(drive, [], [], []), now, [], [1.0, 2.0, 3.0], [], 1234.0)])
+    found = page([Flight("night", "ArduPilot, night", score(drive, [], [], []), now, [], [1.0, 2.0, 3.0], [], 1234.0)])
     assert "| night, then | 0 |" in found and "\n| now | 0 |" in found
     assert "1.5 s  Lookback: GPS is wrong" in found
     assert "All 1 drives together, 1.2 km since GPS was lost:" in found
+
+
+def test_docs_have_a_line_for_each_kind_and_a_file_of_all_drives(drive: RecordedDrive, tmp_path: Path) -> None:
+    empty, sent = score(drive, [], [], []), [SentPosition(1.0, 5.0, 0, error, 0.0, error, 2.0) for error in (1.0, 3.0)]
+    flown = msgspec.structs.replace(empty, positions=sent)
+    flights: list[Flight | Failed] = [
+        Flight("ardupilot_a", "ArduPilot, night", empty, flown, [2.0, 2.5, 3.0], [1.0, 2.0, 3.0], [], 1234.0),
+        Flight("ardupilot_b", "ArduPilot, night", empty, empty, [4.0, 4.5, 5.0], [1.0, 2.0, 3.0], [], 1000.0),
+        Failed("px4_c", "it has no truth"),
+    ]
+    pages = tmp_path / "flights.md", tmp_path / "integrity.md"
+    for page_ in pages:
+        page_.write_text("<!-- flights: begin -->\n<!-- flights: end -->\n")
+    publish(flights, "FOLDER", *pages)
+    text = pages[0].read_text()
+    assert "| 2 ArduPilot, night, then | 0 | - |" in text
+    assert "| 2 ArduPilot, night, now | 2 | 2.0 / 2.9 / 3.0 m | 1.12 / 1.5 | 0, 0 |" in text
+    assert text.count("| 3.0 m |") == 1  # the median of both drives' dead reckoning
+    assert "All 2 drives together" in pages[1].read_text()
+    with (tmp_path / "flights.csv").open(newline="") as file:
+        named = list(csv.DictReader(file))
+    assert [(one["drive"], one["when"]) for one in named][2:4] == [("ardupilot_b", "then"), ("ardupilot_b", "now")]
+    assert (named[1]["sent"], named[1]["max_m"], named[0]["max_m"], named[1]["reckoned_m_p95"]) == ("2", "3", "", "2.5")
+    assert named[4]["kind"] == "not replayed: it has no truth"
 
 
 def copied(folder: Path, *without: str) -> Path:
