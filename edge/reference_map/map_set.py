@@ -130,15 +130,6 @@ class MapSet:
         """Of all maps."""
         return tuple(one.header for one in self.maps)
 
-    @property
-    def stale(self) -> Ranges:
-        """Places [start, end), counted through, that are no longer there: what leads to them is not searched."""
-        return [
-            (start + a, start + b)
-            for start, one in zip(self.index.starts, self.maps, strict=False)
-            for a, b in one.stale
-        ]
-
     @cached_property
     def laps(self) -> tuple[int | None, ...]:
         """How many places a lap has, of each segment; None where it is not closed, or grows."""

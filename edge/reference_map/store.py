@@ -217,17 +217,13 @@ class _Kind(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class ReferenceMap:
-    """An open map: descriptors (R, N, K) int8 memory-mapped read-only, places (N,) of PLACE, projection (K, D).
-
-    stale: places [start, end) that are no longer there, see `Learned`.
-    """
+    """An open map: descriptors (R, N, K) int8 memory-mapped read-only, places (N,) of PLACE, projection (K, D)."""
 
     path: Path
     header: MapHeader
     descriptors: NDArray[np.int8]
     places: NDArray[np.void]
     projection: NDArray[np.float32] | None = None
-    stale: tuple[tuple[int, int], ...] = ()
 
     def thumbnail(self, place: int) -> bytes:
         """The place's small JPEG, for people; unverified. OSError if it cannot be read."""

@@ -43,16 +43,15 @@ class RowMatcher:
         span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
-        stale: Sequence[tuple[int, int]] = (),
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. open_ends: whether lines may begin before their drive does, and
-        span, laps: see `SequenceSearch`. stale: places [start, end) at which no line ends, since they are gone.
+        span, laps: see `SequenceSearch`.
         """
         self.neighborhood = neighborhood
         self._per_frame_order = config.sequence.region_order == "frame"
-        planes, possible = _planes(segments, views, regions, config, stale)
+        planes, possible = _planes(segments, views, regions, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
         self._search = SequenceSearch(
             segments, planes, config.sequence_frames, slopes, possible, span=span, open_ends=open_ends, laps=laps
@@ -116,7 +115,6 @@ class Submap(RowMatcher):
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set, self._origin = map_set, map_set.origin(ranges)
-        stale = [(a, b) for a, b in np.searchsorted(self.places, map_set.stale).reshape(-1, 2).tolist() if a < b]
         pieces = list(map_set.index.by_segment(ranges))
         lengths = [end - start for _, start, end in pieces]
         laps = [map_set.laps[number] if map_set.index.segment(number) == (a, b) else None for number, a, b in pieces]
@@ -134,7 +132,7 @@ class Submap(RowMatcher):
         )
         views, regions = [map_set.index.view(number) for number, _, _ in pieces], map_set.headers[0].regions.count
         others = neighborhood, config
-        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, stale=stale)
+        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps)
 
     def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
         """Go on from a part that has the first of these places, so that only the others are matched with the ring.
@@ -192,7 +190,6 @@ def _planes(
     views: Sequence[str],
     regions: int,
     config: Config,
-    stale: Sequence[tuple[int, int]],
 ) -> tuple[list[Alignment], NDArray[np.bool_]]:
     """The directions and region orders to search in, and where (planes, N) each of them is possible."""
     sequence = config.sequence
@@ -208,8 +205,6 @@ def _planes(
             allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
             possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]
     used = np.flatnonzero(possible.any(axis=1))
-    for start, end in stale:
-        possible[:, start:end] = False
     return [planes[index] for index in used], possible[used]
 
 
