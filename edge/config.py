@@ -205,7 +205,7 @@ class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
     lost_after_s: Annotated[float, Meta(gt=0, le=60)] = 5.0
-    scale_error_percent: Annotated[float, Meta(gt=0, le=50)] = 3.0
+    scale_error_percent: Annotated[float, Meta(gt=0, le=50)] = 4.5
     heading_error_deg: Annotated[float, Meta(gt=0, le=30)] = 2.0
 
 
