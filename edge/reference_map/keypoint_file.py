@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.errors import MapError
+from edge.errors import MapError, reason
 from edge.toml_file import Line
 
 KEYPOINT = np.dtype(
@@ -51,4 +51,4 @@ def mapped(file: Path, key: KeypointsKey, places: int, *, writable: bool = False
     try:
         return np.memmap(file, KEYPOINT, mode="r+" if writable else "r", shape=(places, key.most))
     except (OSError, ValueError) as error:
-        raise MapError(f"{file}: cannot map it: {error}") from None
+        raise MapError(f"{file}: cannot map it: {reason(error)}") from None

@@ -275,7 +275,7 @@ try_package() {
 
 make_root
 rm -rf "$root/srv/lookback" && mkdir -p "$root/srv/lookback"
-tar -C "$here" -c pyproject.toml README.md LICENSE MANIFEST.in edge edge_plugins lookback lookback_fc6 sim systemd | tar -C "$root/srv/lookback" -x
+tar -C "$here" -c pyproject.toml setup.py README.md LICENSE MANIFEST.in edge edge_plugins lookback lookback_fc6 sim systemd | tar -C "$root/srv/lookback" -x
 boot
 step "booted: $(inside systemctl --version | head -n 1)"
 inside dpkg --purge lookback >/dev/null 2>&1 || true # what an earlier run that failed left here

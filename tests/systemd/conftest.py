@@ -18,6 +18,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the checkout without the weights, which would be zipped and unzipped in every test."""
     checkout = tmp_path_factory.mktemp("checkout")
     shutil.copy(ROOT / "pyproject.toml", checkout)
+    shutil.copy(ROOT / "setup.py", checkout)
     (checkout / "README.md").touch()
     for package in ("edge", "edge_plugins", "sim", "systemd"):
         shutil.copytree(ROOT / package, checkout / package, ignore=shutil.ignore_patterns("models", "__pycache__"))

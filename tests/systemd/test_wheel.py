@@ -99,10 +99,10 @@ def test_every_command_of_the_readme_is_one(python: Path) -> None:
 
 
 def test_research_says_where_it_is(python: Path) -> None:
-    done = run(python, "-m", "edge", "dev", "alexnet", "x")
+    done = run(python, "-m", "edge", "dev", "flights", "x")
     assert (done.returncode, done.stderr) == (
         78,
-        "lookback: alexnet: only in a clone of the repository, not in the package\n",
+        "lookback: flights: only in a clone of the repository, not in the package\n",
     )
     done = run(python, "-m", "edge", "dev", "--help")
     assert done.returncode == 0, done.stderr
