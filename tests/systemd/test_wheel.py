@@ -106,5 +106,5 @@ def test_research_says_where_it_is(python: Path) -> None:
     )
     done = run(python, "-m", "edge", "dev", "--help")
     assert done.returncode == 0, done.stderr
-    assert re.search(r"alexnet +only in a clone", done.stdout)
+    assert re.search(r"flights +only in a clone", done.stdout)
     assert re.search(r"bench +measure this board", done.stdout)
