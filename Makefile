@@ -36,7 +36,7 @@ test: $(VENV)/.dev
 	@echo "docs, installation, kills, a day, other processors. make test-long runs them, make check everything."
 
 test-long: $(VENV)/.dev
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m long
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m 'long and not soak'
 
 # The tests of edge/ and its plug-ins alone, for a Python beside the one of .venv.
 test-core:
