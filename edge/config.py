@@ -205,7 +205,7 @@ class TrackingConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     lost_after_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
     lost_after_s: Annotated[float, Meta(gt=0, le=60)] = 5.0
-    scale_error_percent: Annotated[float, Meta(gt=0, le=50)] = 4.5
+    scale_error_percent: Annotated[float, Meta(gt=0, le=50)] = 6.0
     heading_error_deg: Annotated[float, Meta(gt=0, le=30)] = 2.0
 
 
@@ -219,7 +219,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     risk_per_hour: Annotated[float, Meta(gt=0, le=1)] = 1e-3
     alert_limit_m: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
     max_move_m: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
-    drift_percent: Annotated[float, Meta(ge=0, le=100)] = 4.0
+    drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
     confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0
     doubted_gps: Literal["report", "switch", "send"] = "report"
     gps_false_call: Annotated[float, Meta(gt=0, le=0.1)] = 1e-3

@@ -266,8 +266,6 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
 
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
-    if estimate.since_regions_m < CORRELATION_M:
-        return 0.0  # whose lines are compared at each scale that the odometer may have
     scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
     since_m = sighting.passed.since_m[:2]
     return (2**2 - 1**2) * scale_variance * float(since_m @ since_m)
