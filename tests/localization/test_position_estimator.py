@@ -27,7 +27,7 @@ def test_uncertainty_grows_with_the_distance_since_it_was_bound(road: Road) -> N
     one = Vehicle(road)
     assert not known(one).is_bounded and known(one).own_sigma_m is None
     assert known(one, gps_sigma_m=3.0, driven_m=100.0).own_sigma_m == 3.0
-    assert known(one, driven_m=180.0).own_sigma_m == pytest.approx(math.hypot(3.0, 0.04 * 80.0))
+    assert known(one, driven_m=180.0).own_sigma_m == pytest.approx(5.0)
     assert known(one, driven_m=180.0, accuracy_m=9.0).own_sigma_m == 9.0, "the larger one"
     assert known(one, driven_m=None).own_sigma_m is None
 
@@ -84,7 +84,7 @@ def test_what_bounds_the_autopilot_outlives_this_program(changed: dict[str, Any]
     found = known(after, **changed)
     assert found.is_bounded is is_known
     if is_known:
-        assert found.own_sigma_m == pytest.approx(math.hypot(3.0, 0.04 * 2 * 10.0 * 1.5))
+        assert found.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 2 * 10.0 * 1.5))
         assert not found.rests_on_fixes
     after.drive.restore(after.t_ns, b"damaged")
 
@@ -152,7 +152,7 @@ def test_after_a_long_way_without_places_a_doubtful_one_waits_for_others(
 ) -> None:
     """Reckoning agrees with any place within 90 m by then; one that is hardly believed waits for 60 m of others."""
     road = Road(tmp_path, Stretch(0.0, 200.0), Stretch(700.0, 1000.0))
-    one = Vehicle(road, settings(scale_error_percent=6.0))
+    one = Vehicle(road)
     one.go(150.0, gps=True)
     one.go(580.0, lambda at_m: road.match(at_m) if at_m <= 190.0 else None)
     reasons = one.go(200.0, lambda at_m: road.match(at_m + off_m, confidence=confidence))
@@ -176,9 +176,9 @@ def test_the_vehicle_is_reckoned_by_gps_and_its_motion_and_by_no_place(road: Roa
     fix = one.ask()
     assert isinstance(fix, Fix)
     one.use(fix)
-    assert reckoned_m(one) == pytest.approx((180.0, 4.4), abs=0.3)
+    assert reckoned_m(one) == pytest.approx((180.0, 5.0), abs=0.3)
     one.own(has_gps=True)
-    assert reckoned_m(one) == pytest.approx((180.0, 4.4), abs=0.3), "what is left of ours may be in it"
+    assert reckoned_m(one) == pytest.approx((180.0, 5.0), abs=0.3), "what is left of ours may be in it"
     one.own(is_aided=False)
     assert reckoned_m(one) is None, "its velocity runs away"
 

@@ -258,8 +258,8 @@ def test_a_silent_link_is_no_reason_to_forget_the_bound(lost_gps: Rig, silent_s:
     lost_gps.wire.loses = None
     after_m = uncertainty_after(lost_gps, 6.0)
     assert before_m is not None and after_m is not None
-    assert before_m < after_m < before_m + 0.04 * 1.6 * 8.0 * (silent_s + 6.0)
-    assert after_m > 0.04 * 1.5 * 8.0 * silent_s, "it may have taken another way"
+    assert before_m < after_m < before_m + 0.05 * 1.6 * 8.0 * (silent_s + 6.0)
+    assert after_m > 0.05 * 1.5 * 8.0 * silent_s, "it may have taken another way"
 
 
 def test_a_bound_is_not_remembered_when_the_autopilot_rebooted(lost_gps: Rig) -> None:

@@ -98,7 +98,7 @@ def test_the_command(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture
     expected = "drive 1,     0 to   200 m:  60 % of the frames; within 100 m 100 %; believed on 2 of 2 earlier drives"
     assert lines[1].startswith(expected)
     assert lines[3].startswith("drive 2,     0 to   200 m: not driven")
-    assert lines[5] == "longest gap: 2 m, up to 2 m of drive 1; 0 m of drift at 4 %"
+    assert lines[5] == "longest gap: 2 m, up to 2 m of drive 1; 0 m of drift at 5 %"
     assert lines[6] == "drift always within 10 m: 50 % of the drives"
     features = json.loads(output.read_text())["features"]
     assert [one["properties"]["share"] for one in features] == [0.6, pytest.approx(0.6, abs=0.01), None, None]
