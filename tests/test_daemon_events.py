@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from edge.config import Config
 from edge.errors import FeedError
-from edge.localization.drive_file import read_drive, replay
+from edge.localization.drive_file import DriveFile, read_drive, replay
+from edge.localization.events import Frame
+from edge.sequence import PlaceMatch, Seen
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.harness import cases, run_case
 
@@ -48,3 +54,14 @@ def test_what_is_no_list_of_a_drive_is_rejected_with_its_name(data: bytes, tmp_p
     path.write_bytes(data)
     with pytest.raises(FeedError, match=r"list\.drive"):
         read_drive(path)
+
+
+def test_the_list_of_a_drive_keeps_what_keypoints_saw(tmp_path: Path) -> None:
+    seen = Seen(3, 90, 0.5, -1.0, 0.01, np.diag([0.1, 0.2, 0.01]), 60, 0.9)
+    alone = PlaceMatch(3, 3, "forward", "same", 0.0, 0.0, 1.0, seen=seen, has_line=False)
+    frames = [Frame(1), Frame(2, alone), Frame(3, dataclasses.replace(alone, seen=None))]
+    with closing(DriveFile(tmp_path / "list.drive", Config())) as file:
+        for frame in frames:
+            file.write(frame.stamp_ns, frame)
+    assert [entry for _, entry in read_drive(tmp_path / "list.drive")[1]] == frames
+    assert seen != dataclasses.replace(seen, covariance=np.eye(3))

@@ -135,10 +135,12 @@ class LineMiddle:
 
 
 def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | None:
-    """The middle of a line through so many frames; None where the map knows no meters, and where it may be pushed.
+    """The middle of a line through so many frames; None where there is none, or no meters, and where it may be pushed.
 
     Where only some of the frames are on the map, the best line still lies on it, and so begins or ends at its end.
     """
+    if not match.has_line:
+        return None
     drive, ends_m = route.drive(match.place_index), route.route_m(match.place_index)
     if drive.places < 2 or math.isnan(ends_m) or not drive.spacing_m > 0:
         return None

@@ -54,6 +54,32 @@ class Parallax:
     __hash__ = None  # type: ignore[assignment]
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One look: the keypoints of the frame agree with those of one place of the map, so its camera was near that one's.
+
+    place_index: of that place, counted through all maps that are open. inliers: matches that one fundamental matrix
+    explains; points: those of them, of known distance, that agree on the pose. right_m, ahead_m, turn_rad: of the
+    frame's camera from the place's, in that one's frame, turned clockwise; covariance: (3, 3) of these three, of
+    geometry alone, without the error of the map's position. confidence: that this place is right, by this look alone.
+    """
+
+    place_index: int
+    inliers: int
+    right_m: float
+    ahead_m: float
+    turn_rad: float
+    covariance: NDArray[np.float64]
+    points: int
+    confidence: float
+
+    def __eq__(self, other: object) -> bool:
+        mine, theirs = vars(self), vars(other) if isinstance(other, Seen) else {}
+        return mine.keys() == theirs.keys() and all(np.array_equal(mine[name], theirs[name]) for name in mine)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
 @dataclass(frozen=True)
 class PlaceMatch:
     """A line through the last frames: which place of the map the newest frame shows, believed or not.
@@ -72,6 +98,9 @@ class PlaceMatch:
     is this one; whoever judges what the reckoning rests on, goes by `alone`.
     half_width_places: half the number of places around it that are nearly as good.
     parallax: of the two regions alone, None where it is not known.
+    seen: what the frame's keypoints say of where its camera was, of the place that is believed; None where they say
+    nothing, or were not asked. has_line: False where no line leads to the place, which is believed by looks alone, as
+    of a vehicle that stands; it then is that of `seen`, and slope, distance and the like say nothing.
     event: accepted, and not held off.
     """
 
@@ -90,6 +119,8 @@ class PlaceMatch:
     step: float = 1.0
     passed: tuple[float, ...] = ()
     parallax: Parallax | None = None
+    seen: Seen | None = None
+    has_line: bool = True
     map: str | None = None
     event: bool = False
     by_votes: PlaceMatch | None = None
