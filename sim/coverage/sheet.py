@@ -19,7 +19,7 @@ from sim.coverage.passes import SPARE_M, Pass, road_between_m
 SOON_M = 100.0
 KNOWN_M = 200.0
 """From where a drive enters a segment: beyond, predicted and found shares of stretches correlate -0.04 to 0.42
-(docs/coverage.md), so the mean of all such stretches predicts each as well, and no differences are shown."""
+(docs/mapping.md), so the mean of all such stretches predicts each as well, and no differences are shown."""
 REHEARSED_COUNT_AS = 2.0
 """Real drives that all rehearsed ones count as."""
 
