@@ -105,18 +105,18 @@ def _elsewhere(where_of: Callable[[Floats, Floats], Floats]) -> Layout:
     return lambda line_m, own, other: (replace(other, east_north_m=where_of(line_m, other.driven_m)), OFF_MAP)
 
 
-LAYOUTS: dict[str, Layout] = {
-    "beside it, 20 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 20.0)),
-    "beside it, 50 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 50.0)),
-    "beside it, 100 m": _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 100.0)),
-    "across it": _elsewhere(lambda line_m, driven_m: _onward(line_m, driven_m, np.pi / 2, float(driven_m[-1]) / 2)),
-    "a car park beside it": _elsewhere(_parked),
-    "a fork": _forked,
-    TWIN: lambda line_m, own, other: (
-        replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)),
-        OFF_MAP,
+LAYOUTS: dict[str, Sequence[Layout]] = {
+    "beside it by 20, 50 or 100 m, or across it": (
+        _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 20.0)),
+        _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 50.0)),
+        _elsewhere(lambda line_m, driven_m: _along(line_m, driven_m, 100.0)),
+        _elsewhere(lambda line_m, driven_m: _onward(line_m, driven_m, np.pi / 2, float(driven_m[-1]) / 2)),
     ),
+    "a car park beside it": (_elsewhere(_parked),),
+    "a fork": (_forked,),
+    TWIN: (lambda line_m, own, other: (replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)), OFF_MAP),),
 }
+"""Where the other road lies; those of one name share a row."""
 
 
 def main() -> None:
@@ -132,8 +132,8 @@ def main() -> None:
 
 def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
     """Of each network: parts of the roads mapped, then roads that are on no map, then how right a confidence is."""
-    yield "| network, drive | mapped | by the votes alone | with GPS before | lowest recall of a drive |"
-    yield "|---|---|---|---|---|"
+    yield f"| network, drive | {' | '.join(CUTS)} | lowest |"
+    yield "|---|" + "---|" * (len(CUTS) + 1)
     wrong, answers = [], {}
     for name, of_network in seen.items():
         judged: dict[Case, list[tuple[Judged, list[Judged]]]] = {}
@@ -148,16 +148,24 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
             for ones in (of_votes, answers[name])
         )
         wrong.append(f"- {name}: {words} are believed and wrong, by the votes alone and with GPS before.")
-    yield from ["", *wrong, "", "| network, a road that is not mapped | GPS | frames | believed alone | with it |"]
-    yield "|---|---|---|---|---|"
+    yield from [
+        "",
+        *wrong,
+        "",
+        f"| network, a road that is not mapped | frames | the votes alone | {' | '.join(GPS)} |",
+    ]
+    yield "|---|---|---|" + "---|" * len(GPS)
     claims, least = {}, AcceptanceConfig().confidence_from
     for name, of_network in seen.items():
         off_map = []
-        for (where, layout), (gps, lost_m) in product(LAYOUTS.items(), GPS.items()):
-            by_votes, both = (np.concatenate(ones) for ones in zip(*_off_map(of_network, layout, lost_m), strict=True))
-            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in (by_votes, both))
-            yield f"| {name}, {where} | {gps} | {len(both)} | {' | '.join(cells)} |"
-            off_map += [both] * (where != TWIN)
+        for where, layouts in LAYOUTS.items():
+            found_off = [_off_map(of_network, layouts, lost_m) for lost_m in GPS.values()]
+            cells = [
+                f"{(one >= least).sum()}, at most {one.max():.3f}"
+                for one in (found_off[0][0], *(both for _, both in found_off))
+            ]
+            yield f"| {name}, {where} | {len(found_off[0][0])} | {' | '.join(cells)} |"
+            off_map += [both for _, both in found_off] * (where != TWIN)
         claims[name] = Claims.of(joined([one.belief for one in answers[name]]), np.concatenate(off_map))
     head, rule, *of_tenths = rows_of(claims)
     yield from ["", head, rule, *of_tenths[round(TENTHS * LEAST_CLAIMED) :]]
@@ -171,11 +179,13 @@ def wrong_frames(judged: Judged) -> int:
 
 def _rows(name: str, judged: dict[Case, list[tuple[Judged, list[Judged]]]]) -> Iterator[str]:
     for words, way, lights in GROUPS:
+        cells, lowest = [], 1.0
         for cut in CUTS:
             found = [one for light in lights for one in judged[way, light, cut]]
             alone, drawn = [one for one, _ in found], [one for _, of_drive in found for one in of_drive]
-            cells = _cell(alone), _cell(drawn), f"{min(map(_recall, alone)):.2f}, {min(map(_recall, drawn)):.2f}"
-            yield f"| {name}, {words} | {cut} | {' | '.join(cells)} |"
+            cells.append(f"{_cell(alone)} -> {_cell(drawn)}")
+            lowest = min(lowest, *map(_recall, drawn))
+        yield f"| {name}, {words} | {' | '.join(cells)} | {lowest:.2f} |"
 
 
 def _recall(judged: Judged) -> float:
@@ -190,16 +200,19 @@ def _cell(judged: Sequence[Judged]) -> str:
     return f"{recall:.3f}; {', '.join(f'{one:.0f}' for one in first_m)} m"
 
 
-def _off_map(seen: Sequence[World], layout: Layout, lost_m: float) -> Iterator[tuple[Floats, Floats]]:
+def _off_map(seen: Sequence[World], layouts: Sequence[Layout], lost_m: float) -> tuple[Floats, Floats]:
     """The confidence of each frame off the map, by the votes alone and with what is reckoned."""
-    for (road, own), (_, others) in zip(seen, [*seen[1:], *seen[:1]], strict=True):
+    alone, both = [], []
+    for layout, ((road, own), (_, others)) in product(layouts, zip(seen, [*seen[1:], *seen[:1]], strict=True)):
         assert road.east_north_m is not None
         for way, lights in LIGHTS.items():
             line_m = road.east_north_m[:: 1 if way == "forward" else -1]
             for light in lights:
                 drive, is_off = layout(line_m, own[light, way], others[light, way])
                 found = believe(road, drive, "whole", reckoned=drive.reckoned(lost_m, len(drive.raw)))
-                yield found.by_votes[is_off], found.confidence[is_off]
+                alone.append(found.by_votes[is_off])
+                both.append(found.confidence[is_off])
+    return np.concatenate(alone), np.concatenate(both)
 
 
 if __name__ == "__main__":
