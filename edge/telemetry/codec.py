@@ -17,6 +17,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 Message: TypeAlias = Any
 
 TRIM_BYTES = 16_384
+OLDEST_TICKS = 6_000_000
+"""A minute, in the 10 us of signed timestamps: MAVLink's limit for the first frame of a stream, here for all."""
 USELESS_FRAMES = 10
 """In a row, after which the next one may begin within the last. Not sooner: what a damaged one carries is no frame."""
 MARKERS = (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
@@ -69,12 +71,16 @@ class _Parser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
     _useless_in_a_row = 0
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803  # its names
-        """As pymavlink has it, which stores a frame's timestamp before it checks the signature: one forged frame that
-        is dated far ahead would lock the real sender out for good.
+        """As pymavlink has it, but for three things. It stores a frame's timestamp before it checks the signature: one
+        forged frame that is dated far ahead would lock the real sender out for good. It hears what a component has
+        signed on each link of its own, so that what another link carried could be replayed beside it. And it asks only
+        the first frame of a stream to be at most a minute old: a recording could be played ever more slowly.
         """
         stream: Stream = msgbuf[-13], srcSystem, srcComponent
         newest = self.signing.stream_timestamps
         before = newest.get(stream)
+        of_the_same = (at for (_, *sender), at in newest.items() if sender == [srcSystem, srcComponent])
+        newest[stream] = max(self.signing.timestamp - OLDEST_TICKS - 1, *of_the_same, 0)
         is_signed = bool(super().check_signature(msgbuf, srcSystem, srcComponent))
         if not is_signed and before is None:
             newest.pop(stream, None)

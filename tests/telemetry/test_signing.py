@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError
 from edge.journal.records import FixAnswered
@@ -19,6 +20,7 @@ from edge.telemetry.signing import EPOCH_S, STORED_AHEAD, TICKS_PER_S, Signer, l
 KEY = hashlib.sha256(b"a passphrase").digest()
 OTHER = hashlib.sha256(b"another one").digest()
 NOW_S = 1_800_000_000.0
+YEARS_S = 1e8
 BEAT = encoders.heartbeat(4)
 
 
@@ -204,6 +206,56 @@ def test_what_was_recorded_over_a_minute_ago_begins_no_stream(tmp_path: Path) ->
     recorded = codec(tmp_path, "theirs").encode(BEAT)
     assert not codec(tmp_path, "late", now_s=NOW_S + 61).decode(recorded)
     assert codec(tmp_path, "soon", now_s=NOW_S + 59).decode(recorded)
+
+
+def test_what_another_link_carried_is_not_heard_beside_the_sender(tmp_path: Path) -> None:
+    """The radio of a ground station: the same autopilot and key, but a link of its own."""
+    recorded = MavlinkCodec(1, 1, Signer(KEY, tmp_path / "radio", 1, lambda: NOW_S - 30.0)).encode(BEAT)
+    ours, theirs = codec(tmp_path, "ours"), codec(tmp_path, "theirs")
+    assert ours.decode(theirs.encode(BEAT))
+    assert not ours.decode(recorded)
+    assert ours.decode(theirs.encode(BEAT))
+
+
+def test_a_recording_that_is_played_slowly_is_heard_for_a_minute(tmp_path: Path) -> None:
+    """At half speed, beginning with the newest frame: pymavlink alone follows it for good."""
+    began_s = now_s = NOW_S
+    ours = MavlinkCodec(1, 191, Signer(KEY, tmp_path / "ours", 0, lambda: now_s))
+    theirs = MavlinkCodec(1, 1, Signer(KEY, tmp_path / "theirs", 0, lambda: began_s + (now_s - began_s) / 2))
+    heard_s = []
+    for now_s in range(round(NOW_S), round(NOW_S) + 300):
+        if ours.decode(theirs.encode(BEAT)):
+            heard_s.append(now_s - began_s)
+    assert heard_s == list(range(121))
+
+
+def test_a_recording_of_years_ahead_moves_nothing(tmp_path: Path, open_rig: Callable[..., Any]) -> None:
+    """Of a drive whose GPS had a wrong date. Such frames are followed: an autopilot whose GPS is spoofed would not be
+    heard otherwise, and each boot of ArduPilot adds a minute. But it hears our date in turn, and goes on after them.
+    """
+    (tmp_path / "key").write_bytes(KEY)
+    (tmp_path / "key").chmod(0o600)
+    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    theirs = codec(tmp_path, "theirs", now_s=time.time())
+    rig = open_rig(emit="external_position", gps=False, config=config, codec=theirs)
+    rig.run(6.0)
+    recorded = codec(tmp_path, "future", now_s=time.time() + YEARS_S)
+    recorded.component_id = 1
+    sent = []
+    for second in range(20):
+        boot_ms, lat = 400_000 + 1000 * second, -280_000_000
+        for message in (
+            mavlink.MAVLink_global_position_int_message(boot_ms, lat, 1_530_000_000, 0, 0, 9900, 0, 0, 0),
+            mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, lat, 1_530_000_000, 0, 80, 100, 9900, 0, 12),
+            BEAT,
+        ):
+            rig.wire.send(recorded.encode(message))
+        rig.run(1.0)
+        sent.append(rig.send_position(rig.fix()))
+        assert (rig.position.lat_deg, rig.position.lon_deg) == pytest.approx(rig.true_position(0.0), abs=1e-4)
+    assert stamp_of(rig.connection._port.codec.encode(BEAT)) > (time.time() + YEARS_S / 2 - EPOCH_S) * TICKS_PER_S
+    assert rig.connection.state == "up"
+    assert all(sent)
 
 
 def test_a_computer_without_a_clock_hears_its_peer_and_goes_on_in_its_time(tmp_path: Path) -> None:
