@@ -47,6 +47,7 @@ NotNegative = Annotated[float, Meta(ge=0)]
 Ahead = Annotated[float, Meta(ge=-500, le=500)]
 Left = Annotated[float, Meta(ge=-50, le=50)]
 Share = Annotated[float, Meta(ge=0, le=0.9)]
+FieldOfView = Annotated[float, Meta(ge=30, le=120)]
 NETWORKS = ("grid", "fc6")
 """Names of those that Lookback knows: the first comes with it, the other is a package of its own."""
 FIRST_NETWORK = "grid"
@@ -62,6 +63,7 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("gates", "near_matches", None): None,
     ("gates", "near_sigmas", None): None,
     ("mapping", "recognize", None): None,
+    ("motion", "fov_deg", None): "camera.fov_deg",
     ("telemetry", "emit", "vision_position"): "auto",
     ("telemetry", "sigma_m", None): None,
     ("telemetry", "switch_sources", None): None,
@@ -69,7 +71,7 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("tracking", "matches", None): None,
 }
 """Section, key and value of earlier versions, and what the value is called now; without a value, what the key is called
-now (None: it is gone)."""
+now, with its section where it has moved (None: it is gone)."""
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -87,6 +89,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     flip: Literal["none", "horizontal", "vertical", "both"] = "none"
     crop: tuple[Share, Share, Share, Share] = (0.0, 0.0, 0.0, 0.0)
     mask: FilePath = ""
+    fov_deg: FieldOfView | UnsetType = UNSET
 
     def __post_init__(self) -> None:
         left, top, right, bottom = self.crop
@@ -100,6 +103,12 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
         if any(self.crop):
             words.append("crop " + " ".join(f"{share:g}" for share in self.crop))
         return "; ".join([*words, f"mask {Path(self.mask).name}"] if self.mask else words)
+
+    def known_fov_deg(self, what: str) -> float:
+        """The horizontal field of view. ConfigError where the file does not say it; what: needs it."""
+        if self.fov_deg is UNSET:
+            raise ConfigError(f"[camera] fov_deg: is not set, and {what}: the horizontal field of view, in degrees")
+        return self.fov_deg
 
     @property
     def source(self) -> str:
@@ -386,8 +395,12 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
             notes.append(f"[{section}] {key}: nothing reads this key any more; remove it")
             continue
         old = f'"{value}"' if value else "this key"
-        keys[key if value else now] = now if value else keys.pop(key)
-        notes.append(f'[{section}] {key}: {old} is replaced by "{now}"; the old one is accepted until 0.5')
+        moved_to, _, name = ("", "", now) if value else now.rpartition(".")
+        tables = values.setdefault(moved_to, {}) if moved_to else keys
+        if isinstance(tables, dict):
+            tables[key if value else name] = now if value else keys.pop(key)
+        shown = f"[{moved_to}] {name}" if moved_to else f'"{now}"'
+        notes.append(f"[{section}] {key}: {old} is replaced by {shown}; the old one is accepted until 0.5")
     return values, notes
 
 

@@ -51,7 +51,7 @@ class Map:
 
         model: as of `describe`, but a file of `lookback model import`. spacing_m: between places; of a recording that
         knows no meters every picture is one. view: which way the camera looked (None: as recorded, else front).
-        fov_deg: horizontal, of the pictures, which then have keypoints, see `pose`.
+        fov_deg: horizontal, of the pictures (None: as recorded). Where it is known they have keypoints, see `pose`.
         Raises `Error`.
         """
         checks.number("spacing_m", spacing_m, least=0.01)
@@ -61,6 +61,7 @@ class Map:
             feed = replace(feed, header=msgspec.structs.replace(feed.header, view=view))
         is_metric = driven_m(feed) is not None
         sampling = SamplingConfig(by="distance", spacing_m=spacing_m) if is_metric else SamplingConfig(by="frames")
+        fov_deg = feed.header.fov_deg if fov_deg is None else fov_deg
         key_of = None if fov_deg is None else partial(keypoints_key, fov_deg=fov_deg)
         with contextlib.redirect_stdout(io.StringIO()):
             made_by = network_of(str(model))

@@ -44,7 +44,7 @@ def cable() -> Iterator[PtyLink]:
 
 def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:
     config = {
-        "camera": {"kind": "feed", "device": str(street / "feed")},
+        "camera": {"kind": "feed", "device": str(street / "feed"), "fov_deg": 80.0},
         "motion": {"use": "odometer"},
         "sampling": {"by": "time", "interval_s": PERIOD_MS / 1000},
         "map": {"path": str(street / "map")},

@@ -255,7 +255,8 @@ def test_a_vehicle_loads_what_its_config_names_and_no_more(tmp_path: Path) -> No
     assert {"edge.camera.v4l2", "edge.telemetry.autopilot", "edge.recognizer"} <= set(lines)
     assert not [name for name in lines if name.startswith("edge_plugins.") and name.count(".") > 1]
     assert sum(lines.values()) < REPORT_LINES_MOST
-    config.write_text(f'{least}[motion]\nuse = "report"\n[page]\nport = 0\n', encoding="utf-8")
+    of_camera = least.replace("[map]", "fov_deg = 80.0\n[map]")
+    config.write_text(f'{of_camera}[motion]\nuse = "report"\n[page]\nport = 0\n', encoding="utf-8")
     assert {name for name in lines_loaded(config) if name.endswith(".plugin")} == {
         "edge.plugin",
         "edge_plugins.motion.plugin",

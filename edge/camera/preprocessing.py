@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 
 from edge.camera.frame import Camera
@@ -120,12 +121,18 @@ class _PreprocessedImages:
 def preprocessed_feed(feed: Feed, config: CameraConfig) -> Feed:
     """The feed with processed images; the feed itself if it was recorded so, or if nothing is configured.
 
-    Raises ConfigError if the mask cannot be used.
+    Its field of view is that of [camera], or as recorded, which a crop makes unknown. Raises ConfigError if the mask
+    cannot be used.
     """
+    fov_deg = feed.header.fov_deg if config.fov_deg is UNSET else config.fov_deg
     if feed.header.preprocessing or not config.preprocessing:
-        return feed
+        if fov_deg == feed.header.fov_deg:
+            return feed
+        return replace(feed, header=msgspec.structs.replace(feed.header, fov_deg=fov_deg))
+    if config.fov_deg is UNSET and any(config.crop):
+        fov_deg = None
     preprocessor = Preprocessor(config)
     width, height = preprocessor.size(feed.header.width, feed.header.height)
     changes = {"width": width, "height": height, "video": "", "preprocessing": config.preprocessing}
-    header = msgspec.structs.replace(feed.header, **changes)
+    header = msgspec.structs.replace(feed.header, fov_deg=fov_deg, **changes)
     return replace(feed, header=header, pictures=lambda: _PreprocessedImages(FeedImages(feed), preprocessor))

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from edge.config import FieldOfView
 from edge.errors import FeedError, LookbackError
 from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.toml_file import Line, read_text, read_toml
@@ -28,6 +29,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     odometer: whether distance_m and heading_deg were measured, and not computed from the positions.
     time_sigma_s: one standard deviation of what all stamps have in common against the positions' own times, as of a
     video that was laid over a track: all positions are off by that much travel, to one side. None: not known.
+    fov_deg: horizontal field of view of the images, after the preprocessing. None: not known.
     """
 
     name: Line
@@ -40,6 +42,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     preprocessing: Line = ""
     odometer: bool = False
     time_sigma_s: Annotated[float, msgspec.Meta(ge=0)] | None = None
+    fov_deg: FieldOfView | None = None
 
 
 def read_header(file: Path) -> FeedHeader:

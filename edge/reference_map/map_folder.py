@@ -30,8 +30,10 @@ from edge.reference_map.store import (
     plain_size,
 )
 
+FILES_OF_A_MAP = 2
+"""That stay open, since they are mapped: descriptors and keypoints."""
 OTHER_FILES = 256
-"""Files that the rest of the program may open besides one of each map."""
+"""Files that the rest of the program may open besides."""
 SIGNATURE = f"{HEADER}.sig"
 SIGNATURE_BYTES = 64
 KEEP, RETIRED = "keep", "retired"
@@ -92,9 +94,9 @@ def maps_in(path: Path) -> list[Path]:
 
 
 def _allow_open_files(path: Path, maps: int) -> None:
-    """Each map is one open file for as long as the program runs. MapError if that is not allowed."""
+    """Each map is FILES_OF_A_MAP open files for as long as the program runs. MapError if that is not allowed."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    needed = maps + OTHER_FILES
+    needed = FILES_OF_A_MAP * maps + OTHER_FILES
     if soft == resource.RLIM_INFINITY or needed <= soft:
         return
     if hard != resource.RLIM_INFINITY and needed > hard:

@@ -29,7 +29,7 @@ from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
-from edge.reference_map.store import DESCRIPTORS, PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
+from edge.reference_map.store import PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
 
 SAMPLED_MAPS = 16
 CUT = "cut off while it is in use; copy the map again"
@@ -189,9 +189,9 @@ class MapSet:
         encoded: dict[int, NDArray[np.int8]] = {}  # tiles of one map have one projection
         costs = []
         for index, pieces in groupby(self.index.by_map(ranges), key=lambda piece: piece[0]):
-            matcher = self.matchers[index]
-            if _is_cut(self.maps[index]):
-                raise MapError(f"{self.maps[index].path / DESCRIPTORS}: {CUT}")
+            matcher, cut = self.matchers[index], _cut_off(self.maps[index])
+            if cut is not None:
+                raise MapError(f"{cut}: {CUT}")
             alike = id(matcher.projection)
             if alike not in encoded:
                 encoded[alike] = matcher.encoded(query)
@@ -254,7 +254,8 @@ class MapSet:
     @property
     def cut(self) -> dict[Path, str]:
         """The folders of maps that were cut off, and so cannot be searched any more."""
-        return {one.path: f"{one.path / DESCRIPTORS}: {CUT}" for one in self.maps if _is_cut(one)}
+        found = ((one.path, _cut_off(one)) for one in self.maps)
+        return {path: f"{file}: {CUT}" for path, file in found if file is not None}
 
     def without(self, damaged: Mapping[Path, str]) -> MapSet:
         """A new set without the maps in some folders, each with the reason. MapError for the only one, or the last."""
@@ -277,10 +278,13 @@ class MapSet:
         return tile.origin if tile else first_known(one.places["lat_deg"], one.places["lon_deg"])
 
 
-def _is_cut(one: ReferenceMap) -> bool:
-    """Whether the descriptors' file has become shorter: to read beyond its end kills the process."""
-    pages: mmap.mmap | None = getattr(one.descriptors, "_mmap", None)
-    return pages is not None and pages.size() < one.descriptors.nbytes
+def _cut_off(one: ReferenceMap) -> Path | None:
+    """A file of a map that has become shorter than what is mapped of it: to read beyond its end kills the process."""
+    for name, array in one.mapped_files.items():
+        pages: mmap.mmap | None = getattr(array, "_mmap", None)
+        if pages is not None and pages.size() < array.nbytes:
+            return one.path / name
+    return None
 
 
 def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str:

@@ -23,7 +23,7 @@ import stat
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -53,7 +53,7 @@ PROJECTION = "projection.f32"
 RAW = "raw.f16"
 KEYPOINTS = "keypoints.bin"
 THUMBNAILS = "thumbnails.jpgs"
-MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION)
+MATCHING_FILES = (DESCRIPTORS, PLACES, STATISTICS, PROJECTION, KEYPOINTS)
 """What recognition reads; the other files are for growing the map and for people."""
 
 MAX_HEADER_BYTES = 16 << 20
@@ -238,11 +238,18 @@ class ReferenceMap:
         key = self.header.keypoints_key
         return None if key is None else mapped(self.path / KEYPOINTS, key, self.header.places)
 
+    @property
+    def mapped_files(self) -> dict[str, NDArray[Any]]:
+        """What is memory-mapped so far, by the names of the files: keypoints only where they were read."""
+        opened = vars(self).get("keypoints")
+        return {DESCRIPTORS: self.descriptors} if opened is None else {DESCRIPTORS: self.descriptors, KEYPOINTS: opened}
+
     def release(self) -> None:
-        """Give back the memory that the descriptors' file takes in this process; what is read again comes anew."""
-        pages: mmap.mmap | None = getattr(self.descriptors, "_mmap", None)
-        if pages is not None:
-            pages.madvise(mmap.MADV_DONTNEED)
+        """Give back the memory that mapped files take in this process; what is read again comes anew."""
+        for array in self.mapped_files.values():
+            pages: mmap.mmap | None = getattr(array, "_mmap", None)
+            if pages is not None:
+                pages.madvise(mmap.MADV_DONTNEED)
 
     def statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) of all raw descriptors. MapError if the file cannot be read."""

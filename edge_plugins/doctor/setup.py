@@ -159,7 +159,9 @@ def check_motion(examined: Examined) -> Iterator[Found]:
     if motion.use == "off":
         return
     camera, height = config.camera, CameraMotion(config).height
-    view = GroundView(motion.fov_deg, camera.width, camera.height, math.radians(motion.pitch_deg))
+    view = GroundView(
+        camera.known_fov_deg("[motion] needs it"), camera.width, camera.height, math.radians(motion.pitch_deg)
+    )
     between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
     words = (
         f"{100 * view.ground_share:.0f} % of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"

@@ -29,7 +29,7 @@ KeyOf = Callable[[int, int], KeypointsKey]
 
 
 def keypoints_key(height: int, width: int, fov_deg: float) -> KeypointsKey:
-    """Of a new map of pictures of this size, by the network that ships. ModelError."""
+    """Of a new map of pictures of this size and horizontal field of view, by the network that ships. ModelError."""
     made = read_model_file(resolve_model(Path(NETWORK))).info
     return KeypointsKey(NETWORK, made.sha256, MOST, width, height, float(fov_deg))
 

@@ -18,9 +18,10 @@ class MotionConfig(Section, frozen=True):
 
     plugin: ClassVar[str] = "edge_plugins.motion.plugin:Motion"
     use: Literal["off", "report", "odometer", "send"] = "off"
-    fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     pitch_deg: Annotated[float, Meta(ge=-20, le=90)] = 0.0
 
     def asks(self, config: Config) -> bool:
         """Where the speed is used."""
+        if self.use != "off":
+            config.camera.known_fov_deg("[motion] needs it")
         return self.use != "off"

@@ -76,12 +76,12 @@ class CameraMotion:
         turned_rad: by how much the vehicle has turned between two moments (`Vehicle.turned_rad`).
         """
         motion, camera, journal = config.of(MotionConfig), config.camera, config.telemetry.journal
-        self._config = motion
+        self._config, self._fov_deg = motion, camera.known_fov_deg("[motion] needs it")
         self._sign = 1.0 if camera.view == "front" else -1.0
         self._record, self._recorded_ns, self._turned_rad = record, 0, turned_rad
         path = Path(journal).with_suffix(".height") if journal else None
         key, pitch_rad = (
-            f"{camera.source} {camera.view} {camera.preprocessing} {motion}",
+            f"{camera.source} {camera.view} {camera.preprocessing} {self._fov_deg:g} {motion}",
             math.radians(motion.pitch_deg),
         )
         self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence_frames, path)
@@ -109,7 +109,7 @@ class CameraMotion:
             return None
         if self._view is None:
             size, pitch_rad = image.shape[1::-1], math.radians(self._config.pitch_deg)
-            self._view = GroundView(self._config.fov_deg, size[0], size[1], pitch_rad)
+            self._view = GroundView(self._fov_deg, size[0], size[1], pitch_rad)
         now = self._seen = self._view.contrast(image), stamp_ns
         self.speed = None
         if before is None or not 0 < stamp_ns - before[1] <= LONGEST_NS:

@@ -17,6 +17,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from msgspec import UNSET
+
 from edge.config import CameraConfig
 from edge.errors import FeedError, reason
 from edge.feed.format import FeedHeader, FeedRow
@@ -127,6 +129,7 @@ def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") 
     processed = camera.preprocessing
     about = path.name, camera.view, width, height, camera.source, notes
     # While GPS works, the autopilot's velocity and with it distance_m are GPS's own: they do not vouch for positions.
-    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, time_sigma_s=0.0))
+    fov_deg = None if camera.fov_deg is UNSET else camera.fov_deg
+    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, time_sigma_s=0.0, fov_deg=fov_deg))
     log.info("recording: %s", path)
     return writer

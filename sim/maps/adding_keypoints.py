@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.config import Config, load_config
+from edge.config import CameraConfig, Config, checked_option, load_config
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.files import AtomicFolder
@@ -24,49 +25,57 @@ from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.store import HEADER, KEYPOINTS, encode_header
 from edge_plugins.mapping.keypoint_rows import KeypointRows, keypoints_key
 
-FOV_DEG = 80.0
-FOV_LIMITS_DEG = 30.0, 120.0
+WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-deg"
 
 
 def add_fov_option(parser: argparse.ArgumentParser) -> None:
     """Of the pictures."""
-    about = f"horizontal field of view of the pictures in degrees (default {FOV_DEG:g}), which keypoints need"
-    parser.add_argument("--fov-deg", type=fov_deg, default=FOV_DEG, metavar="DEG", help=about)
+    about = "horizontal field of view of the pictures in degrees, where neither a config nor the recording says it"
+    parser.add_argument("--fov-deg", type=float, metavar="DEG", help=f"{about}; keypoints need it")
 
 
-def fov_deg(text: str) -> float:
-    """A field of view. ConfigError if it is none."""
-    least, most = FOV_LIMITS_DEG
-    try:
-        found = float(text)
-    except ValueError:
-        found = np.nan
-    if not least <= found <= most:
-        raise ConfigError(f"--fov-deg: {text} is not a number of degrees from {least:g} to {most:g}")
-    return found
+def camera_from(args: argparse.Namespace, camera: CameraConfig) -> CameraConfig:
+    """[camera] with the field of view of the option. ConfigError where both say it, or it is out of range."""
+    if args.fov_deg is None:
+        return camera
+    if camera.fov_deg is not UNSET:
+        raise ConfigError(f"--fov-deg: {args.config} has [camera] fov_deg = {camera.fov_deg:g}; remove one of the two")
+    return checked_option(camera, "--fov-deg", fov_deg=args.fov_deg)
+
+
+def fov_of(feeds: Sequence[Feed]) -> float | None:
+    """The field of view that all recordings have; None if it is not known. MapError for several."""
+    found = {feed.header.fov_deg for feed in feeds}
+    if len(found) > 1:
+        spelled = ", ".join(f"{feed.path}: {feed.header.fov_deg or 'not known'}" for feed in feeds)
+        raise MapError(f"a map with keypoints has one field of view; build several maps, or use {WHERE} ({spelled})")
+    return found.pop() if found else None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback map keypoints`."""
     parser.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
     parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="the recordings that it was made of")
-    parser.add_argument("--config", type=Path, help="read flip, crop and mask of [camera] from this file")
+    parser.add_argument("--config", type=Path, help="read fov_deg, flip, crop and mask of [camera] from this file")
     add_fov_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """The command."""
-    camera = (load_config(args.config) if args.config else Config()).camera
+    camera = camera_from(args, (load_config(args.config) if args.config else Config()).camera)
     feeds = [preprocessed_feed(read_feed(path), camera) for path in args.feeds]
-    key = add_keypoints(open_map(args.map, every_file=True), feeds, args.fov_deg)
+    fov_deg = fov_of(feeds)
+    if fov_deg is None:
+        raise ConfigError(f"{args.map}: keypoints need the field of view of the pictures; {WHERE}")
+    key = add_keypoints(open_map(args.map, every_file=True), feeds, fov_deg)
     print(
         f"{args.map}: {key.most} keypoints of each place, {key.place_bytes / 1e3:.1f} kB, for {key.fov_deg:g} degrees"
     )
     return 0
 
 
-def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov: float) -> KeypointsKey:
+def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov_deg: float) -> KeypointsKey:
     """Write the map anew with keypoints of all places, in place of those that it has. MapError.
 
     feeds: all that its drives were made of, by their names.
@@ -80,7 +89,7 @@ def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov: float) ->
         for name in header.files.keys() - {KEYPOINTS}:
             shutil.copyfile(path / name, new.path / name)
         rows, extract = (
-            KeypointRows(new.path / KEYPOINTS, partial(keypoints_key, fov_deg=fov)),
+            KeypointRows(new.path / KEYPOINTS, partial(keypoints_key, fov_deg=fov_deg)),
             KeypointNetwork().extract,
         )
         for segment in header.segments:

@@ -25,7 +25,7 @@ from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
 from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
-from sim.maps.adding_keypoints import add_fov_option
+from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, fov_of
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.shrinking import shrink_to
 from sim.traverse import driven_m
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
     build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
     build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
-    about = "read [descriptor] and [sampling] from this file, and flip, crop and mask of [camera]"
+    about = "read [descriptor] and [sampling] from this file, and fov_deg, flip, crop and mask of [camera]"
     build.add_argument("--config", type=Path, help=about)
     build.add_argument("--regions", choices=("left-right", "whole"), help="parts of it (default left-right)")
     add_spacing_options(build)
@@ -166,19 +166,19 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         raise ConfigError(
             "--video is for one log; with several, name each video like its log (a.tlog, a.mp4) and omit --video"
         )
-    feeds = [preprocessed_feed(read_feed(path, feed_options(args)), config.camera) for path in args.feeds]
+    camera = camera_from(args, config.camera)
+    feeds = [preprocessed_feed(read_feed(path, feed_options(args)), camera) for path in args.feeds]
     is_metric = args.spacing_m is not None
     if sampling.by == "distance" and not is_metric:
         every = f"no distances or positions in it, so there is a place every {sampling.interval_s:g} s"
         for feed in feeds:
             if driven_m(feed) is None:
                 print(f"{feed.path}: {every}")
-    describe = None
+    keypoints, describe = None if args.no_keypoints else _new_key(args.output, feeds), None
     if args.cluster:
-        settings = msgspec.structs.replace(config, descriptor=descriptor)
-        work = Work(settings, feed_options(args), sampling, is_metric, not args.no_keypoints)
+        settings = msgspec.structs.replace(config, descriptor=descriptor, camera=camera)
+        work = Work(settings, feed_options(args), sampling, is_metric, keypoints is not None)
         describe = partial(add_by_cluster, paths=args.feeds, work=work, address=args.cluster)
-    keypoints = None if args.no_keypoints else partial(keypoints_key, fov_deg=args.fov_deg)
     options = {"must_have_distance": is_metric, "dimensions": args.dimensions, "replace": args.replace}
     made_by = args.output, descriptor, sampling
     header = build_map(feeds, *made_by, **options, network=network, keypoints=keypoints, describe=describe)
@@ -186,11 +186,26 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     return 0
 
 
-def _key_of(old: ReferenceMap) -> KeyOf | None:
-    """Of further places of a map with keypoints. MapError where another network made those."""
+def _new_key(output: Path, feeds: list[Feed]) -> KeyOf | None:
+    """Of a new map; None where the field of view is not known, which is said. MapError where there are several."""
+    fov_deg = fov_of(feeds)
+    if fov_deg is None:
+        print(f"{output}: without keypoints, since the field of view of the pictures is not known; {WHERE}")
+        return None
+    return partial(keypoints_key, fov_deg=fov_deg)
+
+
+def _key_of(old: ReferenceMap, feeds: list[Feed]) -> KeyOf | None:
+    """Of further places of a map with keypoints. MapError where another network made those, or by another camera."""
     had = old.header.keypoints_key
     if had is None:
         return None
+    for feed in feeds:
+        if feed.header.fov_deg is None:
+            print(f"{feed.path}: its field of view is not known, and taken to be the map's, {had.fov_deg:g} degrees")
+        elif feed.header.fov_deg != had.fov_deg:
+            seen = f"{feed.header.fov_deg:g} degrees wide, the map's {had.fov_deg:g}"
+            raise MapError(f"{feed.path}: its pictures are {seen}; build a map of its own in the same folder")
     if keypoints_key(had.height, had.width, had.fov_deg).sha256 != had.sha256:
         raise MapError(f"{old.path}: its keypoints are of another network {had.network}; build the map again")
     return lambda height, width: had
@@ -207,7 +222,7 @@ def _extend(args: argparse.Namespace) -> int:
         raise MapError(f"{args.map}: made with another model, so nothing can be added; name the map's with --model")
     shrink = shrink_to(header.dimensions, key.dimensions)
     of_map = key, header.regions, header.sampling
-    with MapBuilder(args.map, *of_map, shrink=shrink, replace=True, keypoints=_key_of(old)) as builder:
+    with MapBuilder(args.map, *of_map, shrink=shrink, replace=True, keypoints=_key_of(old, feeds)) as builder:
         add_map(builder, old)
         for feed in feeds:
             add_feed(builder, feed, network, header.regions, header.sampling)

@@ -57,6 +57,7 @@ def record_drive(
         notes=f"route_m: meters along the route of {scenario.length_m:g} m; heading_deg: of the vehicle",
         time_sigma_s=0.0,
         odometer=True,
+        fov_deg=scenario.fov_deg,
     )
     # The feed first: a folder that cannot be written to is known before the world is built.
     stamps_ns = [(scenario.epoch_ns or 0) + round(time_s * 1e9) for time_s in times_s]

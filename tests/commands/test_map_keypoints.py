@@ -27,7 +27,42 @@ def test_keypoints_are_built_by_default_and_added_later_to_the_same_bytes(
     before = (built / KEYPOINTS).read_bytes()
     assert main(["map", "extend", str(built), str(again)]) == 0
     assert (built / KEYPOINTS).read_bytes()[: len(before)] == before
-    assert main(["map", "keypoints", str(built), str(out)]) == 78
+    assert main(["map", "keypoints", str(built), str(out), "--fov-deg", "70"]) == 78
     assert "built: its drive again is of none of these recordings; name all" in capsys.readouterr().err
     assert main(["map", "keypoints", str(added), str(out), "--fov-deg", "130"]) == 78
-    assert "--fov-deg: 130 is not a number of degrees from 30 to 120" in capsys.readouterr().err
+    assert "--fov-deg: expected `float` <= 120" in capsys.readouterr().err
+
+
+def test_the_field_of_view_is_that_of_the_config_the_recording_or_the_option(
+    write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (config := tmp_path / "lookback.toml").write_text("[camera]\nfov_deg = 60.0\n", encoding="utf-8")
+    feed, recorded = write_traverse(tmp_path / "feed", range(4)), write_traverse(tmp_path / "recorded", range(4))
+    header = recorded / "feed.toml"
+    header.write_text(f"{header.read_text(encoding='utf-8')}fov_deg = 70.0\n", encoding="utf-8")
+
+    def built(name: str, *options: str) -> float | None:
+        assert main(["map", "build", *options, "-o", str(tmp_path / name)]) == 0
+        key = open_map(tmp_path / name).header.keypoints_key
+        return None if key is None else key.fov_deg
+
+    assert built("none", str(feed)) is None
+    assert (
+        "none: without keypoints, since the field of view of the pictures is not known; set" in capsys.readouterr().out
+    )
+    assert built("config", str(feed), "--config", str(config)) == 60
+    assert built("recording", str(recorded)) == 70
+    assert built("both", str(recorded), "--config", str(config)) == 60
+    assert built("option", str(feed), str(recorded), "--fov-deg", "50") == 50
+    for options, why in (
+        ([str(feed), "--config", str(config), "--fov-deg", "50"], "has [camera] fov_deg = 60; remove one of the two"),
+        ([str(feed), str(recorded)], "a map with keypoints has one field of view; build several maps"),
+    ):
+        assert main(["map", "build", *options, "-o", str(tmp_path / "wrong")]) == 78
+        assert why in capsys.readouterr().err
+    assert main(["map", "keypoints", str(tmp_path / "none"), str(feed)]) == 78
+    assert "none: keypoints need the field of view of the pictures; set [camera] fov_deg" in capsys.readouterr().err
+    assert main(["map", "extend", str(tmp_path / "config"), str(recorded)]) == 78
+    assert "recorded: its pictures are 70 degrees wide, the map's 60" in capsys.readouterr().err
+    assert main(["map", "extend", str(tmp_path / "config"), str(feed)]) == 0
+    assert "its field of view is not known, and taken to be the map's, 60 degrees" in capsys.readouterr().out

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -12,8 +14,9 @@ import pytest
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
-from edge.keypoints import Keypoints
-from edge.reference_map import ReferenceMap, open_map
+from edge.keypoints import Camera, Keypoints
+from edge.keypoints.pose import look as pose_by
+from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of, record_of
 from edge.reference_map.store import HEADER, KEYPOINTS, ModelKey, RegionsKey, open_unverified
@@ -89,11 +92,37 @@ def test_a_damaged_file_and_one_of_another_size_have_a_line_that_names_it(tmp_pa
     data = bytearray(file.read_bytes())
     data[1000] ^= 1
     file.write_bytes(data)
-    with pytest.raises(MapError, match=r"keypoints.bin: damaged \(checksum mismatch\); build or copy the map again$"):
-        open_map(file.parent, every_file=True)
+    damaged = r"keypoints.bin: damaged \(checksum mismatch\); build or copy the map again$"
+    with pytest.raises(MapError, match=damaged):
+        open_map(file.parent)
+    schedule = MapSet.of(open_unverified(file.parent)).checksum_schedule()
+    (why,) = next(filter(None, (schedule.step(1 << 20) for _ in range(20)))).values()
+    assert re.search(damaged, why)
     file.write_bytes(data[:-1])
     with pytest.raises(MapError, match=r"keypoints.bin: \d+ bytes where the header says \d+; build or copy it again$"):
         open_unverified(file.parent)
+
+
+def test_keypoints_that_are_cut_off_while_in_use_are_read_no_more(tmp_path: Path) -> None:
+    maps = MapSet.of(build(tmp_path / "map", places=20))
+    query = np.ones((1, 2, 16), np.float32)
+    assert maps.maps[0].keypoints is not None
+    assert maps.costs(query, [(0, 20)]).shape[2] == 20
+    os.truncate(tmp_path / "map" / KEYPOINTS, 0)
+    with pytest.raises(MapError, match=r"map/keypoints.bin: cut off while it is in use; copy the map again"):
+        maps.costs(query, [(0, 20)])
+    assert list(maps.cut) == [tmp_path / "map"]
+
+
+def test_a_camera_with_another_field_of_view_can_look_at_a_map(tmp_path: Path) -> None:
+    made, wide = build(tmp_path / "map", places=30), Camera(400, 260, 100.0)
+    assert made.keypoints is not None
+    shown, _ = look(24.0)
+    xy = (CAMERA.directions(shown.xy) * wide.focal_px + wide.middle).astype(np.float32)
+    query = replace(shown, xy=xy, size=(wide.height, wide.width))
+    pose = pose_by(query, keypoints_of(made.keypoints[12], KEY), points_of(made.keypoints[12]), wide)
+    assert pose is not None
+    assert (pose.right_m, pose.ahead_m, pose.turn) == pytest.approx((0, 0, 0), abs=0.02)
 
 
 def test_only_a_map_with_keypoints_is_of_version_5_and_earlier_ones_read_as_before(tmp_path: Path) -> None:

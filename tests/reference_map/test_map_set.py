@@ -271,7 +271,7 @@ def test_very_many_maps_raise_the_limit_of_open_files_or_say_that_it_is_too_low(
     command = f"ulimit -n 300; exec {sys.executable} -m edge map info {tmp_path / 'many'}"
     info = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
     assert info.returncode == 78
-    assert "200 maps need 456 open files, and this process may have 300" in info.stderr
+    assert "200 maps need 656 open files, and this process may have 300" in info.stderr
     assert len(info.stderr.splitlines()) == 1
 
 

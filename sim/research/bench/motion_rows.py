@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config
+from edge.config import CameraConfig, Config
 from edge.descriptor.network import Network
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
@@ -17,6 +17,8 @@ from sim.bench.frames import SIZE_PX
 from sim.bench.timing import race
 from sim.research.bench.rows import Section, Target, against
 
+FOV_DEG = 80.0
+CONFIG = Config(camera=CameraConfig(fov_deg=FOV_DEG), plugins={"motion": MotionConfig(use="report")})
 STEP_M, STEP_NS, HIGH_M, TEXEL_M = 0.7, 100_000_000, 1.4, 0.05
 PICTURES, MOST_MS = 24, 3.0
 ONE, NETWORK = "motion of one picture, 640x480", "network int8, batch 2"
@@ -26,7 +28,7 @@ def road(at_m: float) -> NDArray[np.uint8]:
     """A level road of random gray, (H, W, 3) BGR, as seen after `at_m`."""
     width, high = SIZE_PX
     texture = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 255, (800, 400), np.uint8), (0, 0), 1.0)
-    focal_px = width / 2 / math.tan(math.radians(MotionConfig().fov_deg) / 2)
+    focal_px = width / 2 / math.tan(math.radians(FOV_DEG) / 2)
     camera = np.array([[focal_px, 0, width / 2], [0, focal_px, high / 2], [0, 0, 1]])
     ground = np.array([[1, 0, 0], [0, 0, HIGH_M], [0, 1, 0]])
     meters = np.array([[TEXEL_M, 0, -10], [0, TEXEL_M, -at_m], [0, 0, 1]])
@@ -37,7 +39,7 @@ def road(at_m: float) -> NDArray[np.uint8]:
 
 def measure(rounds: int) -> Section:
     """A section of one row."""
-    motion, number = CameraMotion(Config(plugins={"motion": MotionConfig(use="report")})), count(1)
+    motion, number = CameraMotion(CONFIG), count(1)
     pictures = [road(STEP_M * step) for step in range(PICTURES)]
     network = Network.load()
     batch = np.zeros((2, *network.size, 3), np.uint8)

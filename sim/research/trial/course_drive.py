@@ -31,6 +31,7 @@ from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
 from sim.vehicle.gps import NO_FIX, GpsReport
+from sim.world.scenario import Scenario
 from sim.world.sensor import CAMERA_HIGH_M
 
 COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each direction, and as they say
@@ -175,7 +176,7 @@ class CourseDrive(Drive):
         replace = msgspec.structs.replace
         return replace(
             config,
-            camera=replace(config.camera, kind="stream") if draft.late_s else config.camera,
+            camera=replace(config.camera, kind="stream" if draft.late_s else "sim", fov_deg=Scenario().fov_deg),
             gates=GatesConfig(doubted_gps=draft.doubted_gps),
             telemetry=replace(config.telemetry, emit=draft.emit, origin=origin),
             plugins={**config.plugins, "motion": MotionConfig(use=draft.motion)}

@@ -74,7 +74,7 @@ def street(make_street: Callable[..., Path]) -> Path:
 def write_config(street: Path, tmp_path: Path) -> Callable[..., Path]:
     def write(**sections: dict[str, Any]) -> Path:
         config: dict[str, dict[str, Any]] = {
-            "camera": {"kind": "feed", "device": str(street / "feed")},
+            "camera": {"kind": "feed", "device": str(street / "feed"), "fov_deg": 80.0},
             "map": {"path": str(street / "map")},
             "telemetry": {"connection": f"serial:{tmp_path}/none:57600", "journal": str(tmp_path / "events.jsonl")},
         }

@@ -26,7 +26,7 @@ REAR = np.kron(np.random.default_rng(8).integers(0, 2, (24, 20)), np.ones((10, 1
 
 def config(folder: Path | None = None, view: str = "front") -> Config:
     journal = str(folder / "events.jsonl") if folder else ""
-    camera = msgspec.convert({"view": view}, CameraConfig)
+    camera = msgspec.convert({"view": view, "fov_deg": FOV_DEG}, CameraConfig)
     return Config(
         camera=camera, telemetry=TelemetryConfig(journal=journal), plugins={"motion": MotionConfig(use="report")}
     )

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import Config
 from edge.errors import LookbackError
 from edge.reference_map.map_folder import open_map_set
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, open_map
-from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
@@ -125,7 +123,7 @@ def test_a_daemon_that_does_not_start_says_why(tmp_path: Path) -> None:
 
 
 def test_the_motion_that_is_timed_is_measured() -> None:
-    motion = CameraMotion(Config(plugins={"motion": MotionConfig(use="report")}))
+    motion = CameraMotion(motion_rows.CONFIG)
     for at in range(4):
         motion.follow(motion_rows.road(motion_rows.STEP_M * at), (1 + at) * motion_rows.STEP_NS, None)
     assert motion.why == "the height of the camera is not learned yet", "and else it would be known"
