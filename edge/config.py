@@ -35,7 +35,7 @@ START_TOML = Path(__file__).with_name("start.toml")
 GROUP = "lookback.plugins"
 SHIPPED = {
     name: EntryPoint(name, f"edge_plugins.{name}:{name.title()}Config", GROUP)
-    for name in ("motion", "mapping", "recording", "home", "ros2", "page")
+    for name in ("motion", "mapping", "recording", "home", "ros2", "nmea", "page")
 }
 """The sections of the plug-ins that come with Lookback, in the order in which those are opened and called. Names only:
 edge imports nothing of them."""

@@ -7,6 +7,7 @@
     recording/  [recording], and `lookback record`
     home/       [home]: a drive of the map reversed into a mission, on request
     ros2/       [ros2]: places, positions and state by DDS; odometry from there
+    nmea/       [nmea]: positions as NMEA 0183 for phones, plotters and gpsd
     page/       [page]: the live page, and metrics for Prometheus
     doctor/     `lookback doctor`: what is wrong with config, devices and the vehicle
 

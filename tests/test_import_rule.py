@@ -28,7 +28,7 @@ STAGES = (
 
 Feeds come first, since one of the cameras plays a feed.
 """
-PLUGINS = ("cameras", "motion", "layers", "mapping", "recording", "home", "ros2", "page", "doctor")
+PLUGINS = ("cameras", "motion", "layers", "mapping", "recording", "home", "ros2", "nmea", "page", "doctor")
 """A plug-in may import itself, those before it and all of edge."""
 SHARED_TOOLS = (
     "errors",

@@ -33,6 +33,7 @@ class Rule(NamedTuple):
 
 GPS_HEALTHY = "GPS is healthy"
 NO_PLACES = "the places do not agree yet"
+STANDING = "standing"
 TOO_FAR = "impossibly far"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
@@ -95,7 +96,7 @@ RULES = (
         lambda now: now.own.speed_mps is None or not math.isfinite(now.own.speed_mps),
     ),
     Rule(
-        "standing",
+        STANDING,
         "slower than `min_speed_mps`",
         "one error is sent again and again, and the filter believes it more each time",
         "test_situations_in_which_nothing_is_published",

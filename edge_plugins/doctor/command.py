@@ -55,6 +55,7 @@ CHECKS = (
     Check("way home", ("maps",), setup.check_way_home),
     Check("mapping", ("config",), computer.check_mapping),
     Check("ROS 2", ("config",), setup.check_ros2, "or set [ros2] domain = -1"),
+    Check("NMEA", ("config", "devices"), computer.check_nmea),
     Check("link", ("config",), setup.check_links, "correct [telemetry]"),
     Check("camera", ("config", "devices"), computer.check_camera),
     Check("disk", ("config", "devices"), computer.check_disk),

@@ -30,6 +30,8 @@ from edge.files import HOME_FOLDERS
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 from edge_plugins.layers.stored import CLOCK_SET_UNIX_S
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.nmea import NmeaConfig
+from edge_plugins.nmea.outlets import TcpOutlet
 from edge_plugins.page import PageConfig
 
 LEAST_FREE_MB = 500
@@ -149,6 +151,31 @@ def check_page(examined: Examined) -> Iterator[Found]:
         yield note("no live page: its packages are not installed", install_command("page"))
     else:
         yield good(f"http://{page.bind}:{page.port} while `lookback run` runs")
+
+
+def check_nmea(examined: Examined) -> Iterator[Found]:
+    """Whether positions can be served as NMEA 0183, and who can read them."""
+    nmea = examined.settings.of(NmeaConfig)
+    if nmea.port:
+        words = f"tcp://{nmea.bind}:{nmea.port}"
+        try:
+            TcpOutlet(nmea.bind, nmea.port).close()
+        except OSError as error:
+            yield bad(
+                f"{words}: {os.strerror(error.errno or 0)}",
+                "stop what has that port, or name another port or address in [nmea]",
+            )
+            return
+        if nmea.is_local:
+            yield good(f"{words}: positions for phones, plotters and gpsd, on this computer alone")
+        else:
+            yield note(f"{words}: who reaches it reads where the vehicle is", 'bind = "127.0.0.1" and an SSH tunnel')
+    if nmea.pty:
+        folder = Path(nmea.pty).absolute().parent
+        if os.access(folder, os.W_OK):
+            yield good(f"{nmea.pty}: positions for programs that read serial ports")
+        else:
+            yield bad(f"{nmea.pty}: this user may not write there", f"sudo chown {_user()} {folder}, or name another")
 
 
 def check_camera(examined: Examined) -> Iterator[Found]:
