@@ -73,12 +73,14 @@ def states(folder: Path) -> set[str]:
     return {record.state for record in records_of(folder / "events.jsonl", StateChanged)}
 
 
-def test_damage_that_is_found_later_ends_the_program_before_anything_is_published(street: Path, tmp_path: Path) -> None:
+def test_damage_that_is_found_later_ends_the_program_before_anything_is_published(
+    street: Path, tmp_path: Path, play_on: Callable[[Path, Path], Path]
+) -> None:
     shutil.copytree(street / "map", tmp_path / "map")
     data = bytearray((tmp_path / "map" / DESCRIPTORS).read_bytes())
     data[-1] ^= 1
     (tmp_path / "map" / DESCRIPTORS).write_bytes(data)
-    process = start(tmp_path, street / "feed", tmp_path / "map", "udp:127.0.0.1:9")
+    process = start(tmp_path, play_on(street / "feed", tmp_path / "feed"), tmp_path / "map", "udp:127.0.0.1:9")
     said = process.communicate(timeout=120)[1]
     assert process.returncode == 78, said
     assert f"{DESCRIPTORS}: damaged" in said.splitlines()[-1]
