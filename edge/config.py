@@ -195,10 +195,17 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_reverse_swapped_m: NotNegative = 0.0
     sigma_along_m: Positive = 3.0
     sigma_across_m: Positive = 2.5
+    look_ahead_forward_m: Ahead = 0.0
+    look_ahead_reverse_m: Ahead = 0.0
+    look_sigma_m: NotNegative = 0.0
 
     def ahead_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
         """The offset of matches of that kind, in meters in the direction of travel."""
         return float(getattr(self, f"ahead_{direction}_{order}_m"))
+
+    def look_ahead_m(self, direction: Literal["forward", "reverse"]) -> float:
+        """By how much more this camera is ahead of its antenna than the map's was of its own, in this vehicle's way."""
+        return self.look_ahead_reverse_m if direction == "reverse" else self.look_ahead_forward_m
 
     def left_m(self, direction: Literal["forward", "reverse"]) -> float:
         """Meters to the left of the map's drive, in the direction of travel."""

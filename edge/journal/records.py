@@ -140,6 +140,9 @@ class PlaceFix(Record, frozen=True, tag="place"):
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
     by_lane: Annotated[bool, unit("", "whether nothing but the lane says where across the route it is")] = False
+    points: Annotated[
+        int | UnsetType, unit("", "keypoints that agree where the camera was; absent where no single picture says that")
+    ] = UNSET
 
     @property
     def sigma_m(self) -> float:
@@ -188,6 +191,7 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
         float | None, unit("m", "protection level along the route, null where nothing bounds the position")
     ] = None
     level_across_m: Annotated[float | None, unit("m", "protection level across the route")] = None
+    points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
 
 
 class FixAnswered(Record, frozen=True, tag="fix_answered"):

@@ -5,8 +5,9 @@
                that change within CORRELATION_M, of lines of both regions together, and of those of the left and of
                the right one alone, where they stand out clearly
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity, and that share
-    correction along the road by the line of a match, or along and across it by the lines of its two regions; without
-               those, the position across is never less certain than the road is wide, see `keep_on_road`
+    correction along and across the road by one look; or along it by the line of a match, or along and across it by the
+               lines of its two regions; without those, the position across is never less certain than the road is
+               wide, see `keep_on_road`
 
 A displacement is (4,): meters east and north, and what is doubtful of them, see `Displacement`. All but
 position and share are first-order Gauss-Markov processes over the distance. The last three are what makes matches
@@ -22,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.localization.look import SHARED_M, STANDS_M, Look
 from edge.localization.region_lines import SIDES, Passed, RegionLine, RegionLines, Vector
 
 CORRELATION_M = 60.0
@@ -55,6 +57,8 @@ AGREE_SIGMAS = 3.0
 """Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
 UNKNOWN_M = 100.0
 """Standard deviation of a position along the road that nothing bounds: more than a line of 40 frames is long."""
+MAP_M = 200.0
+"""Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 
@@ -117,6 +121,8 @@ class RouteEstimate:
         self.covariance[:2, :2] = covariance
         self.since_regions_m = np.inf
         """Driven since the last correction by regions."""
+        self.since_looks_m = np.inf
+        """Driven since the last correction by a look at this drive of the map."""
 
     @classmethod
     def on_road(cls, passed: Passed, road_sigma_m: float, errors: VelocityErrors) -> RouteEstimate:
@@ -131,6 +137,7 @@ class RouteEstimate:
         """An estimate of its own."""
         other = object.__new__(RouteEstimate)
         other._variances, other.since_regions_m = self._variances.copy(), self.since_regions_m
+        other.since_looks_m = self.since_looks_m
         other._is_doubtful = self._is_doubtful
         other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
         return other
@@ -169,6 +176,7 @@ class RouteEstimate:
         """Move on by a displacement (4,)."""
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_regions_m += driven_m
+        self.since_looks_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(displacement_m[2:].any())
         if self._is_doubtful and not was_doubtful:
             self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
@@ -185,6 +193,7 @@ class RouteEstimate:
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
         self._variances[MATCH - 2 :] = match.variances
+        self.since_looks_m = np.inf
         self.mean[MATCH:] = self.covariance[MATCH:, :] = self.covariance[:, MATCH:] = 0.0
         self.covariance[MATCH:, MATCH:] = np.diag(self._variances[MATCH - 2 :])
 
@@ -207,6 +216,37 @@ class RouteEstimate:
         row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
         off_m, _ = self._innovation(passed, passed.along, row, sigma_m)
         self._update(row, off_m, sigma_m**2)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether a look or regions said within CORRELATION_M how far across the road the vehicle is."""
+        return min(self.since_regions_m, self.since_looks_m) < CORRELATION_M
+
+    def at_look(self, map_sigma_m: float) -> NDArray[np.float64]:
+        """Covariance (2, 2) of the position as a look at the map would have it, whose positions wander.
+
+        map_sigma_m: of them, in each direction.
+        """
+        wandered = 2 * map_sigma_m**2 * (1 - math.exp(-self.since_looks_m / MAP_M))
+        return self.covariance[:2, :2] + wandered * np.eye(2)
+
+    def correct_by_look(self, look: Look, map_sigma_m: float) -> None:
+        """Correct the position by what one picture says, which it shares in part with what the last one said."""
+        self.covariance[:2, :2] = self.at_look(map_sigma_m)
+        shared = max(1.0, SHARED_M / max(self.since_looks_m, STANDS_M))
+        self.since_looks_m = 0.0
+        noise = shared * look.covariance
+        gain = self.covariance[:, :2] @ np.linalg.inv(self.covariance[:2, :2] + noise)
+        self.mean = self.mean + gain @ (look.position_m - self.position_m)
+        kept = np.eye(len(self.mean))
+        kept[:, :2] -= gain
+        self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
+
+    def begin_at_look(self, look: Look) -> None:
+        """Be where a look is, whatever was estimated; what is known of the velocity stays."""
+        self.mean[:2], self.since_looks_m = look.position_m, 0.0
+        self.covariance[:2, :] = self.covariance[:, :2] = 0.0
+        self.covariance[:2, :2] = look.covariance
 
     def support(self, lines: RegionLines) -> float:
         """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""

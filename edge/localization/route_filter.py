@@ -1,14 +1,13 @@
 """From matches to a position that follows the vehicle on the ground. Pure: no link, no clock.
 
-A believed match says how far along the map's drive the vehicle is. How far it is beside it, only the lines of its two
-regions say, where [rig] parallax is measured; else the road's width is all that is known. Between matches the vehicle
-moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by how
-much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without it
-correct a position that is known. A match is used only if its line leads the way that the vehicle went, and if it agrees
-with the estimate, whose positions are disputed where several in a row do not. An estimate that is
-lost, since no match agreed with it for [tracking] lost_after_m, goes on by reckoning alone, and the next one begins
-where it is if it agrees with the match. If it does not, the positions of the next one are disputed for a correlation
-length.
+A believed match says how far along the map's drive the vehicle is. How far it is beside it, a look says, or the lines
+of its two regions, where [rig] parallax is measured; else the road's width is all that is known. Between matches the
+vehicle moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by
+how much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without
+it correct a position that is known. A match is used only if its line leads the way that the vehicle went, and if it
+agrees with the estimate, whose positions are disputed where several in a row do not. An estimate that is lost, since no
+match agreed with it for [tracking] lost_after_m, goes on by reckoning alone, and the next one begins where it is if it
+agrees with the match. If it does not, the positions of the next one are disputed for a correlation length.
 """
 
 from __future__ import annotations
@@ -23,9 +22,10 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.look import SAME_PLACE_M, RecentLooks
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import CORRELATION_M, MatchErrors, RouteEstimate, VelocityErrors, left_of
+from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import RecentInnovations, ReckonedTrack, Track
 from edge.reference_map import Route
@@ -53,6 +53,7 @@ class RouteFilter:
     def reset(self) -> None:
         """Begin anew (after a blindness, or where the motion is not known): nothing that was matched so far counts."""
         self._sightings.clear()
+        self._looks = RecentLooks()
         self._at: Displacement | None = None
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
@@ -122,11 +123,11 @@ class RouteFilter:
         if match is None or not match.accepted:
             return
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
+        if match.seen is None and (match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS):
             return
         sighting = self._sightings.of(match, None if track is None else track.estimate, undated_m)
         if sighting is not None:
-            self._use(sighting, stamp_ns)
+            self._use(sighting, _vector(displacement), stamp_ns)
             self._choose_origin()
 
     @property
@@ -175,15 +176,18 @@ class RouteFilter:
                 one.estimate.predict(moved_m)
         self._at = displacement
 
-    def _use(self, sighting: Sighting, stamp_ns: int) -> None:
+    def _use(self, sighting: Sighting, displacement_m: Vector, stamp_ns: int) -> None:
         for one in self._reckoned:
-            one.compare_across(sighting, self._rig.sigma_across_m)
-        track = self._track
+            one.compare_across(sighting, sighting.across_sigma_m(self._rig.sigma_across_m))
+        track, look = self._track, sighting.look
+        outvotes = look is not None and self._looks.add(look, displacement_m, self._config.scale_error_percent / 100)
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
         elif track.agrees(sighting, self._rig.sigma_across_m):
             self._innovations.add(track.innovation(sighting))
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
+        elif look is not None and outvotes and track.away_m(look) <= SAME_PLACE_M:
+            track.begin_at_look(sighting, look, stamp_ns)
         else:
             track.disagreeing += 1
             return
@@ -202,7 +206,10 @@ class RouteFilter:
             self._innovations.add(known.innovation(sighting))
         if tracks:
             track.by_chance = track.agrees_by_chance(sighting) if track is tracks[0] else math.inf
-        track.add(sighting, road_sigma_m, stamp_ns)
+        if known is None and sighting.look is not None:
+            track.begin_at_look(sighting, sighting.look, stamp_ns)
+        else:
+            track.add(sighting, road_sigma_m, stamp_ns)
         return track
 
     def _velocity_errors(self, match: MatchErrors) -> VelocityErrors:
@@ -218,6 +225,7 @@ class RouteFilter:
         self._sightings.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
         for estimate in estimates:
             estimate.mean[:2] -= shift_m
+        self._looks.clear()
 
     def _fix(self, track: Track, estimate: RouteEstimate, stamp_ns: int, since_m: float) -> PlaceFix | None:
         newest, match = track.newest, track.newest.match
@@ -227,7 +235,7 @@ class RouteFilter:
         if found is None or found.heading_deg is None or origin is None:
             return None
         lat_deg, lon_deg = moved(*origin, float(estimate.position_m[0]), float(estimate.position_m[1]))
-        heading_rad = math.radians(found.heading_deg)
+        heading_rad = math.radians(found.heading_deg) + newest.turn_rad
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = self._innovations.factor**2 * estimate.covariance[:2, :2]
         # No number of a drive's own places shows by how much all of them are off.
@@ -243,7 +251,7 @@ class RouteFilter:
             # To a tenth of a millimeter, so that the last digits of a matrix product on this computer do not matter.
             lat_deg=round(lat_deg, 9),
             lon_deg=round(lon_deg, 9),
-            heading_deg=found.heading_deg,
+            heading_deg=found.heading_deg if newest.look is None else round(math.degrees(heading_rad) % 360, 2),
             sigma_along_m=round(math.sqrt(along_var), 2),
             sigma_across_m=round(math.sqrt(float(np.trace(covariance)) - along_var), 2),
             direction=match.direction,
@@ -256,7 +264,8 @@ class RouteFilter:
             confidence=round(match.confidence, 3),
             velocity_error=round(estimate.velocity_error, 4),
             disputed=self._is_disputed,
-            by_lane=estimate.since_regions_m >= CORRELATION_M,
+            by_lane=not estimate.is_measured,
+            points=UNSET if newest.look is None else newest.look.points,
             map=UNSET if match.map is None else match.map,
         )
 

@@ -1,7 +1,8 @@
 """A match on the ground: where the vehicle was when its line passed a place, and how it has moved since.
 
-The middle of a line is best known. Where each of its two regions says by itself where it is (`Parallax`), they say
-better still how far the vehicle is along the map's drive, and how far beside it.
+Where the frame's keypoints say where its camera was (`Seen`), they alone count: a `Look`. Else the middle of a line is
+best known. Where each of its two regions says by itself where it is (`Parallax`), they say better still how far the
+vehicle is along the map's drive, and how far beside it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
+from edge.localization.look import Look, camera_seen
 from edge.localization.place_fix import (
     LineMiddle,
     LineReadings,
@@ -25,7 +27,7 @@ from edge.localization.place_fix import (
 from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, region_line
 from edge.localization.route_estimate import DOUBTFUL, MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Seen
 
 SEES_M = 12.0
 """How far in front of a camera the vehicle is as far beside the map's drive as its parallax says: a vehicle that turns
@@ -65,7 +67,8 @@ class Sighting:
     vehicle now, along the drive. shows_parallax: whether lines of this kind have one that was calibrated: where they
     say nothing, the vehicle may be off its lane. regions: the lines of its two regions; None where the match has none.
     faint: times by which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation
-    along the road by that of the time of exposure.
+    along the road by that of the time of exposure. look: what one picture says, in place of a line; `passed` is then
+    where the vehicle is. turn_rad: of the vehicle against the road, clockwise, where a look says it.
     """
 
     match: PlaceMatch
@@ -82,6 +85,15 @@ class Sighting:
     regions: RegionLines | None
     faint: float
     undated_m: float
+    look: Look | None = None
+    turn_rad: float = 0.0
+
+    def across_sigma_m(self, road_sigma_m: float) -> float:
+        """One standard deviation across the road of where the vehicle is then; road_sigma_m: of a line."""
+        if self.look is None:
+            return road_sigma_m
+        left = left_of(self.passed.along)
+        return math.hypot(math.sqrt(float(left @ self.look.covariance @ left)), self.map_sigma_m)
 
 
 class Sightings:
@@ -93,7 +105,9 @@ class Sightings:
         """Frames of a line."""
         self._readings = LineReadings(self.length)
         self._drift = config.tracking.scale_error_percent / 100
-        self._sees_m = SEES_M if config.camera.view == "front" else -SEES_M
+        self._looks_back = config.camera.view == "rear"
+        self._sees_m = -SEES_M if self._looks_back else SEES_M
+        self._heading_sigma_rad = math.radians(config.tracking.heading_error_deg)
         self.origin: Origin | None = None
         """Of local meters."""
 
@@ -121,6 +135,8 @@ class Sightings:
 
         estimate: of the vehicle now, where there is one. undated_m: see `Sighting`.
         """
+        if match.seen is not None:
+            return self._looked(match, match.seen, undated_m)
         line = line_middle(match, self._route, self.length)
         if line is None or len(self._readings) < self.length:
             return None
@@ -149,6 +165,45 @@ class Sightings:
             regions=self._regions(match, line, estimate, scale_sigma, faint),
             faint=faint,
             undated_m=undated_m,
+        )
+
+    def _looked(self, match: PlaceMatch, seen: Seen, undated_m: float) -> Sighting | None:
+        """What one picture says; None where the map does not know where the row is, or where it heads."""
+        route, drive, rig = self._route, self._route.drive(seen.place_index), self._rig
+        row = route.position(seen.place_index, 0.0)
+        if row is None or row.heading_deg is None:
+            return None
+        row_rad = math.radians(row.heading_deg)
+        looks_rad = row_rad + math.pi * route.looks_back(seen.place_index)
+        position_m, covariance = camera_seen(seen, self.local(row), looks_rad, self._heading_sigma_rad)
+        heading_rad = looks_rad + seen.turn_rad + math.pi * self._looks_back
+        heads = np.array([math.sin(heading_rad), math.cos(heading_rad)])
+        position_m = position_m - rig.look_ahead_m(match.direction) * heads
+        look = Look(position_m, covariance, heading_rad, seen.points)
+        forward_m = float((position_m - self.local(row)) @ np.array([math.sin(row_rad), math.cos(row_rad)]))
+        road = position_on_route(route, seen.place_index, forward_m, match.direction)
+        if road is None or road.heading_deg is None:
+            return None
+        road_rad = math.radians(road.heading_deg)
+        along = np.array([math.sin(road_rad), math.cos(road_rad)])
+        whole_along_m, whole_across_m = drive.whole_sigma_m
+        return Sighting(
+            match=match,
+            segment=drive.segment,
+            recording=drive.recording,
+            checked_m=drive.checked_m,
+            whole_sigma_m=(math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m),
+            passed=Passed(position_m, along, np.zeros(4)),
+            along_m=route.route_m(seen.place_index) + forward_m,
+            sigma_m=math.sqrt(float(along @ covariance @ along)),
+            errors=self._errors(match, drive.whole_sigma_m[0]),
+            map_sigma_m=map_error_m(row),
+            shows_parallax=False,
+            regions=None,
+            faint=1.0,
+            undated_m=undated_m,
+            look=look,
+            turn_rad=math.remainder(heading_rad - road_rad, math.tau),
         )
 
     def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from edge.localization.claims import SPREAD_M, STRETCH_WRONG
+from edge.localization.look import LOOK_CHI2, Look
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, LEAST_SUPPORT, RouteEstimate
 from edge.localization.sighting import Sighting
@@ -59,9 +60,14 @@ class Track:
 
     def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
+        if sighting.look is not None:
+            return self._disagrees(sighting, sighting.look) <= LOOK_CHI2
         # Far beside the road, what its regions show means nothing.
         off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
         return off_m <= AGREE_SIGMAS * sigma_m and self._agrees_along(sighting)
+
+    def _disagrees(self, sighting: Sighting, look: Look) -> float:
+        return look.disagrees(self.estimate.position_m, self.estimate.at_look(sighting.map_sigma_m))
 
     def _agrees_along(self, sighting: Sighting) -> bool:
         if sighting.regions is not None and not self._begins_drive(sighting):
@@ -69,7 +75,12 @@ class Track:
         return abs(self.innovation(sighting)) <= AGREE_SIGMAS
 
     def innovation(self, sighting: Sighting) -> float:
-        """How far along the road a match is from where it is expected, in standard deviations of that."""
+        """How far along the road a match is from where it is expected, in standard deviations of that.
+
+        Of a look, in each direction.
+        """
+        if sighting.look is not None:
+            return math.sqrt(self._disagrees(sighting, sighting.look) / 2)
         off_m, sigma_m = self._expects(sighting)
         return off_m / sigma_m
 
@@ -83,6 +94,10 @@ class Track:
 
     def _expects(self, sighting: Sighting) -> tuple[float, float]:
         """Meters along the road from where a match is expected, and their standard deviation."""
+        if sighting.look is not None:
+            along, off_m = sighting.passed.along, sighting.look.position_m - self.estimate.position_m
+            spread = self.estimate.at_look(sighting.map_sigma_m) + sighting.look.covariance
+            return float(along @ off_m), math.sqrt(float(along @ spread @ along))
         sigma_m = math.hypot(sighting.sigma_m, self._new_drive_m(sighting))
         return self.estimate.innovation(sighting.passed, sigma_m, sighting.faint)
 
@@ -100,6 +115,14 @@ class Track:
         """Correct the estimate by a match; road_sigma_m: one standard deviation of the position across the road."""
         if self._begins_drive(sighting):
             self.estimate.begin_drive(sighting.errors)
+        if sighting.look is not None:
+            self.estimate.correct_by_look(sighting.look, sighting.map_sigma_m)
+            self._added(sighting, stamp_ns)
+            return
+        if self.estimate.since_looks_m < CORRELATION_M:
+            # A line is wrong by meters: it only shows that the vehicle is still there.
+            self._added(replace(sighting, whole_sigma_m=self.newest.whole_sigma_m), stamp_ns)
+            return
         # A vehicle that leaves its lane sees less of what the map shows.
         road_sigma_m *= sighting.faint if sighting.shows_parallax else 1.0
         self.estimate.keep_on_road(sighting.passed, road_sigma_m)
@@ -110,6 +133,20 @@ class Track:
             self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
         if sighting.regions is not None:
             self.estimate.correct_by_regions(sighting.regions)
+        self._added(sighting, stamp_ns)
+
+    def away_m(self, look: Look) -> float:
+        """How far a look is from the estimate."""
+        return float(np.hypot(*(look.position_m - self.estimate.position_m)))
+
+    def begin_at_look(self, sighting: Sighting, look: Look, stamp_ns: int) -> None:
+        """Be where a look is, the first one, or one of those that outvoted the estimate."""
+        if self._begins_drive(sighting):
+            self.estimate.begin_drive(sighting.errors)
+        self.estimate.begin_at_look(look)
+        self._added(sighting, stamp_ns)
+
+    def _added(self, sighting: Sighting, stamp_ns: int) -> None:
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches += 1
         self.confidence = max(self.confidence, sighting.match.confidence)

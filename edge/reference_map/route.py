@@ -104,6 +104,10 @@ class Route:
         """The row of the feed that a place was built from."""
         return int(self._places["row"][place_index])
 
+    def looks_back(self, place_index: int) -> bool:
+        """Whether the camera that a place was seen by looked back along its drive."""
+        return self._index.view(self._index.segment_of(place_index)) == "rear"
+
     def reaches(self, place_index: int, along_m: float) -> bool:
         """Whether the drive of a place goes as far, and begins as early, as `along_m` of its route_m."""
         drive = self.drive(place_index)

@@ -196,6 +196,7 @@ class PositionSender:
                 sent.is_again,
                 fix.map,
                 *level_m(sent.fix.level),
+                fix.points,
             )
         )
 

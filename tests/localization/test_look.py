@@ -1,0 +1,219 @@
+"""Positions by the pose of one look, where the truth is known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec import UNSET
+
+from edge.config import CameraConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
+from edge.geodesy import east_north_of
+from edge.keypoints.drive_points import points_of_drive
+from edge.keypoints.network import KeypointNetwork
+from edge.keypoints.pose import look
+from edge.keypoints.view_geometry import Camera
+from edge.localization.drive_file import PlaceTable
+from edge.localization.sighting import Sightings
+from edge.reference_map import Route
+from edge.reference_map.place_records import PLACE
+from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
+from edge.sequence import PlaceMatch, Seen
+from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
+from sim.research.trial.course_map import place_at
+from sim.world.camera import open_renderer
+from sim.world.scenario import Scenario, View
+from tests.localization.events_of import (
+    LENGTH,
+    Direction,
+    Road,
+    Sees,
+    Vehicle,
+    left_m,
+    match,
+    north_m,
+    nothing,
+    settings,
+)
+from tests.localization.route_course import SPACING_M
+
+LINE_M = LENGTH * SPACING_M
+MEASURED = settings(RigConfig(look_sigma_m=0.01))
+SIGMAS = 0.2, 0.2, math.radians(0.5)
+ROAD = Scenario(seed=9801, length_m=200.0)
+CAMERA = Camera(ROAD.width, ROAD.height, ROAD.fov_deg)
+ROWS_M = np.arange(90.0, 111.0, 2.0)
+ROW = 5
+
+
+def seen(place: int, west_m: float = 0.0, ahead_m: float = 0.0, turn_deg: float = 0.0, **changes: Any) -> Seen:
+    """A camera that looks south as the row's did, so far to its right, which is west, and ahead of it."""
+    fields = {"inliers": 90, "points": 40, "confidence": 0.9, "covariance": np.diag(np.square(SIGMAS))}
+    return Seen(place, right_m=west_m, ahead_m=ahead_m, turn_rad=math.radians(turn_deg), **{**fields, **changes})
+
+
+def looks(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **changes: Any) -> Sees:
+    """Frames that show a vehicle so far beside the drive of the map's rear camera, and a line that ends 4 m off."""
+
+    def sees(at_m: float) -> PlaceMatch | None:
+        place = round(at_m / SPACING_M)
+        return match(place + 2, direction, order="same", seen=seen(place, west_m, **changes))
+
+    return sees
+
+
+def warm(road: Road, config: Config = MEASURED, sees: Sees | None = None, meters: float = 40.0) -> Vehicle:
+    """A vehicle that goes home, to the south."""
+    one = Vehicle(road, config, 300.0, "reverse")
+    one.go(LINE_M, nothing)
+    one.go(meters, sees or looks(road, 1.5))
+    return one
+
+
+@pytest.mark.parametrize(
+    ("mapped", "camera", "reverse", "left_m"),
+    [("front", "front", False, -0.5), ("rear", "front", True, 0.0), ("front", "rear", True, 0.0)],
+)
+def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
+    mapped: View, camera: View, reverse: bool, left_m: float
+) -> None:
+    """The same way and home, in the other lane; turned by 3 degrees."""
+    rows = _Rendered(mapped, "day", ROWS_M)
+    places = np.array([place.record() for place in rows.places()], PLACE)
+    header = MapHeader.begun(ModelKey("none", "0", "tap", 1), RegionsKey.of(DescriptorConfig()), SamplingConfig())
+    header = header.with_segment("drive", mapped, whole_sigma_m=0.0).with_places(len(places))
+    direction: Direction = "reverse" if reverse else "forward"
+    config = Config(camera=CameraConfig(view=camera), rig=RigConfig(look_sigma_m=0.01))
+    sightings = Sightings(Route(PlaceTable(places, (header,))), config)
+
+    vehicle = _Rendered(camera, "dusk", np.array([101.3]), reverse=reverse, left_m=left_m, turned_deg=3.0)
+    truth = vehicle.poses[0]
+    heading = np.radians([pose.heading_deg for pose in rows.poses])
+    looks_back = mapped == "rear"
+    (points,) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
+    pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
+    assert pose is not None
+    found = Seen(ROW, 90, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
+    sighting = sightings.of(match(ROW, direction, order="same", seen=found), None, 0.0)
+
+    assert sighting is not None and sighting.look is not None and sightings.origin is not None
+    origin_m = east_north_of(*sightings.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
+    off_m = sighting.look.position_m + origin_m - [truth.east_m, truth.north_m]
+    assert np.hypot(*off_m) < 0.5
+    turned = math.remainder(sighting.look.heading_rad - math.radians(truth.heading_deg), math.tau)
+    assert abs(math.degrees(turned)) < 1.5
+    assert math.degrees(sighting.turn_rad) == pytest.approx(3.0, abs=1.5)
+
+
+class _Rendered:
+    """Pictures of a road from some arc lengths, and where the vehicle is at each."""
+
+    def __init__(
+        self,
+        view: View,
+        light: Any,
+        route_m: np.ndarray[Any, np.dtype[np.float64]],
+        *,
+        reverse: bool = False,
+        left_m: float = 0.0,
+        turned_deg: float = 0.0,
+    ) -> None:
+        one = Scenario(ROAD.seed, ROAD.length_m, "reverse" if reverse else "forward", light=light, view=view)
+        drive, sign = one.drive(), -1.0 if reverse else 1.0
+        renderer, network = open_renderer(one, drive), KeypointNetwork()
+        at = [drive.route.at(meters, sign * (one.lane_m + left_m)) for meters in route_m.tolist()]
+        turned_deg += 180.0 * reverse
+        self.route_m = route_m
+        self.poses = [Pose(east, north, (math.degrees(rad) + turned_deg) % 360, 0.0, 100.0) for east, north, rad in at]
+        self.keypoints = [network.extract(renderer.render(pose, 1.0)) for pose in self.poses]
+        renderer.close()
+
+    def places(self) -> list[Any]:
+        """Of a map, whose positions are right."""
+        found = []
+        for row, (meters, pose) in enumerate(zip(self.route_m.tolist(), self.poses, strict=True)):
+            at = pose.east_m, pose.north_m, math.radians(pose.heading_deg)
+            found.append(place_at(row, meters, at, np.zeros(2)))
+        return found
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_looks_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(road: Road, direction: Direction) -> None:
+    """Home, and backwards on the way home: the camera looks south either way."""
+    one = Vehicle(road, MEASURED, 200.0, direction)
+    one.go(LINE_M, nothing)
+    one.go(40, looks(road, 1.5, direction))
+    assert one.place is not None
+    assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.05)
+    assert (one.place.points, one.place.heading_deg, one.place.by_lane) == (40, 180.0, False)
+    assert 1.0 <= one.place.sigma_across_m < 1.1, "the map's own error, and little besides"
+
+
+def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> None:
+    one = warm(road, sees=looks(road, turn_deg=4.0))
+    assert one.place is not None and one.place.heading_deg == pytest.approx(184.0)
+
+
+def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_known(road: Road) -> None:
+    measured = warm(road, settings(RigConfig(look_ahead_reverse_m=1.2, look_sigma_m=0.1)))
+    assert north_m(measured.place) == pytest.approx(measured.north_m + 1.2, abs=0.05)
+    unknown = warm(road, settings()).place
+    assert unknown is not None and unknown.sigma_along_m >= 3.0 and unknown.sigma_across_m < 1.1
+
+
+def test_looks_alone_are_enough_where_no_line_is_known(road: Road) -> None:
+    one = Vehicle(road, MEASURED, 100.0, "reverse")
+    one.go(2, lambda at_m: match(round(at_m / 2), "reverse", order="same", has_line=False, seen=seen(round(at_m / 2))))
+    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
+
+
+def test_looks_close_together_share_what_they_say(road: Road) -> None:
+    """Ten of them 2 m apart count as about three, and any number of a vehicle that stands as about one."""
+    loose = settings(RigConfig(look_sigma_m=0.01), scale_error_percent=0.01, heading_error_deg=0.01)
+    sigmas = []
+    for meters, times in ((2, 0), (20, 0), (2, 50)):
+        one = warm(road, loose, looks(road, covariance=np.diag([4.0, 4.0, 1e-4])), meters)
+        for _ in range(times):
+            one.t_ns += 200_000_000
+            one.show(looks(road, covariance=np.diag([4.0, 4.0, 1e-4]))(one.north_m))
+        assert one.place is not None
+        sigmas.append(math.sqrt(one.place.sigma_across_m**2 - 1.0))
+    first, ten, standing = sigmas
+    assert first == pytest.approx(2.0, abs=0.1)
+    assert 0.4 * first < ten < 0.8 * first
+    assert standing > 0.85 * first
+
+
+def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
+    one = warm(road)
+    for _ in range(5):
+        one.go(2, looks(road, -1.0))
+        assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
+        one.go(4, looks(road, 1.5))
+    assert one.place is not None and not one.place.disputed
+
+
+def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -> None:
+    one = warm(road, sees=looks(road, -1.0), meters=2.0)
+    assert left_m(one.place) == pytest.approx(-1.0, abs=0.1)
+    one.go(6, looks(road, 1.5))
+    assert left_m(one.place) == pytest.approx(1.5, abs=0.1)
+
+
+def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> None:
+    """It is lost first, and what follows is disputed."""
+    one = warm(road, meters=80.0)
+    one.go(18, looks(road, 1.5, ahead_m=30.0))
+    assert one.place is not None and one.place.disputed
+    assert north_m(one.place_at()) == pytest.approx(one.north_m, abs=0.1)
+    one.go(4, looks(road, 1.5, ahead_m=30.0))
+    assert one.place is not None and one.place.disputed
+
+
+def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
+    one = warm(road)
+    one.go(30, lambda at_m: road.match(at_m + 4.0, "reverse"))
+    assert one.place is not None and one.place.points is UNSET
+    assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.1)
