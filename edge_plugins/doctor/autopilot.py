@@ -44,6 +44,7 @@ NETWORK = (
     " is running, and that no firewall is between; with signing, both ends need the same key"
 )
 GPS_MODE = "EKF2_GPS_MODE"
+NO_AID_TIMEOUT = "EKF2_NOAID_TOUT"
 MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param"
 WHEEL_PARAMETERS = ("WENC_TYPE", "WENC_POS_Y", "WENC_RADIUS", "WENC_CPR")
 
@@ -103,7 +104,7 @@ def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
     """The names of all parameters that are judged for the configured message on that firmware."""
     if config.emit == "report" or vehicle.session.version is None:
         return set()
-    others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE,)}.get(
+    others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE, NO_AID_TIMEOUT)}.get(
         vehicle.session.autopilot or 0, ()
     )
     names = {one.parameter for one in requirements(config, vehicle)}
@@ -223,6 +224,18 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
                 yield Requirement(name, "wheel encoders give no speed with 0", MEASURED).judge(vehicle)
     if vehicle.session.autopilot == PX4:
         yield from _judge_gps_of_px4(examined, vehicle)
+        if vehicle.session.kind == mavlink.MAV_TYPE_GROUND_ROVER:
+            yield _judge_modes_of_rover(vehicle)
+
+
+def _judge_modes_of_rover(vehicle: Vehicle) -> Found:
+    """In which mode a PX4 rover is once it has lost its position."""
+    if velocity_aid(vehicle, GPS_SET) not in (None, NO_AID):
+        return good("PX4 rover: while its velocity is measured, it stays in Position, and in a mission, without GPS")
+    timeout_us = vehicle.session.parameters.get(NO_AID_TIMEOUT)
+    seconds = "5 s, as shipped" if timeout_us is None else f"{timeout_us / 1e6:g} s"
+    words = f"PX4 rover: {NO_AID_TIMEOUT} ({seconds}) after GPS it leaves Position for Altitude, which rovers lack"
+    return note(f"{words}, and a mission for Descend", "put Stabilized or Manual on a switch, or fit a velocity aid")
 
 
 def _takes_gps_from_px4(examined: Examined, vehicle: Vehicle) -> bool:

@@ -28,6 +28,7 @@ from sim.vehicle.firmware import FIRMWARES, parameters_of
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.mission_store import KINDS, MissionStore
 from sim.vehicle.position_inputs import SET_WITHOUT_GPS, Moment, PositionInputs, Reset, east_north_m
+from sim.vehicle.px4_modes import NO_AID_TIMEOUT, NO_AID_US, FlightMode, custom_mode
 
 __all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
 
@@ -87,6 +88,8 @@ class SimulatedAutopilot:
         1.15."""
         self.base_mode = 0
         """MAV_MODE_FLAG bits of its heartbeats."""
+        self.mode: FlightMode | None = None
+        """The mode that was chosen on a PX4."""
         self.has_script = False
         """Whether firmware_config/lookback_gps.lua runs on it, with LKG_ACTION 1."""
         self._link = link
@@ -181,6 +184,11 @@ class SimulatedAutopilot:
     def _uses_gps(self) -> bool:
         """GPS is in the first set of sources only."""
         return self._report.usable and self.inputs.source_set != SET_WITHOUT_GPS
+
+    @property
+    def _unaided_s(self) -> float:
+        """Since position or velocity was measured last."""
+        return 0.0 if self._uses_gps else self._clock_ns() / 1e9 - max(self._gps_lost_s, self.estimate.aided_s)
 
     @property
     def boot_s(self) -> float:
@@ -302,4 +310,5 @@ class SimulatedAutopilot:
             has_wheels=self._errors.source == "wheels",
             lon_shift_deg=self._lon_shift_deg,
             base_mode=self.base_mode,
+            custom_mode=custom_mode(self.mode, self._unaided_s, self.parameters.get(NO_AID_TIMEOUT, (NO_AID_US, 0))[0]),
         )

@@ -30,7 +30,7 @@ class Snapshot:
 
     pose: the truth, for GPS only. uses_gps: whether the filter fuses it; is_fusion_on: whether it may. estimate,
     attitude: of the filter, in the simulation's frame. origin_m: the filter's local origin there, None while it has
-    none. has_wheels: whether it counts their turns. base_mode: flags of MAV_MODE_FLAG.
+    none. has_wheels: whether it counts their turns. base_mode: flags of MAV_MODE_FLAG. custom_mode: PX4's mode.
     """
 
     firmware: Firmware
@@ -45,6 +45,7 @@ class Snapshot:
     has_wheels: bool
     lon_shift_deg: float
     base_mode: int
+    custom_mode: int = 0
 
     @property
     def boot_ms(self) -> int:
@@ -69,7 +70,12 @@ class Snapshot:
 
 def _heartbeat(state: Snapshot) -> Message:
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_GROUND_ROVER, state.firmware.autopilot, state.base_mode, 0, mavlink.MAV_STATE_ACTIVE, 3
+        mavlink.MAV_TYPE_GROUND_ROVER,
+        state.firmware.autopilot,
+        state.base_mode,
+        state.custom_mode,
+        mavlink.MAV_STATE_ACTIVE,
+        3,
     )
 
 

@@ -258,6 +258,11 @@ class Estimator:
         return True
 
     @property
+    def aided_s(self) -> float:
+        """When anything but GPS measured its position or velocity last: now, with a sensor of its own."""
+        return max(self._fused_s, self._velocity_fused_s) if self._is_free else self._time_s
+
+    @property
     def is_aided(self) -> bool:
         """Whether anything besides GPS measures its velocity now."""
         return not self._is_free or self._time_s - self._velocity_fused_s < STARVED_S

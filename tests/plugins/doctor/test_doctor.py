@@ -35,7 +35,12 @@ ARDUPILOT = {
     "EK3_SRC1_POSXY": 3.0, "EK3_SRC1_VELXY": 3.0, "EK3_SRC2_POSXY": 0.0, "EK3_SRC2_VELXY": 0.0,
     "WENC_TYPE": 0.0, "WENC_POS_Y": 0.0, "WENC_RADIUS": 0.05, "WENC_CPR": 3200.0,
 }  # fmt: skip
-PX4 = (*(f"EKF2_{name}_CTRL" for name in ("AGP0", "EV", "OF", "OF0")), "EKF2_AGP0_ID", "EKF2_GPS_MODE")
+PX4 = (
+    *(f"EKF2_{name}_CTRL" for name in ("AGP0", "EV", "OF", "OF0")),
+    "EKF2_AGP0_ID",
+    "EKF2_GPS_MODE",
+    "EKF2_NOAID_TOUT",
+)
 DEFAULTS = {
     "ardupilot": {name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in ARDUPILOT.items()},
     "px4": dict.fromkeys(PX4, (0.0, mavlink.MAV_PARAM_TYPE_INT32)),
@@ -171,6 +176,20 @@ def test_a_px4_that_nothing_but_gps_gives_a_velocity(
     findings = list(examine(config, 5.0, tmp_path / "dev"))
     assert "no velocity aid" in told(findings, "autopilot", "bad")
     assert "px4_velocity_aid.params" in told(findings, "autopilot", "bad")
+
+
+def test_the_mode_that_a_px4_rover_falls_back_to_is_named(
+    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    def found(level: str, ev_control: float) -> str:
+        values = {"EKF2_EV_CTRL": ev_control, "EKF2_NOAID_TOUT": 8e6}
+        connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
+        config = write_config(telemetry={"connection": connection, "emit": "auto"})
+        return told(list(examine(config, 5.0, tmp_path / "dev")), "parameter", level)
+
+    words = "EKF2_NOAID_TOUT (8 s) after GPS it leaves Position for Altitude, which rovers lack"
+    assert f"{words}, and a mission for Descend -> put Stabilized or Manual on a switch" in found("note", 0.0)
+    assert "it stays in Position" in found("good", 4.0)
 
 
 def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(

@@ -22,6 +22,7 @@ from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
+from sim.vehicle.px4_modes import MODES, NO_AID_TIMEOUT
 
 RECORDED = {"ardupilot": "ardurover-4.6.3-nogps", "px4": "px4-1.18-agp"}
 SPEED_MPS = 5.0
@@ -303,3 +304,57 @@ def test_a_reboot_forgets_an_origin_that_was_set() -> None:
     bench.autopilot.reboot()
     bench.drive(2.0)
     assert bench.tell_fix() == mavlink.MAV_RESULT_FAILED
+
+
+@pytest.mark.parametrize(
+    ("source", "chosen", "timeout_us", "without_s", "is_in"),
+    [
+        ("none", "position", None, 4.0, "position"),
+        ("none", "position", None, 6.0, "altitude"),
+        ("none", "position", 10_000_000.0, 9.0, "position"),
+        ("none", "mission", None, 6.0, "descend"),
+        ("none", "stabilized", None, 60.0, "stabilized"),
+        ("none", "manual", None, 60.0, "manual"),
+        ("velocity sensor", "position", None, 60.0, "position"),
+    ],
+)
+def test_a_px4_rover_without_navigation_leaves_position_for_altitude(
+    source: Any, chosen: Any, timeout_us: float | None, without_s: float, is_in: Any
+) -> None:
+    """PX4#28108: a rover has no Altitude. A measured velocity, a longer timeout and modes without a position help."""
+    bench = Bench("px4", errors=OdometryErrors(source))
+    bench.autopilot.mode = chosen
+    if timeout_us is not None:
+        bench.autopilot.parameters[NO_AID_TIMEOUT] = timeout_us, mavlink.MAV_PARAM_TYPE_INT32
+    bench.drive(3.0)
+    assert mode_of(bench) == MODES[chosen]
+    bench.autopilot.gps = False
+    bench.drive(without_s + 1.0)  # a heartbeat a second
+    assert mode_of(bench) == MODES[is_in]
+
+
+def test_it_is_back_in_position_with_the_first_position() -> None:
+    bench = Bench("px4", errors=OdometryErrors("none"))
+    bench.autopilot.mode = "position"
+    bench.drive(3.0)
+    bench.autopilot.gps = False
+    bench.drive(9.0)
+    assert mode_of(bench) == MODES["altitude"]
+    for _ in range(10):
+        bench.tell(encoders.global_position_sensor(bench.fix(), bench.sending()))
+        bench.drive(0.2)
+    assert mode_of(bench) == MODES["position"]
+
+
+def test_the_real_px4_fell_back_and_came_back_with_positions(shared: Path) -> None:
+    """A quadcopter in Hold: GPS is off, and positions come ever more seldom."""
+    beats = [m for _, m in recorded(shared, RECORDED["px4"]) if m.get_type() == "HEARTBEAT" and m.base_mode & 128]
+    modes = [(one.custom_mode >> 16 & 0xFF, one.custom_mode >> 24) for one in beats]
+    told = [mode for mode, before in zip(modes, [None, *modes], strict=False) if mode != before]
+    assert told[1:5] == [MODES["hold"], MODES["descend"]] * 2
+
+
+def mode_of(bench: Bench) -> tuple[int, int]:
+    """Main mode and sub mode by the newest heartbeat."""
+    mode = bench.of("HEARTBEAT")[-1].custom_mode
+    return mode >> 16 & 0xFF, mode >> 24
