@@ -35,13 +35,14 @@ class Sent:
     """Positions as they arrived: when, and for the moment of each its error and its sigma.
 
     sigma_m: what is known of the position, or what its message says if that is less. off_m: (N, 2), how far off along
-    the way and across it.
+    the way and across it. of_s: (N,) the moments.
     """
 
     time_s: Array
     error_m: Array
     sigma_m: Array
     off_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    of_s: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def sigmas(self) -> Array:

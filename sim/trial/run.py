@@ -46,6 +46,7 @@ RIG = RigConfig(
     left_reverse_m=3.5,
     parallax=2.4,
     sigma_reverse_same_m=2.8,
+    look_sigma_m=0.05,
 )
 """Of the simulated rig, as `lookback calibrate` measures it."""
 
@@ -156,9 +157,9 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
             last = int(np.searchsorted(known_s, arrived_s + STEP_S, side="right")) - 1
             if last >= 0 and arrived_s - known_s[last] <= RECORDED_EVERY_S:
                 sigma_m = min(sigma_m, known_m[last])
-            found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, across_m))
-    columns: Array = np.array(found).reshape(-1, 5).T
-    return Sent(columns[0], columns[1], columns[2], columns[3:].T)
+            found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, across_m, at_s))
+    columns: Array = np.array(found).reshape(-1, 6).T
+    return Sent(columns[0], columns[1], columns[2], columns[3:5].T, columns[5])
 
 
 def _known_sigmas(journal: Path, simulation: Simulation) -> Array:

@@ -26,6 +26,7 @@ from sim.research.trial.course_map import build_map
 from sim.research.trial.course_rules import CourseRun, failures, within_protection_level
 from sim.trial.cameras import TrialCamera, View
 from sim.trial.driver import Driver, Leg
+from sim.trial.records import Array, Run
 from sim.trial.run import Drive
 from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
@@ -64,7 +65,7 @@ class CourseSimulation(Simulation):
         links = shared(link, 2) if draft.has_double else [link]
         super().__init__(draft, links[0], seed, driven)
         late = round(draft.late_s / FRAME_S)
-        shown_m = draft.shown_m if draft.motion != "off" or draft.late_s else None
+        shown_m = draft.shown_m if draft.motion != "off" or draft.late_s or draft.keypoints else None
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
         if not draft.steers:
             self.driver.belief = None
@@ -157,13 +158,14 @@ class CourseDrive(Drive):
     """A course, driven once with the daemon and once without."""
 
     draft: CourseDraft
+    _map_errors_m: Array | None = None
 
     def make_map(self, path: Path) -> None:
         """Before the drive, unless it is made on the way."""
         if self.draft.maps_live:
             path.mkdir()
         else:
-            build_map(self.draft, path, self.network, self.library, self.seed)
+            self._map_errors_m = build_map(self.draft, path, self.network, self.library, self.seed)
 
     def simulation(self, link: Link, driven: Callable[[float], object] = lambda meters: None) -> CourseSimulation:
         """The vehicle at its start."""
@@ -211,8 +213,22 @@ class CourseDrive(Drive):
             after_m=np.array([item.error_after_m for item in (*autopilot.inputs.resets, *autopilot.inputs.fused)]),
             texts=texts,
             source_set=autopilot.inputs.source_set,
+            lane_m=self._from_lane_m(run),
         )
         return dataclasses.replace(told, failures=failures(told, (*self.draft.rules, within_protection_level)))
+
+    def _from_lane_m(self, run: Run) -> Array:
+        """How far positions are from where the map would have the vehicle, whose errors are those of its places."""
+        if self._map_errors_m is None or len(self.draft.map) != 1:
+            return np.empty((0, 2))
+        way, at = self.draft.way, self._map_errors_m.T
+        along_m = np.interp(run.sent.of_s, run.track.time_s, run.track.along_m)
+        heading_rad = np.array([way.at(one)[2] for one in along_m.tolist()])
+        route_m = np.interp(along_m, np.arange(len(way.route_m)), way.route_m)
+        east_m, north_m = (np.interp(route_m, at[0], off_m) for off_m in at[1:])
+        sin, cos = np.sin(heading_rad), np.cos(heading_rad)
+        found: Array = run.sent.off_m - np.column_stack([east_m * sin + north_m * cos, east_m * cos - north_m * sin])
+        return found
 
     def _expected(self, along_m: NDArray[np.float64], gps: NDArray[np.bool_]) -> NDArray[np.bool_]:
         draft, way = self.draft, self.draft.way

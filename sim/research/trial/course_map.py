@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -10,10 +11,12 @@ import numpy as np
 
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
+from edge.keypoints.network import KeypointNetwork
 from edge.recognizer import model_key
 from edge.reference_map.store import RegionsKey
 from edge_plugins.layers.newest import choose
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
+from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
 from sim.research.trial.course import CourseDraft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
@@ -21,28 +24,32 @@ from sim.trial.records import Array
 from sim.trial.run import RIG, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.world.route import Route
+from sim.world.scenario import Scenario
 
 MAP_SIGMA_M = math.sqrt(2)
 """Accuracy of a map's positions, as stated and as simulated: of the distance, as receivers state it."""
 
 
-def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLibrary, seed: int) -> None:
+def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLibrary, seed: int) -> Array:
     """The map of a course, made on the way out; by day with the camera that looks back, unless it has layers.
 
-    Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states.
+    Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states. Answers
+    those of the last one (n, 3): arc length, and meters east and north.
     """
+    errors_m = np.empty((0, 3))
     rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
     numbers = range(len(draft.map))
     cameras = dict.fromkeys(stretch.camera for stretch in draft.map)
     by_camera = [[number for number in numbers if draft.map[number].camera == camera] for camera in cameras]
     for part in by_camera if draft.layers else [numbers]:
         folder = path / f"{part[0]}" if draft.layers else path
-        with open_builder(folder, network) as builder:
+        with open_builder(folder, network, keypoints=draft.keypoints) as builder:
             for number in part:
-                _drive_stretch(builder, draft, number, library, rngs)
+                errors_m = _drive_stretch(builder, draft, number, library, rngs)
             builder.finish()
     if draft.layers:
         choose(path).mark()
+    return errors_m
 
 
 def _drive_stretch(
@@ -51,8 +58,8 @@ def _drive_stretch(
     number: int,
     library: RoadLibrary,
     rngs: tuple[np.random.Generator, np.random.Generator],
-) -> None:
-    """rngs: of the places, and of GPS."""
+) -> Array:
+    """rngs: of the places, and of GPS. Its errors, see `build_map`."""
     stretch = draft.map[number]
     out = map_scenario(draft.home, stretch.camera)
     whole_sigma_m = None if stretch.late_m else 0.0
@@ -64,9 +71,13 @@ def _drive_stretch(
     from_m, to_m = stretch.off_within_m
     is_off = np.array([from_m <= route_m < to_m for route_m in places_m])
     off_m = map_errors_m(places_m, rngs[1]) + np.outer(is_off, stretch.off_m)
+    looks_at, finder = library[seen], KeypointNetwork() if builder.keypoints else None
     for row, route_m in enumerate(places_m):
-        raw = library[seen].raw(draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m)
-        builder.add(raw, _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
+        at_m = draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m
+        builder.add(looks_at.raw(*at_m), _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
+        if builder.keypoints and finder:
+            builder.keypoints.add(finder.extract(looks_at.picture(*at_m), MOST))
+    return np.column_stack([places_m, off_m])
 
 
 def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
@@ -85,10 +96,11 @@ def map_errors_m(places_m: list[float], rng: np.random.Generator) -> Array:
     return off_m
 
 
-def open_builder(path: Path, network: Network, *, replace: bool = False) -> MapBuilder:
-    """A builder of a map whose pictures are described as by default."""
+def open_builder(path: Path, network: Network, *, replace: bool = False, keypoints: bool = False) -> MapBuilder:
+    """A builder of a map whose pictures are described as by default; keypoints: with those of each place."""
     regions = RegionsKey.of(DescriptorConfig())
-    return MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=replace)
+    key = partial(keypoints_key, fov_deg=Scenario().fov_deg) if keypoints else None
+    return MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=replace, keypoints=key)
 
 
 def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m: float, off_m: Array) -> Place:

@@ -17,8 +17,8 @@ from edge.errors import ConfigError
 from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
-from sim.research.trial.courses.maps import on_layers
-from sim.research.trial.table import HEADER, CourseScore, in_short, layers_in_short, line, put_between
+from sim.research.trial.courses.maps import on_keypoints, on_layers
+from sim.research.trial.table import HEADER, CourseScore, in_short, layers_in_short, line, looks_table, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -27,12 +27,13 @@ LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
 class Planned(NamedTuple):
-    """A drive of a course; world: the seed of its road. layers: of its map, see `on_layers`."""
+    """A drive of a course; world: seed of its road. layers, keypoints: of its map, see `on_layers`, `on_keypoints`."""
 
     course: str
     seed: int
     world: int
     layers: bool = False
+    keypoints: bool = False
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -56,6 +57,8 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--odometer", type=float, metavar="PERCENT", help=odometer)
     layers = "drive each on a map of eight layers as well, and compare the cases"
     parser.add_argument("--layers", action="store_true", help=layers)
+    keypoints = "drive each on a map with keypoints as well, and compare both with the lane that was taught"
+    parser.add_argument("--keypoints", action="store_true", help=keypoints)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
     page = "write the table into this page, in place of its last one"
     parser.add_argument("--page", type=Path, metavar="FILE", help=page)
@@ -72,17 +75,20 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     runs = drive_all(plan(args), args)
-    scores = compare(runs) if args.layers else judge(runs)
+    scores = compare(runs) if args.layers else compare_looks(runs) if args.keypoints else judge(runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
+    if args.keypoints:
+        print("\n" + looks_table(scores))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
         what += "" if args.odometer is None else f" --odometer {args.odometer:g}"
-        what += " --layers" * args.layers
-        table = layers_in_short(scores) if args.layers else in_short(scores)
-        name = f"layers {'cases' if args.case else driven}" if args.layers else "results"
+        what += " --layers" * args.layers + " --keypoints" * args.keypoints
+        table = layers_in_short(scores) if args.layers else looks_table(scores) if args.keypoints else in_short(scores)
+        of_layers = f"layers {'cases' if args.case else driven}" if args.layers else "results"
+        name = "keypoints" if args.keypoints else of_layers
         put_between(name, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
@@ -95,9 +101,9 @@ def plan(args: argparse.Namespace) -> list[Planned]:
     else:
         names = list(COURSES) if args.course == "all" else args.course.split(",")
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
-    maps = (False, True) if args.layers else (False,)
+    maps = [(False, False), *[(True, False)] * args.layers, *[(False, True)] * args.keypoints]
     return [
-        Planned(name, seed, args.worlds[turn % len(args.worlds)], one) for name, seed, turn in drives for one in maps
+        Planned(name, seed, args.worlds[turn % len(args.worlds)], *one) for name, seed, turn in drives for one in maps
     ]
 
 
@@ -149,6 +155,18 @@ def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     ]
 
 
+def compare_looks(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
+    """Each course without keypoints, and with them."""
+    return [
+        CourseScore(
+            f"{name}, {what}",
+            tuple(run for one, run in runs.items() if one.course == name and one.keypoints == has_keypoints),
+        )
+        for name in dict.fromkeys(one.course for one in runs)
+        for has_keypoints, what in ((False, "lines"), (True, "looks"))
+    ]
+
+
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, CourseRun]:
     """Drive one after the other, or several roads side by side; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
@@ -174,8 +192,10 @@ def drive_part(
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
             course = on_layers(COURSES[one.course]) if one.layers else COURSES[one.course]
+            course = on_keypoints(course) if one.keypoints else course
             runs[one] = drive(course, one.seed, length_m, one.world, journals, library, odometer)
-            print(line(f"{one.course}{', eight layers' * one.layers}", runs[one]), flush=True)
+            which = ", eight layers" * one.layers + ", keypoints" * one.keypoints
+            print(line(f"{one.course}{which}", runs[one]), flush=True)
     finally:
         library.save()
         library.close()
@@ -195,6 +215,8 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError(f"--case: {args.case!r} is not one of {', '.join(CASES)} and all")
     if args.runs < 1:
         raise ConfigError("--runs: at least 1")
+    if args.keypoints and args.layers:
+        raise ConfigError("--keypoints: not with --layers")
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
     if args.odometer is not None and not 0 <= args.odometer <= 50:

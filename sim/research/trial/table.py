@@ -150,6 +150,33 @@ def layers_in_short(scores: Sequence[CourseScore]) -> str:
     )
 
 
+def looks_table(scores: Sequence[CourseScore]) -> str:
+    """How far positions are from the truth, in which the map's GPS is, and from the lane that was taught.
+
+    scores: pairs, of maps without and with keypoints.
+    """
+    head = (
+        "| course | drives | positions | from the truth | from the taught lane: along | across"
+        " | in sigmas, rms / largest | cross-track 95 %, alone | first after |\n|---|---|---|---|---|---|---|---|---|"
+    )
+    rows = []
+    for one in scores:
+        lane_m, sigmas = np.concatenate([run.lane_m for run in one.runs]), one.sigmas
+        cells = (
+            one.name,
+            f"{len(one.runs)}",
+            f"{len(sigmas)}",
+            _spread(np.concatenate([run.sent.error_m for run in one.runs]), 2),
+            _spread(np.abs(lane_m[:, 0]), 2),
+            _spread(np.abs(lane_m[:, 1]), 2),
+            f"{_rms(sigmas):.2f} / {sigmas.max():.1f}" if len(sigmas) else "-",
+            _beside([abs(run.track.left_m) for run in one.runs], [abs(run.alone.left_m) for run in one.runs]),
+            f"{np.nanmedian([run.first_after_m for run in one.runs]):.0f} m",
+        )
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join([head, *rows])
+
+
 def _short(rows: str) -> str:
     """Rows without the autopilot's error, which says little over several courses, and the share sent."""
     cells = (row.split("|") for row in rows.splitlines())
@@ -181,10 +208,10 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _spread(errors_m: Array) -> str:
+def _spread(errors_m: Array, digits: int = 1) -> str:
     if not len(errors_m):
         return "-"
-    return f"{np.median(errors_m):.1f} / {np.percentile(errors_m, 95):.1f} / {errors_m.max():.1f} m"
+    return " / ".join(f"{one:.{digits}f}" for one in np.percentile(errors_m, (50, 95, 100))) + " m"
 
 
 def _beside(ours: Sequence[Array], alone: Sequence[Array]) -> str:

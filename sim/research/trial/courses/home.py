@@ -16,6 +16,7 @@ from sim.trial.way import along
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
+REPEAT_LIGHTS = "dusk", "night"
 OUTAGES_S, OUTAGE_FROM_S = (5, 12), 30.0
 BACKED_M, BACKED_AT = (20, 60), (1 / 3, 2 / 3)
 """By how much, and after which shares of the way out."""
@@ -33,6 +34,21 @@ def _again(draft: CourseDraft) -> None:
     """The same way as the map at dusk, where only the lane says how far across the road the vehicle is."""
     draft.home = draft.road(light="dusk", direction="forward")
     draft.drive(along(draft.home, 0.0, draft.length_m))
+
+
+@course("G", "repeat-{}", *REPEAT_LIGHTS, rules=(*USUAL, close, sends, resumes))
+def _repeat(draft: CourseDraft, value: str) -> None:
+    """The same way by a front camera on a front camera's day map, half a meter beside its lane, in this light."""
+    draft.home = draft.road(light=value, direction="forward")
+    draft.map = [Stretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
+    draft.drive(along(draft.home, 0.0, draft.length_m))
+
+
+@course("G", "home-dusk", rules=(*USUAL, close, sends, resumes))
+def _home_at_dusk(draft: CourseDraft) -> None:
+    """The main task at dusk."""
+    draft.home = draft.road(light="dusk")
+    draft.drive(along(draft.home, draft.length_m, 0.0))
 
 
 @course("G", "take-me-home", rules=HOME)

@@ -175,6 +175,16 @@ def on_layers(one: Course) -> Course:
     return replace(one, lay=lay)
 
 
+def on_keypoints(one: Course) -> Course:
+    """The course on a map with keypoints, its camera's pictures rendered; where it maps live, that map has them too."""
+
+    def lay(draft: CourseDraft) -> None:
+        one.lay(draft)
+        draft.keypoints = True
+
+    return replace(one, lay=lay)
+
+
 def _as_layers(draft: CourseDraft) -> None:
     right = [replace(stretch, off_m=(0.0, 0.0), recording="") for stretch in draft.map]
     further = [replace(stretch, camera=camera) for camera in DRIVES[1:] for stretch in right]
