@@ -30,6 +30,8 @@ OUTVOTES = 3
 """Looks of the last RECENT ones that agree with each other outvote an estimate with which the newest does not agree."""
 RECENT, RECENT_M = 6, 30.0
 """Looks, and meters driven, within which they are compared with each other."""
+TURNS_RAD = math.radians(0.5)
+"""By which a vehicle turns against the road per square root of a meter: by 2 degrees while it changes its lane."""
 SAME_PLACE_M = 10.0
 """What is further from an estimate is another place, which no number of looks moves it to: it must be lost first."""
 
@@ -38,13 +40,14 @@ SAME_PLACE_M = 10.0
 class Look:
     """A vehicle by one picture.
 
-    position_m: meters east and north (2,). covariance: (2, 2), without the map's error. heading_rad: of the vehicle,
-    clockwise from north. points: that agree on it.
+    position_m: meters east and north (2,). covariance: (2, 2), without the map's error. turn_rad: of the vehicle
+    against the road there, clockwise; turn_sigma_rad: one standard deviation. points: that agree on it.
     """
 
     position_m: Vector
     covariance: NDArray[np.float64]
-    heading_rad: float
+    turn_rad: float
+    turn_sigma_rad: float
     points: int
 
     def disagrees(self, position_m: Vector, covariance: NDArray[np.float64]) -> float:

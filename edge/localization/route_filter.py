@@ -235,7 +235,7 @@ class RouteFilter:
         if found is None or found.heading_deg is None or origin is None:
             return None
         lat_deg, lon_deg = moved(*origin, float(estimate.position_m[0]), float(estimate.position_m[1]))
-        heading_rad = math.radians(found.heading_deg) + newest.turn_rad
+        heading_rad = math.radians(found.heading_deg) + (track.turn_rad if track.is_looked else 0.0)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = self._innovations.factor**2 * estimate.covariance[:2, :2]
         # No number of a drive's own places shows by how much all of them are off.
@@ -251,7 +251,7 @@ class RouteFilter:
             # To a tenth of a millimeter, so that the last digits of a matrix product on this computer do not matter.
             lat_deg=round(lat_deg, 9),
             lon_deg=round(lon_deg, 9),
-            heading_deg=found.heading_deg if newest.look is None else round(math.degrees(heading_rad) % 360, 2),
+            heading_deg=round(math.degrees(heading_rad) % 360, 2) if track.is_looked else found.heading_deg,
             sigma_along_m=round(math.sqrt(along_var), 2),
             sigma_across_m=round(math.sqrt(float(np.trace(covariance)) - along_var), 2),
             direction=match.direction,
@@ -265,7 +265,7 @@ class RouteFilter:
             velocity_error=round(estimate.velocity_error, 4),
             disputed=self._is_disputed,
             by_lane=not estimate.is_measured,
-            points=UNSET if newest.look is None else newest.look.points,
+            points=track.points if track.is_looked else UNSET,
             map=UNSET if match.map is None else match.map,
         )
 

@@ -68,7 +68,7 @@ class Sighting:
     say nothing, the vehicle may be off its lane. regions: the lines of its two regions; None where the match has none.
     faint: times by which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation
     along the road by that of the time of exposure. look: what one picture says, in place of a line; `passed` is then
-    where the vehicle is. turn_rad: of the vehicle against the road, clockwise, where a look says it.
+    where the vehicle is.
     """
 
     match: PlaceMatch
@@ -86,7 +86,6 @@ class Sighting:
     faint: float
     undated_m: float
     look: Look | None = None
-    turn_rad: float = 0.0
 
     def across_sigma_m(self, road_sigma_m: float) -> float:
         """One standard deviation across the road of where the vehicle is then; road_sigma_m: of a line."""
@@ -179,13 +178,14 @@ class Sightings:
         heading_rad = looks_rad + seen.turn_rad + math.pi * self._looks_back
         heads = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         position_m = position_m - rig.look_ahead_m(match.direction) * heads
-        look = Look(position_m, covariance, heading_rad, seen.points)
         forward_m = float((position_m - self.local(row)) @ np.array([math.sin(row_rad), math.cos(row_rad)]))
         road = position_on_route(route, seen.place_index, forward_m, match.direction)
         if road is None or road.heading_deg is None:
             return None
         road_rad = math.radians(road.heading_deg)
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
+        turn_rad = math.remainder(heading_rad - road_rad, math.tau)
+        look = Look(position_m, covariance, turn_rad, math.sqrt(float(np.asarray(seen.covariance)[2, 2])), seen.points)
         whole_along_m, whole_across_m = drive.whole_sigma_m
         return Sighting(
             match=match,
@@ -203,7 +203,6 @@ class Sightings:
             faint=1.0,
             undated_m=undated_m,
             look=look,
-            turn_rad=math.remainder(heading_rad - road_rad, math.tau),
         )
 
     def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:

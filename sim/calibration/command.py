@@ -27,6 +27,7 @@ from sim.calibration.offset import (
     BESIDE_M,
     FEWEST,
     Offset,
+    look_key,
     measure_offsets,
     measure_parallax,
     rig_config,
@@ -136,6 +137,8 @@ def rig_lines(offsets: Sequence[Offset]) -> Lines:
     """Values of [rig] that were measured."""
     rig = rig_config(offsets)
     keys = [key for one in offsets for key in (rig_key(one), f"left_{one.direction}_m", sigma_key(one))]
+    looks = [look_key(one) for one in offsets if not np.isnan(one.look_m)]
+    keys += [*looks, "look_sigma_m"] if looks else []
     if keys:
         keys += ["sigma_along_m", "sigma_across_m"]
     return {("rig", key): getattr(rig, key) for key in keys}
@@ -163,6 +166,8 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
             f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
             f" the vehicle {abs(offset.aside_m):.1f} m {'left' if offset.aside_m >= 0 else 'right'} of the map's drive"
         )
+        if not np.isnan(offset.look_m):
+            print(f"    by single looks the camera is {offset.look_m:.1f} ± {offset.look_sigma_m:.1f} m ahead of it")
 
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:

@@ -37,6 +37,7 @@ class Offset:
     matches are within it. ahead_sigma_m: standard deviation of ahead_m, which a longer drive measures better. sigma_m:
     that, and the part of left_m that is the rig's, without what the daemon itself knows of the uncertainty of each
     line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the standard deviation of that.
+    look_m, look_sigma_m: how far the camera is ahead of the vehicle by single looks, NaN where too few have a pose.
     """
 
     direction: Direction
@@ -50,6 +51,8 @@ class Offset:
     sigma_m: float
     aside_m: float = 0.0
     aside_sigma_m: float = 0.0
+    look_m: float = float("nan")
+    look_sigma_m: float = float("nan")
 
 
 def measure_offsets(seen: Sequence[Sighting]) -> list[Offset]:
@@ -76,6 +79,7 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))
     aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
     aside_m = aside_m[~np.isnan(aside_m)] if not np.isnan(aside_m).all() else np.zeros(1)
+    look_m, look_sigma_m = _by_looks([one for one in placed if not np.isnan(one.look_m)])
     return Offset(
         *plane,
         used=int(used.sum()),
@@ -87,7 +91,18 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
         sigma_m=float(np.hypot(ahead_sigma_m, np.sqrt(max(rig_variance, 0.0)))),
         aside_m=float(np.median(aside_m)),
         aside_sigma_m=_deviation(aside_m),
+        look_m=look_m,
+        look_sigma_m=look_sigma_m,
     )
+
+
+def _by_looks(seen: Sequence[Sighting]) -> tuple[float, float]:
+    """The median offset of single looks, and one standard deviation of that; NaN of fewer than FEWEST."""
+    if len(seen) < FEWEST:
+        return float("nan"), float("nan")
+    look_m, stretches = np.array([one.look_m for one in seen]), np.unique([one.place_m // STRETCH_M for one in seen])
+    of_median_m = _deviation(look_m) * float(np.sqrt(np.pi / 2 / max(1, stretches.size - 1)))
+    return float(np.median(look_m)), max(LEAST_SIGMA_M, of_median_m)
 
 
 def measure_parallax(seen: Sequence[Sighting]) -> float | None:
@@ -120,12 +135,21 @@ def rig_config(offsets: Sequence[Offset]) -> RigConfig:
     along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
     keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
     across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_across_m)
+    looks = [offset for offset in offsets if not np.isnan(offset.look_m)]
+    keys |= {look_key(offset): round(offset.look_m, 1) for offset in looks}
+    if looks:
+        keys["look_sigma_m"] = round(max(offset.look_sigma_m for offset in looks), 1)
     return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
 
 
 def rig_key(offset: Offset) -> str:
     """The key of [rig] for an offset."""
     return f"ahead_{offset.direction}_{offset.order}_m"
+
+
+def look_key(offset: Offset) -> str:
+    """The key of [rig] for how far the camera is ahead of the vehicle by looks."""
+    return f"look_ahead_{offset.direction}_m"
 
 
 def sigma_key(offset: Offset) -> str:

@@ -44,7 +44,8 @@ class Sighting:
     NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
     own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
     where the daemon would not use the line. lag_m: meters by which the left region lags behind the right, NaN where
-    they do not say. place_m: of the place along the map's drive.
+    they do not say. place_m: of the place along the map's drive. look_m: meters that the camera is ahead of the vehicle
+    by the pose of this frame alone, NaN where it has none.
     """
 
     direction: Direction
@@ -56,6 +57,7 @@ class Sighting:
     line_sigma_m: float = 0.0
     lag_m: float = float("nan")
     place_m: float = 0.0
+    look_m: float = float("nan")
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
@@ -83,13 +85,24 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
             lag_m = _lag_m(match, route)
+            look_m = _look_m(match, drives, item.frame.index, looks_back=camera.view == "rear")
             kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
-            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, lag_m, float(places["route_m"][match.place]))
+            place_m = float(places["route_m"][match.place])
+            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, lag_m, place_m, look_m)
 
 
 def _lag_m(match: PlaceMatch, route: Route) -> float:
     """Meters by which the left region lags behind the right."""
     return lag_places(match.parallax) * route.drive(match.place_index).spacing_m if match.parallax else float("nan")
+
+
+def _look_m(match: PlaceMatch, drives: MapDrives, row: int, *, looks_back: bool) -> float:
+    """How far ahead of the vehicle a look has the camera, along the map's drive."""
+    if match.seen is None:
+        return float("nan")
+    sign = 1 if match.direction == "forward" else -1
+    ahead_m = -match.seen.ahead_m if looks_back else match.seen.ahead_m
+    return sign * drives.further_m(row, match.seen.place_index) + ahead_m
 
 
 def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:

@@ -52,6 +52,19 @@ def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
     assert rig_config(measure_offsets(again)).sigma_across_m == 2.5, "no lane is kept better"
 
 
+def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:
+    rng = np.random.default_rng(4)
+    looks_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
+    home = [
+        Sighting("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, look_m=look_m)
+        for at, look_m in enumerate(looks_m)
+    ]
+    rig = rig_config(measure_offsets(home))
+    assert (rig.look_ahead_reverse_m, rig.look_ahead_forward_m, rig.look_sigma_m) == (6.0, 0.0, 0.5)
+    assert rig_config(measure_offsets(home[200:])).look_sigma_m > 0.5, "few, and far apart"
+    assert rig_config(measure_offsets(home[:9])).look_sigma_m == 0.0
+
+
 def test_parallax_is_measured_beside_the_maps_drive_and_not_on_it() -> None:
     rng = np.random.default_rng(3)
 
