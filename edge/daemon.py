@@ -65,6 +65,7 @@ class Daemon:
         if self._update_health():
             self._reset()
         self._publish_position()
+        self._compare_with_gps()
         spare_s = None if is_used else waited_s
         parts.plugins.each(lambda plugin: plugin.turn(spare_s))
         parts.monitor.feed_watchdog()
@@ -275,17 +276,29 @@ class Daemon:
         limits = self._autopilot.position_due()
         if limits is None:
             return
-        now_ns, unable = self._clock_ns(), self.parts.monitor.health.unable(self.parts.pictures.why_no_position)
+        now_ns, unable = self._clock_ns(), self._unable()
         self._autopilot.report_own()
         if limits.at == "now":
             self._drive.update(now_ns, Moved(self._autopilot.vehicle.motion.displacement(now_ns)))
         self._autopilot.send_position(self._drive.fix(now_ns, replace(limits, unable=unable)))
+
+    def _compare_with_gps(self) -> None:
+        """To the journal, where no position is sent: what would have been, beside GPS."""
+        shadow = self.parts.shadow
+        if shadow is not None and self._autopilot.state == "up":
+            shadow.turn(self._clock_ns(), self._autopilot.vehicle.motion, self._autopilot.history, self._unable)
+
+    def _unable(self) -> str:
+        """Why nothing is recognized at this moment, "" while it is."""
+        return self.parts.monitor.health.unable(self.parts.pictures.why_no_position)
 
     def last_words(self) -> Stopped:
         """What was done, for the journal."""
         parts = self.parts
         self._autopilot.restore_sources()
         parts.warm_start.keep()
+        if parts.shadow is not None:
+            parts.shadow.close()
         parts.plugins.close()  # which may write records
         health = parts.camera.health
         counts = {"delivered": health.delivered, "overwritten": health.overwritten, "bad": health.bad}

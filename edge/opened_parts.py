@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edge.camera import Frames
 from edge.camera.checks import open_picture_check
@@ -18,12 +19,15 @@ from edge.files import wait_for_writes
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
-from edge.localization import Drive, Maps, PositionEstimator
+from edge.localization import Drive, Entry, Maps, PositionEstimator
 from edge.map_verification import MapVerification
 from edge.plugin import Parts, Plugins, Recognized
 from edge.recognizer import network_for, open_recognizer
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.warm_start import WarmStart
+
+if TYPE_CHECKING:
+    from edge.telemetry.shadow import Shadow
 
 FEED_WAITS_S, POLL_S = 3.0, 0.02  # heartbeats come each second, and a speed half a second after it is asked for
 
@@ -57,12 +61,19 @@ class OpenedParts:
             self.journal = parts.enter_context(closing(QueuedJournal(journal)))
             self.record = self.journal.write
         parts.callback(wait_for_writes)  # which begin while the others close
-        self.drive = Drive(PositionEstimator(config))
+        listeners: list[Callable[[int, Entry], object]] = []
         if config.telemetry.drive:
             from edge.localization.drive_file import DriveFile  # which few vehicles need
 
             file = parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config)))
-            self.drive = Drive(PositionEstimator(config), file.write)
+            listeners.append(file.write)
+        self.shadow: Shadow | None = None
+        if config.telemetry.emit == "report" and self.journal:
+            from edge.telemetry.shadow import Shadow  # which no vehicle needs whose positions are used
+
+            self.shadow = Shadow(config, self.record)
+            listeners.append(self.shadow.update)
+        self.drive = Drive(PositionEstimator(config), *listeners)
         link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, self.drive)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.

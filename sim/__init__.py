@@ -10,6 +10,7 @@ datasets     published recordings as feeds, MCAP, export
 evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall
 compare      `lookback compare`: methods side by side, the paper's and others'
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
+shadow       `lookback shadow`: after drives beside GPS, how far off positions would have been, and where it is ready
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback model`: import, quantize, verify
 bench        `lookback dev bench`: this board

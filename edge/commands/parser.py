@@ -34,6 +34,7 @@ COMMANDS = {
     "export": "sim.datasets.export",
     "import": "sim.datasets.commands",
     "model": "sim.model_tools.command",
+    "shadow": "sim.shadow.command",
     "try": "sim.first_try.command",
 }
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further

@@ -19,6 +19,7 @@ from edge.localization.events import (
     GPS_SIGMA_M,
     Break,
     Fix,
+    Frame,
     GpsFix,
     GpsState,
     Limits,
@@ -31,7 +32,7 @@ from edge.localization.events import (
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.own_motion import OwnMotion
-from edge.localization.position_estimator import Drive, Known, PositionEstimator
+from edge.localization.position_estimator import Drive, Entry, Known, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TOO_FAR, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
@@ -51,7 +52,9 @@ __all__ = [
     "DeadReckoning",
     "Displacement",
     "Drive",
+    "Entry",
     "Fix",
+    "Frame",
     "GpsFix",
     "GpsState",
     "GpsVerdict",

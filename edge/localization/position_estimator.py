@@ -281,22 +281,25 @@ Entry: TypeAlias = Event | Asked | Restored
 class Drive:
     """The events of one vehicle, in the order in which they came: to the estimator, and to a list."""
 
-    def __init__(self, estimator: PositionEstimator, write: Callable[[int, Entry], object] | None = None) -> None:
-        """write: gets each entry of the list, with its time in ns of CLOCK_MONOTONIC."""
-        self._estimator, self._write = estimator, write
+    def __init__(self, estimator: PositionEstimator, *listeners: Callable[[int, Entry], object]) -> None:
+        """listeners: get each entry of the list, with its time in ns of CLOCK_MONOTONIC."""
+        self._estimator, self._listeners = estimator, listeners
 
     def update(self, t_ns: int, event: Event) -> None:
         """See `PositionEstimator.update`."""
-        if self._write is not None:
-            self._write(t_ns, event)
+        self._publish(t_ns, event)
         self._estimator.update(t_ns, event)
 
     def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
         """See `PositionEstimator.fix`."""
         answer = self._estimator.fix(t_ns, limits)
-        if self._write is not None:
-            self._write(t_ns, Asked(limits, answer))
+        if self._listeners:
+            self._publish(t_ns, Asked(limits, answer))
         return answer
+
+    def _publish(self, t_ns: int, entry: Entry) -> None:
+        for listener in self._listeners:
+            listener(t_ns, entry)
 
     def snapshot(self) -> bytes:
         """See `PositionEstimator.snapshot`."""
@@ -304,8 +307,7 @@ class Drive:
 
     def restore(self, t_ns: int, kept: bytes) -> None:
         """See `PositionEstimator.restore`."""
-        if self._write is not None:
-            self._write(t_ns, Restored(kept))
+        self._publish(t_ns, Restored(kept))
         self._estimator.restore(kept)
 
     @property

@@ -14,14 +14,18 @@ from edge.config import GatesConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
+from edge.telemetry.shadow import ShadowPosition
 from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
 from sim.coverage.aliases import Span
+from sim.coverage.passes import shadow_passes
 from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
 from sim.coverage.sheet import KNOWN_M, SOON_M, Stretch, spans_of
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
 from sim.output import refusing
+from sim.shadow.drives import read_drives
+from sim.shadow.sun import LIGHTS as BY_SUN
 from sim.traverse import config_as_mapped
 
 VIEWS = 5  # pictures on the sheet
@@ -36,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " over its own descriptors; with journals of earlier drives, by these as well."
     )
     parser.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    about = "of earlier drives: journals with journal_frames, or the output of `replay --all`"
+    about = "of earlier drives: beside GPS, see `lookback shadow`; with journal_frames; or the output of `replay --all`"
     parser.add_argument("journals", nargs="*", type=Path, metavar="JOURNAL", help=about)
     about = "the next drive: home, against the map's direction (default), or the same way again"
     parser.add_argument("--for", dest="way", choices=WAYS, default="home", help=about)
@@ -61,12 +65,13 @@ def _run(args: argparse.Namespace) -> int:
             f"{args.map}: {maps.index.places} places are too many to rehearse, at most {MOST_PLACES};"
             " name one of its tiles, see `lookback map split`"
         )
-    driven = [list(passes(_frames(path), maps, drives)) for path in args.journals]
+    driven = [one for path in args.journals for one in _driven(path, args, maps, drives)]
     percent = GatesConfig().drift_percent
     spans = spans_of(maps, drives, args.stretch_m)
     sheet = Sheet.of(maps, drives, spans, list(_rehearsed(args, maps)), driven, 100 / percent * args.within_m)
     found = aliases(maps, drives, spans)
-    _print(args, sheet, found, percent)
+    basis = _basis(args, len(driven))
+    _print(args, basis, sheet, found, percent)
     for one in _advice(args, maps):
         print(one)
     if args.geojson:
@@ -78,7 +83,7 @@ def _run(args: argparse.Namespace) -> int:
         headline = verdict(sheet, f"{way} by {args.light}, with a camera that looks {camera}", args.within_m)
         words = [
             f"{gap_in_words(sheet.gap, percent).capitalize()}.",
-            f"Of {args.map.name}, from {_basis(args)}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
+            f"Of {args.map.name}, from {basis}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
             " nobody drove have one share, since nothing is known of their differences.",
             *_advice(args, maps),
         ]
@@ -118,16 +123,25 @@ def _rehearsed(args: argparse.Namespace, maps: MapSet) -> Iterator[list[Pass]]:
         yield rehearsal.drive(seed)
 
 
-def _frames(path: Path) -> list[FrameUsed]:
+def _driven(path: Path, args: argparse.Namespace, maps: MapSet, drives: Drives) -> list[list[Pass]]:
+    """The drives of a journal: those beside GPS that went this way in this light, else the one of all its frames."""
     with refusing(FeedError, f"{path}: cannot read it"):
         frames = list(records_of(path, FrameUsed))
+        is_beside_gps = not frames and any(records_of(path, ShadowPosition))
+    if is_beside_gps:
+        light = BY_SUN.index(args.light) if args.light in BY_SUN else None
+        beside = (one for one in read_drives([path]) if one.is_judge)
+        lit = (one if light is None else one.where(one.light == light) for one in beside)
+        return [found for one in lit if (found := list(shadow_passes(one, maps, drives, args.way)))]
     if not frames:
-        raise FeedError(f"{path}: no frames in it; set [telemetry] journal_frames = true, or use `replay --all`")
-    return frames
+        raise FeedError(
+            f"{path}: no frames in it; drive beside GPS, set [telemetry] journal_frames = true, or use `replay --all`"
+        )
+    return [list(passes(frames, maps, drives))]
 
 
-def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], percent: float) -> None:
-    print(f"{args.map}: {_basis(args)}")
+def _print(args: argparse.Namespace, basis: str, sheet: Sheet, found: Sequence[Alias], percent: float) -> None:
+    print(f"{args.map}: {basis}")
     resembles = {one.stretch: one.other for one in found}
     for one in sheet.stretches:
         print(f"{_name(one.span)}: {_expected(one)}{_drives(one)}{_alias(resembles.get(one.span))}")
@@ -135,10 +149,10 @@ def _print(args: argparse.Namespace, sheet: Sheet, found: Sequence[Alias], perce
     print(f"drift always within {args.within_m:g} m: {100 * sheet.completed:.0f} % of the drives")
 
 
-def _basis(args: argparse.Namespace) -> str:
+def _basis(args: argparse.Namespace, driven: int) -> str:
     drives = "drive" if args.rehearsals == 1 else "drives"
     basis = [f"{args.rehearsals} rehearsed {drives} {args.way} by {args.light}"] if args.rehearsals else []
-    return " and ".join([*basis, *([f"{len(args.journals)} earlier ones"] if args.journals else [])])
+    return " and ".join([*basis, *([f"{driven} earlier ones"] if args.journals else [])])
 
 
 def _name(span: Span) -> str:

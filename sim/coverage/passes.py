@@ -9,17 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.errors import MapError
-from edge.geodesy import east_north_of
+from edge.geodesy import east_north, east_north_of
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet
+from sim.shadow.drives import ShadowDrive
 
 SPARE_M = 1e-6
+NEAR_M = 20.0
+"""Of a drive beside GPS from the map's drive: another lane, and the errors of both."""
 APART_M = 1000.0
 """Segments that are closer follow each other on one drive, with an unmapped road between them."""
 
@@ -31,6 +35,10 @@ class Pass:
     segment: int
     along_m: NDArray[np.float64]
     believed: NDArray[np.bool_]
+
+    def is_inside(self, segment: int, from_m: float, to_m: float) -> bool:
+        """Whether it has a frame in [from_m, to_m) of a segment."""
+        return segment == self.segment and bool(np.any((self.along_m >= from_m) & (self.along_m < to_m)))
 
     def until_believed_m(self, from_m: float, to_m: float) -> float:
         """Meters from where the drive enters [from_m, to_m) to the next believed frame; NaN where it does not pass."""
@@ -65,6 +73,26 @@ def passes(frames: Sequence[FrameUsed], maps: MapSet, drives: Drives) -> Iterato
         inside = (found_m >= low_m - SPARE_M) & (found_m <= high_m + SPARE_M)
         yield Pass(segments[begin], found_m[inside], np.isin(rows, anchors)[inside])
         begin = end
+
+
+def shadow_passes(drive: ShadowDrive, maps: MapSet, drives: Drives, way: Literal["home", "again"]) -> Iterator[Pass]:
+    """The passes of a drive beside GPS that went that way, by where GPS had it; believed is what would be published."""
+    places = np.flatnonzero(~np.isnan(maps.places["lat_deg"]))
+    known = np.flatnonzero(~np.isnan(drive.gps_m) & ~np.isnan(drive.at_deg[:, 0]))
+    if not (places.size and known.size):
+        return
+    origin = float(drive.at_deg[known[0], 0]), float(drive.at_deg[known[0], 1])
+    at_m = east_north(drive.at_deg[known, 0], drive.at_deg[known, 1], origin)
+    map_m = east_north(maps.places["lat_deg"][places], maps.places["lon_deg"][places], origin)
+    nearest = [int(np.argmin(np.sum((map_m - one) ** 2, axis=1))) for one in at_m]
+    is_near = np.hypot(*(map_m[nearest] - at_m).T) <= NEAR_M
+    segments = np.where(is_near, [drives.drive_of(int(places[row])) for row in nearest], -1)
+    along_m = np.array([drives.along_m(int(places[row])) for row in nearest])
+    cuts = np.flatnonzero(np.diff(segments)) + 1
+    for rows in np.split(np.arange(len(known)), cuts):
+        turned = along_m[rows[-1]] < along_m[rows[0]]
+        if segments[rows[0]] >= 0 and len(rows) > 1 and turned == (way == "home"):
+            yield Pass(int(segments[rows[0]]), along_m[rows], drive.is_published[known[rows]])
 
 
 def road_between_m(maps: MapSet, first: int, second: int) -> float:

@@ -1,8 +1,9 @@
-"""The coverage sheet as one page of A4: the verdict, the route in meters, and what to expect along it."""
+"""A page of A4: a verdict, a road in meters, and how far each stretch of it is to be trusted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ A4_INCHES = (8.27, 11.69)
 LEVELS = ((0.8, "#0072B2", "over 80 % of the frames"), (0.4, "#E69F00", "40 to 80 %"), (0.0, "#D55E00", "less"))
 """Least share, color and words; of Okabe and Ito, whose colors differ for every kind of color vision."""
 UNKNOWN, ALIKE = "#BBBBBB", "#CC79A7"
+ASIDE = 0.006  # of the extent of the road, to the right of it
 BARS_M = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 MOST_ALIKE = 6  # in words, of those that look alike
 GOOD, POOR = 0.9, 0.5
@@ -52,6 +54,22 @@ def gap_in_words(gap: Gap | None, percent: float) -> str:
     )
 
 
+@dataclass(frozen=True)
+class Band:
+    """A stretch as it is drawn. line: longitudes and latitudes in degrees. gap_m: the part of it in the longest gap.
+
+    is_mean: whether no more than a mean is known of it. is_one_way: whether it is drawn to the right of the road.
+    """
+
+    line: Sequence[Sequence[float]]
+    length_m: float
+    color: str
+    is_alike: bool = False
+    gap_m: tuple[float, float] | None = None
+    is_mean: bool = False
+    is_one_way: bool = False
+
+
 def write_sheet(
     path: Path,
     sheet: Sheet,
@@ -62,29 +80,15 @@ def write_sheet(
     name: str,
     views: Sequence[tuple[str, bytes]] = (),
 ) -> None:
-    """Write the page. lines: of each stretch, longitudes and latitudes in degrees. views: pictures of places (JPEG).
+    """Write what to expect of a map. lines: of each stretch, longitudes and latitudes in degrees.
 
-    name: of the map. SetupError without matplotlib.
+    name: of the map. views: pictures of places (JPEG). SetupError without matplotlib.
     """
-    with needing("--picture", "sim"):
-        from matplotlib.figure import Figure
-    figure = Figure(figsize=A4_INCHES)
-    figure.text(0.08, 0.95, f"Where {name} will be recognized", fontsize=17, weight="bold", va="top")
-    figure.text(0.08, 0.915, _wrapped(headline, 80), fontsize=11.5, va="top", linespacing=1.4)
     alike = {one.stretch: one.other for one in found}
-    _draw_map(
-        figure.add_axes((0.08, 0.47 if views else 0.37, 0.84, 0.36 if views else 0.46)),
-        sheet,
-        lines,
-        [one.span in alike for one in sheet.stretches],
-    )
-    _draw_strip(figure.add_axes((0.08, 0.265, 0.84, 0.035)), sheet, [one.span in alike for one in sheet.stretches])
-    for column, (words_of, jpeg) in enumerate(views):
-        axes = figure.add_axes((0.08 + column * 0.84 / len(views), 0.35, 0.84 / len(views) - 0.01, 0.1))
-        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-        axes.imshow(np.asarray(image)[:, :, ::-1])
-        axes.set_axis_off()
-        axes.set_title(words_of, fontsize=8)
+    bands = [
+        Band(line, one.span.to_m - one.span.from_m, _color(one), one.span in alike, _gap_m(sheet.gap, one), one.is_mean)
+        for one, line in zip(sheet.stretches, lines, strict=True)
+    ]
     pairs = [
         f"Looks like another stretch: drive {a.segment + 1}, {a.from_m:.0f} to {a.to_m:.0f} m,"
         f" and drive {b.segment + 1}, {b.from_m:.0f} to {b.to_m:.0f} m."
@@ -93,7 +97,51 @@ def write_sheet(
     ]
     more = [f"{len(pairs) - MOST_ALIKE} more look like another."] if len(pairs) > MOST_ALIKE else []
     rest = [*words, *(pairs[:MOST_ALIKE] or ["No stretch looks like another."]), *more]
-    figure.text(0.08, 0.2, "\n".join(_wrapped(one, 95) for one in rest), fontsize=9.5, va="top", linespacing=1.5)
+    legend = [(color, of_color) for _, color, of_color in LEVELS]
+    legend += [(UNKNOWN, "not known"), (ALIKE, "looks like another stretch")]
+    label = "meters along the map's drives; black: the longest gap"
+    write_page(path, f"Where {name} will be recognized", headline, [("", bands)], legend, rest, label, views)
+
+
+def write_page(
+    path: Path,
+    title: str,
+    headline: str,
+    panels: Sequence[tuple[str, Sequence[Band]]],
+    legend: Sequence[tuple[str, str]],
+    words: Sequence[str],
+    label: str,
+    views: Sequence[tuple[str, bytes]] = (),
+) -> None:
+    """Write a page. panels: roads side by side, each with a name. legend: colors and words. label: below the strips.
+
+    SetupError without matplotlib.
+    """
+    with needing("--picture", "sim"):
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
+    figure = Figure(figsize=A4_INCHES)
+    figure.text(0.08, 0.95, title, fontsize=17, weight="bold", va="top")
+    figure.text(0.08, 0.915, _wrapped(headline, 80), fontsize=11.5, va="top", linespacing=1.4)
+    width = 0.84 / max(len(panels), 1)
+    for column, (name, bands) in enumerate(panels):
+        left = 0.08 + column * width
+        axes = figure.add_axes((left, 0.47 if views else 0.37, width - 0.02, 0.36 if views else 0.46))
+        _draw_map(axes, bands)
+        strip = figure.add_axes((left, 0.265, width - 0.02, 0.035))
+        _draw_strip(strip, bands)
+        strip.set_xlabel(f"{name}: {label}" if name else label, fontsize=9)
+    figure.legend(
+        handles=[Patch(color=color, label=of_color) for color, of_color in legend], ncols=5, loc="lower center",
+        bbox_to_anchor=(0.5, 0.31), fontsize=8, frameon=False, handlelength=1.2, columnspacing=1.2,
+    )  # fmt: skip
+    for column, (words_of, jpeg) in enumerate(views):
+        axes = figure.add_axes((0.08 + column * 0.84 / len(views), 0.35, 0.84 / len(views) - 0.01, 0.1))
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        axes.imshow(np.asarray(image)[:, :, ::-1])
+        axes.set_axis_off()
+        axes.set_title(words_of, fontsize=8)
+    figure.text(0.08, 0.2, "\n".join(_wrapped(one, 95) for one in words), fontsize=9.5, va="top", linespacing=1.5)
     try:
         figure.savefig(path)
     except (OSError, ValueError) as error:
@@ -110,23 +158,36 @@ def _color(one: Stretch) -> str:
     return UNKNOWN if one.share is None else next(color for least, color, _ in LEVELS if one.share >= least)
 
 
-def _draw_map(axes: Axes, sheet: Sheet, lines: Sequence[Sequence[Sequence[float]]], is_alike: Sequence[bool]) -> None:
+def _gap_m(gap: Gap | None, one: Stretch) -> tuple[float, float] | None:
+    """The part of a stretch that lies in a gap, from where the stretch begins."""
+    span = one.span
+    if gap is None or gap.segment != span.segment or not (gap.from_m < span.to_m and span.from_m < gap.to_m):
+        return None
+    return max(0.0, gap.from_m - span.from_m), min(gap.to_m, span.to_m) - span.from_m
+
+
+def _draw_map(axes: Axes, bands: Sequence[Band]) -> None:
     """From above, in meters, north up."""
-    points = [point for line in lines for point in line]
+    points = [point for one in bands for point in one.line]
     axes.set_axis_off()
     if not points:
         axes.text(0.5, 0.5, "a map without positions", ha="center", transform=axes.transAxes)
         return
     origin = points[0][1], points[0][0]
-    for one, line, alike in zip(sheet.stretches, lines, is_alike, strict=True):
-        if not line:
+    lines = [np.array([east_north_of(lat, lon, origin) for lon, lat in one.line]).reshape(-1, 2) for one in bands]
+    extent_m = float(np.ptp(np.concatenate(lines), axis=0).max())
+    for one, line in zip(bands, lines, strict=True):
+        if not len(line):
             continue
-        east_m, north_m = zip(*(east_north_of(lat, lon, origin) for lon, lat in line), strict=True)
-        if alike:
+        if one.is_one_way and len(line) > 1:
+            ahead = np.gradient(line, axis=0)
+            right = np.column_stack([ahead[:, 1], -ahead[:, 0]])
+            line = line + ASIDE * extent_m * right / np.maximum(np.hypot(*right.T), 1e-9)[:, None]  # noqa: PLW2901
+        east_m, north_m = line.T
+        if one.is_alike:
             axes.plot(east_m, north_m, lw=10, color=ALIKE, solid_capstyle="butt")
-        axes.plot(east_m, north_m, lw=4.5, color=_color(one), solid_capstyle="butt")
-        gap = sheet.gap
-        if gap is not None and gap.segment == one.span.segment and _overlaps(gap, one):
+        axes.plot(east_m, north_m, lw=4.5, color=one.color, solid_capstyle="butt")
+        if one.gap_m is not None:
             axes.plot(east_m, north_m, lw=1.3, color="black", ls=(0, (2, 2)))
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
@@ -141,31 +202,19 @@ def _draw_map(axes: Axes, sheet: Sheet, lines: Sequence[Sequence[Sequence[float]
     axes.text(at[0] + bar_m + 0.015 * (high - low), at[1], f"{bar_m} m, north is up", va="center", fontsize=9)
 
 
-def _overlaps(gap: Gap, one: Stretch) -> bool:
-    return gap.from_m < one.span.to_m and one.span.from_m < gap.to_m
-
-
-def _draw_strip(axes: Axes, sheet: Sheet, is_alike: Sequence[bool]) -> None:
-    """Along the distance, one drive of the map after another; the legend is above."""
-    from matplotlib.patches import Patch
-
-    at_m, gap = 0.0, sheet.gap
-    for one, alike in zip(sheet.stretches, is_alike, strict=True):
-        length_m = one.span.to_m - one.span.from_m
-        edge = _color(one) if one.is_mean else "white"  # no borders where no difference is known
-        axes.barh(0, length_m, left=at_m, height=1, color=_color(one), linewidth=0.4, edgecolor=edge)
-        if alike:
-            axes.barh(-0.35, length_m, left=at_m, height=0.3, color=ALIKE)
-        if gap is not None and gap.segment == one.span.segment and _overlaps(gap, one):
-            ends = (at_m + max(0.0, limit - one.span.from_m) for limit in (gap.from_m, min(gap.to_m, one.span.to_m)))
-            axes.plot(list(ends), [0.75] * 2, color="black", lw=2.5, clip_on=False, solid_capstyle="butt")
-        at_m += length_m
+def _draw_strip(axes: Axes, bands: Sequence[Band]) -> None:
+    """Along the distance, one stretch after another."""
+    at_m = 0.0
+    for one in bands:
+        edge = one.color if one.is_mean else "white"  # no borders where no difference is known
+        axes.barh(0, one.length_m, left=at_m, height=1, color=one.color, linewidth=0.4, edgecolor=edge)
+        if one.is_alike:
+            axes.barh(-0.35, one.length_m, left=at_m, height=0.3, color=ALIKE)
+        if one.gap_m is not None:
+            ends = [at_m + end for end in one.gap_m]
+            axes.plot(ends, [0.75] * 2, color="black", lw=2.5, clip_on=False, solid_capstyle="butt")
+        at_m += one.length_m
     axes.set_xlim(0, max(at_m, 1.0))
     axes.set_ylim(-0.5, 0.5)
     axes.set_yticks([])
-    axes.set_xlabel("meters along the map's drives; black: the longest gap", fontsize=9)
     axes.tick_params(labelsize=8)
-    patches = [Patch(color=color, label=words) for _, color, words in LEVELS]
-    patches += [Patch(color=UNKNOWN, label="not known"), Patch(color=ALIKE, label="looks like another stretch")]
-    axes.legend(handles=patches, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.5), fontsize=8, frameon=False,
-                handlelength=1.2, columnspacing=1.2)  # fmt: skip

@@ -1,6 +1,6 @@
 """What to expect of a route: for each stretch, and the longest gap of a whole drive.
 
-Rehearsed drives count as few, so that a handful of real ones outweighs them.
+Where real drives passed, what they found is what to expect; of the whole route, rehearsed drives count as few.
 """
 
 from __future__ import annotations
@@ -145,7 +145,10 @@ def _typical(gaps: Sequence[tuple[Gap | None, float]]) -> Gap | None:
 def _stretch(span: Span, both: Sequence[Sequence[Pass]], weights: Sequence[float], rehearsed: int) -> Stretch:
     frames = believed = passed = soon = 0.0
     real, believed_in = 0, 0
+    was_driven = any(one.is_inside(span.segment, span.from_m, span.to_m) for one in chain(*both[rehearsed:]))
     for number, (one_drive, weight) in enumerate(zip(both, weights, strict=True)):
+        if was_driven and number < rehearsed:
+            continue
         there = [one for one in one_drive if one.segment == span.segment]
         inside = [one.believed[(one.along_m >= span.from_m) & (one.along_m < span.to_m)] for one in there]
         of_drive = np.concatenate(inside) if inside else np.zeros(0, dtype=bool)

@@ -34,6 +34,7 @@ from edge.descriptor.model_file import FC6_PACKAGE
 from edge.feed.format import MEASURES, SOURCE, FeedHeader
 from edge.geodesy import POSITION_SOURCES
 from edge.journal.records import KINDS, Record
+from edge.telemetry.shadow import ShadowPosition
 from edge.toml_file import toml_values
 from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.mapping.status import MappingChanged
@@ -269,7 +270,7 @@ def config_values() -> set[str]:
 
 def journal_words() -> set[str]:
     """Kinds of journal records, their fields, and the keys of every line."""
-    kinds: list[type[Record]] = [*KINDS, MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered]
+    kinds: list[type[Record]] = [*KINDS, MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered, ShadowPosition]
     fields = [field for kind in kinds for field in msgspec.structs.fields(kind)]
     tags = {str(kind.__struct_config__.tag) for kind in kinds}
     return {field.encode_name for field in fields} | tags | set(JournalLine._fields)

@@ -37,6 +37,7 @@ from edge.journal.records import (
     StateChanged,
     Stopped,
 )
+from edge.telemetry.shadow import ShadowPosition
 from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.mapping.status import MappingChanged
 from edge_plugins.motion.camera_motion import MotionMeasured
@@ -239,23 +240,26 @@ EVERY_KIND: tuple[Record, ...] = (
     GpsJudged("wrong", -3.5, 12.0, 1.0),
     HomeAnswered(True, "uploaded and verified: 300 m back along drive 1 (out), 12 waypoints for 151 places", 13),
     SourceSetAnswered(2, "ACCEPTED"),
+    ShadowPosition(5, 8.5, 12.0, "standing", 48.1, 11.5, 0.5, "rtk_fixed"),
     Stopped(120, 7, {"network": 8.5}, {"delivered": 130, "overwritten": 10, "bad": 0}),
 )
 
 
-OF_PLUGINS = MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered
+OTHERS = ShadowPosition, MotionMeasured, VelocityChanged, MappingChanged, HomeAnswered
 
 
 def test_every_kind_of_record_is_read_as_it_was_written(path: Path) -> None:
-    assert {type(record) for record in EVERY_KIND} == {*KINDS, *OF_PLUGINS}
+    assert {type(record) for record in EVERY_KIND} == {*KINDS, *OTHERS}
     journal = Journal(path, unix_time_s=lambda: 1.5)
     assert all(journal.write(record) for record in EVERY_KIND)
     journal.close()
-    opened, *lines = read_journal(path, *OF_PLUGINS)
+    opened, *lines = read_journal(path, *OTHERS)
     assert opened.record == JournalOpened(SCHEMA, edge.__version__)
     assert lines == [JournalLine(1.5, record) for record in EVERY_KIND]
     others = [line.record for line in read_journal(path) if isinstance(line.record, UnknownRecord)]
-    assert [one.fields["event"] for one in others] == ["mapping", "motion", "velocity", "home"], "not asked for"
+    assert [one.fields["event"] for one in others] == ["mapping", "motion", "velocity", "home", "shadow"], (
+        "not asked for"
+    )
     assert list(records_of(path, VelocityChanged)) == [VelocityChanged(is_sent=False, why="too old")]
     assert list(records_of(path, FixAnswered)) == [FixAnswered(4, "ACCEPTED")]
 
@@ -379,7 +383,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_one_file(path: Path, caplog: 
 
 def test_every_key_says_its_unit_and_meaning() -> None:
     """records.py is the reference that docs/journal.md names."""
-    for kind in (*KINDS, *OF_PLUGINS):
+    for kind in (*KINDS, *OTHERS):
         info = type_info(kind)
         assert kind.__doc__ and isinstance(info, StructType)
         for field in info.fields:

@@ -112,7 +112,9 @@ def test_what_cannot_be_used_is_one_line(maps: MapSet, tmp_path: Path, capsys: p
         assert message in said
         assert said.count("\n") == 1
 
-    fails(write(tmp_path / "empty.jsonl", []), "no frames in it; set [telemetry] journal_frames = true")
+    fails(
+        write(tmp_path / "empty.jsonl", []), "no frames in it; drive beside GPS, set [telemetry] journal_frames = true"
+    )
     fails(str(tmp_path / "none.jsonl"), "cannot read it: No such file or directory")
     other = write(tmp_path / "other.jsonl", [FrameUsed(0, 0, accepted=True, place=900, direction="forward")])
     fails(other, "it has no place 900 of a single map; name the map driven on")

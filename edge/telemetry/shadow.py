@@ -1,0 +1,142 @@
+"""What would have been published without GPS, beside where GPS has the vehicle: for a drive that GPS judges.
+
+A second estimator follows the same drive, as if GPS had been lost when the vehicle set off: GPS bounds neither its
+estimate nor what it holds for possible, and no place is believed because GPS is near it. Else GPS would judge itself.
+What stays of GPS is the autopilot's speed and heading, which GPS aids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, NamedTuple
+
+from msgspec import UNSET
+from msgspec.structs import replace
+
+from edge.config import Config
+from edge.geodesy import VehiclePosition
+from edge.journal.records import Direction, Heading, Latitude, Longitude, MapName, Order, Record, unit
+from edge.localization import Break, DeadReckoning, Entry, Fix, Frame, Limits, Maps, Moved, Own, PositionEstimator
+from edge.telemetry.position_history import Awaiting, PositionHistory
+
+PERIOD_NS, AGAIN_NS = 1_000_000_000, 200_000_000
+"""Between two records; how soon it is asked again where no new picture was placed since the last one."""
+LIMITS = Limits(oldest_s=5.0, moves_autopilot=False)
+"""As old as an autopilot takes positions."""
+
+
+class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
+    """What would have been published without GPS, beside where GPS has the vehicle: once a second of driving.
+
+    Only with [telemetry] emit = "report", for `lookback shadow`. What is not known is not written.
+    """
+
+    stamp_ns: Annotated[int, unit("ns", "the exposure of the position; the moment itself where it is withheld")]
+    speed_mps: Annotated[float, unit("m/s", "speed of the vehicle")]
+    driven_m: Annotated[float | None, unit("m", "distance driven since the start of the run")] = None
+    withheld: Annotated[str, unit("", 'why no position would have been published; "" where one would')] = ""
+    gps_lat_deg: Annotated[float | None, unit("deg", "latitude of the autopilot at stamp_ns, null: unknown")] = None
+    gps_lon_deg: Annotated[float | None, unit("deg", "its longitude")] = None
+    gps_sigma_m: Annotated[
+        float | None, unit("m", "one standard deviation of its distance from the truth, as the receiver reports it")
+    ] = None
+    gps_source: Annotated[str, unit("", "what that position rests on: gps, dgps, rtk_fixed, dead_reckoning ...")] = ""
+    lat_deg: Latitude = None
+    lon_deg: Longitude = None
+    heading_deg: Heading = None
+    sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along the route")] = None
+    sigma_across_m: Annotated[float | None, unit("m", "one standard deviation across the route")] = None
+    direction: Direction | None = None
+    order: Order | None = None
+    map: MapName = UNSET
+
+
+class _Waiting(NamedTuple):
+    stamp_ns: int
+    speed_mps: float
+    driven_m: float | None
+    answer: Fix | str
+
+
+class Shadow:
+    """Gets each entry of a drive's list, and writes a `ShadowPosition` for each second of driving."""
+
+    def __init__(self, config: Config, record: Callable[[Record], object]) -> None:
+        """record: writes to the journal."""
+        self._estimator = PositionEstimator(config)
+        self._record, self._min_speed_mps = record, config.gates.min_speed_mps
+        self._was_bound = False
+        self._due_ns = self._last_ns = 0
+        self._history: PositionHistory | None = None
+        self._waiting: Awaiting[_Waiting]
+
+    def update(self, t_ns: int, entry: Entry) -> None:
+        """Follow the drive, without GPS from when it has bounded the autopilot once."""
+        match entry:
+            case Frame():
+                match = None if entry.match is None else entry.match.alone
+                self._estimator.update(t_ns, replace(entry, match=match, gps=None))
+            case Own():
+                if not self._was_bound:
+                    self._was_bound = entry.gps_sigma_m is not None
+                    self._estimator.update(t_ns, entry)
+                self._estimator.update(t_ns, replace(entry, gps="not healthy", gps_why="", gps_sigma_m=None))
+            case Break() | Maps() | Moved():
+                self._was_bound &= not (isinstance(entry, Break) and entry.kind == "reboot")
+                self._estimator.update(t_ns, entry)
+
+    def turn(self, now_ns: int, motion: DeadReckoning, history: PositionHistory, unable: Callable[[], str]) -> None:
+        """Once a turn. motion: of the vehicle. history: of the autopilot's own positions. unable: why nothing is
+        recognized, "" while it is.
+        """
+        if self._history is None:
+            self._history, self._waiting = history, Awaiting(history)
+        self._write()
+        speed_mps = motion.speed_mps(now_ns)
+        if now_ns < self._due_ns or speed_mps is None or speed_mps < self._min_speed_mps:
+            return
+        answer = self._estimator.fix(now_ns, replace(LIMITS, unable=unable()))
+        stamp_ns = answer.place.stamp_ns if isinstance(answer, Fix) else now_ns
+        if stamp_ns <= self._last_ns:
+            self._due_ns = now_ns + AGAIN_NS
+            return
+        self._last_ns, self._due_ns = stamp_ns, now_ns + PERIOD_NS
+        driven_m = motion.driven_m(now_ns)
+        waiting = _Waiting(stamp_ns, speed_mps, driven_m, answer if isinstance(answer, Fix) else str(answer))
+        self._waiting.add(stamp_ns, waiting)
+
+    def close(self) -> None:
+        """Write what still waits for a position of the autopilot."""
+        self._write(all_of_them=True)
+
+    def _write(self, *, all_of_them: bool = False) -> None:
+        if self._history is not None:
+            for waiting, position in self._waiting.known(all_of_them=all_of_them):
+                self._record(_compared(waiting, position))
+
+
+def _compared(one: _Waiting, own: VehiclePosition | None) -> ShadowPosition:
+    driven_m = None if one.driven_m is None else round(one.driven_m, 2)
+    found = ShadowPosition(one.stamp_ns, round(one.speed_mps, 2), driven_m)
+    if own is not None:
+        found = replace(
+            found,
+            gps_lat_deg=round(own.lat_deg, 9),
+            gps_lon_deg=round(own.lon_deg, 9),
+            gps_sigma_m=own.sigma_m,
+            gps_source=own.source,
+        )
+    if not isinstance(one.answer, Fix):
+        return replace(found, withheld=one.answer)
+    place = one.answer.place
+    return replace(
+        found,
+        lat_deg=place.lat_deg,
+        lon_deg=place.lon_deg,
+        heading_deg=None if place.heading_deg is None else round(place.heading_deg, 1),
+        sigma_along_m=place.sigma_along_m,
+        sigma_across_m=place.sigma_across_m,
+        direction=place.direction,
+        order=place.order,
+        map=place.map,
+    )
