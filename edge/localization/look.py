@@ -26,8 +26,10 @@ STANDS_M = 0.01
 """So near the last one, a look says as little as at the same spot."""
 LOOK_CHI2 = 11.83
 """Squared distance of two positions in standard deviations that 1 of 370 honest ones exceeds."""
+FIRST = 2
+"""Looks that agree with each other before the first one counts: else one that is wrong holds for three more."""
 OUTVOTES = 3
-"""Looks of the last RECENT ones that agree with each other outvote an estimate with which the newest does not agree."""
+"""Looks of the last RECENT ones that agree with each other outvote an estimate with which fewer of them agree."""
 RECENT, RECENT_M = 6, 30.0
 """Looks, and meters driven, within which they are compared with each other."""
 TURNS_RAD = math.radians(0.5)
@@ -72,8 +74,8 @@ def camera_seen(seen: Seen, row_m: Vector, row_rad: float, row_sigma_rad: float)
 class RecentLooks:
     """The newest looks, and the vehicle's displacement at each: the robust fallback.
 
-    Where a geometry has two solutions, as one in the lane of the map, or where an estimate began with an outlier, a
-    gate alone would refuse all that is right from then on.
+    A geometry may have two solutions, as one in the lane of the map. So the first look waits for one that agrees; and
+    where an estimate began with two that are wrong, its gate would refuse all that is right from then on.
     """
 
     def __init__(self) -> None:
@@ -83,16 +85,19 @@ class RecentLooks:
         """What was seen before does not count."""
         self._kept.clear()
 
-    def add(self, look: Look, displacement_m: Vector, drift: float) -> bool:
-        """Keep one more; whether so many of them, with it, moved as the vehicle did that they outvote an estimate.
+    def add(self, look: Look, displacement_m: Vector) -> None:
+        """Keep one more."""
+        self._kept.append((look, displacement_m))
+
+    def agree(self, position_m: Vector, covariance: NDArray[np.float64], drift: float) -> int:
+        """How many, moved on as the vehicle did, are where it is now (2,) with that covariance (2, 2).
 
         drift: share by which a displacement may be wrong.
         """
-        agree = 1
-        for before, then_m in self._kept:
-            moved_m = (displacement_m - then_m)[:2]
+        count, now_m = 0, self._kept[-1][1]
+        for look, then_m in self._kept:
+            moved_m = (now_m - then_m)[:2]
             driven_m = float(np.hypot(*moved_m))
-            spread = before.covariance + (drift * driven_m) ** 2 * np.eye(2)
-            agree += driven_m <= RECENT_M and look.disagrees(before.position_m + moved_m, spread) <= LOOK_CHI2
-        self._kept.append((look, displacement_m))
-        return agree >= OUTVOTES and 2 * agree > len(self._kept)
+            spread = covariance + (drift * driven_m) ** 2 * np.eye(2)
+            count += driven_m <= RECENT_M and look.disagrees(position_m - moved_m, spread) <= LOOK_CHI2
+        return count

@@ -22,7 +22,7 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.look import SAME_PLACE_M, RecentLooks
+from edge.localization.look import FIRST, OUTVOTES, SAME_PLACE_M, Look, RecentLooks
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
@@ -122,13 +122,22 @@ class RouteFilter:
                 self._since_lost = ReckonedTrack(track.estimate)
         if match is None or not match.accepted:
             return
-        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
-        if match.seen is None and (match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS):
-            return
-        sighting = self._sightings.of(match, None if track is None else track.estimate, undated_m)
+        sighting = self._sighting(match, _vector(displacement), undated_m)
         if sighting is not None:
-            self._use(sighting, _vector(displacement), stamp_ns)
+            self._use(sighting, stamp_ns)
             self._choose_origin()
+
+    def _sighting(self, match: PlaceMatch, displacement_m: Vector, undated_m: float) -> Sighting | None:
+        """What a match says of where the vehicle is: by one look, or else by its line."""
+        track, looked = self._track, self._sightings.looked(match, undated_m)
+        if looked is not None and looked.look is not None:
+            self._looks.add(looked.look, displacement_m)
+            if (track is not None and track.is_looked) or self._agree(looked.look) >= FIRST:
+                return looked
+        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
+        if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
+            return None
+        return self._sightings.of(match, None if track is None else track.estimate, undated_m)
 
     @property
     def aside(self) -> tuple[float, float] | None:
@@ -176,17 +185,25 @@ class RouteFilter:
                 one.estimate.predict(moved_m)
         self._at = displacement
 
-    def _use(self, sighting: Sighting, displacement_m: Vector, stamp_ns: int) -> None:
+    def _agree(self, look: Look) -> int:
+        return self._looks.agree(look.position_m, look.covariance, self._config.scale_error_percent / 100)
+
+    def _is_outvoted(self, track: Track, look: Look) -> bool:
+        """Whether the looks of late are rather where the newest is than where the vehicle is estimated."""
+        position_m, covariance = track.estimate.position_m, track.estimate.covariance[:2, :2]
+        agree = self._looks.agree(position_m, covariance, self._config.scale_error_percent / 100)
+        return track.away_m(look) <= SAME_PLACE_M and self._agree(look) >= max(OUTVOTES, agree + 1)
+
+    def _use(self, sighting: Sighting, stamp_ns: int) -> None:
         for one in self._reckoned:
             one.compare_across(sighting, sighting.across_sigma_m(self._rig.sigma_across_m))
         track, look = self._track, sighting.look
-        outvotes = look is not None and self._looks.add(look, displacement_m, self._config.scale_error_percent / 100)
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
         elif track.agrees(sighting, self._rig.sigma_across_m):
             self._innovations.add(track.innovation(sighting))
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
-        elif look is not None and outvotes and track.away_m(look) <= SAME_PLACE_M:
+        elif look is not None and self._is_outvoted(track, look):
             track.begin_at_look(sighting, look, stamp_ns)
         else:
             track.disagreeing += 1

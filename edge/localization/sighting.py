@@ -27,7 +27,7 @@ from edge.localization.place_fix import (
 from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, region_line
 from edge.localization.route_estimate import DOUBTFUL, MatchErrors, RouteEstimate, left_of
 from edge.reference_map import Position, Route
-from edge.sequence import PlaceMatch, Seen
+from edge.sequence import PlaceMatch
 
 SEES_M = 12.0
 """How far in front of a camera the vehicle is as far beside the map's drive as its parallax says: a vehicle that turns
@@ -130,12 +130,10 @@ class Sightings:
         return position_on_route(self._route, match.place_index, offset_m, match.direction)
 
     def of(self, match: PlaceMatch, estimate: RouteEstimate | None, undated_m: float) -> Sighting | None:
-        """The match in local meters; None where the map has no positions, or if the line led another way.
+        """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
         estimate: of the vehicle now, where there is one. undated_m: see `Sighting`.
         """
-        if match.seen is not None:
-            return self._looked(match, match.seen, undated_m)
         line = line_middle(match, self._route, self.length)
         if line is None or len(self._readings) < self.length:
             return None
@@ -166,8 +164,11 @@ class Sightings:
             undated_m=undated_m,
         )
 
-    def _looked(self, match: PlaceMatch, seen: Seen, undated_m: float) -> Sighting | None:
-        """What one picture says; None where the map does not know where the row is, or where it heads."""
+    def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
+        """What one picture says; None where it says nothing, or the map does not know where the row is and heads."""
+        seen = match.seen
+        if seen is None:
+            return None
         route, drive, rig = self._route, self._route.drive(seen.place_index), self._rig
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:

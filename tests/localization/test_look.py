@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
     found = Seen(ROW, 90, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
-    sighting = sightings.of(match(ROW, direction, order="same", seen=found), None, 0.0)
+    sighting = sightings.looked(match(ROW, direction, order="same", seen=found), 0.0)
 
     assert sighting is not None and sighting.look is not None and sightings.origin is not None
     origin_m = east_north_of(*sightings.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
@@ -167,25 +168,37 @@ def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_know
 
 def test_looks_alone_are_enough_where_no_line_is_known(road: Road) -> None:
     one = Vehicle(road, MEASURED, 100.0, "reverse")
-    one.go(2, lambda at_m: match(round(at_m / 2), "reverse", order="same", has_line=False, seen=seen(round(at_m / 2))))
+    one.go(4, lambda at_m: match(round(at_m / 2), "reverse", order="same", has_line=False, seen=seen(round(at_m / 2))))
     assert north_m(one.place) == pytest.approx(one.north_m, abs=0.05)
 
 
 def test_looks_close_together_share_what_they_say(road: Road) -> None:
     """Ten of them 2 m apart count as about three, and any number of a vehicle that stands as about one."""
     loose = settings(RigConfig(look_sigma_m=0.01), scale_error_percent=0.01, heading_error_deg=0.01)
-    sigmas = []
-    for meters, times in ((2, 0), (20, 0), (2, 50)):
-        one = warm(road, loose, looks(road, covariance=np.diag([4.0, 4.0, 1e-4])), meters)
+    sigmas, wide = [], looks(road, covariance=np.diag([4.0, 4.0, 1e-4]))
+
+    def sees(at_m: float) -> PlaceMatch | None:
+        found = wide(at_m)
+        return found and replace(found, has_line=False)
+
+    for meters, times in ((4, 0), (22, 0), (4, 50)):
+        one = warm(road, loose, sees, meters)
         for _ in range(times):
             one.t_ns += 200_000_000
-            one.show(looks(road, covariance=np.diag([4.0, 4.0, 1e-4]))(one.north_m))
+            one.show(sees(one.north_m))
         assert one.place is not None
         sigmas.append(math.sqrt(one.place.sigma_across_m**2 - 1.0))
     first, ten, standing = sigmas
     assert first == pytest.approx(2.0, abs=0.1)
     assert 0.4 * first < ten < 0.8 * first
     assert standing > 0.85 * first
+
+
+def test_a_single_look_waits_for_one_that_agrees(road: Road) -> None:
+    one = warm(road, sees=looks(road, -1.0), meters=2.0)
+    assert one.place is None or one.place.points is UNSET
+    one.go(4, looks(road, 1.5))
+    assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
 
 
 def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
@@ -198,7 +211,7 @@ def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
 
 
 def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -> None:
-    one = warm(road, sees=looks(road, -1.0), meters=2.0)
+    one = warm(road, sees=looks(road, -1.0), meters=4.0)
     assert left_m(one.place) == pytest.approx(-1.0, abs=0.1)
     one.go(6, looks(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.1)
