@@ -16,7 +16,19 @@ from msgspec.structs import replace
 from edge.config import Config
 from edge.geodesy import VehiclePosition
 from edge.journal.records import Direction, Heading, Latitude, Longitude, MapName, Order, Record, unit
-from edge.localization import Break, DeadReckoning, Entry, Fix, Frame, Limits, Maps, Moved, Own, PositionEstimator
+from edge.localization import (
+    Break,
+    DeadReckoning,
+    Entry,
+    Fix,
+    Frame,
+    Limits,
+    Maps,
+    Moved,
+    Own,
+    PositionEstimator,
+    Refusal,
+)
 from edge.telemetry.position_history import Awaiting, PositionHistory
 
 PERIOD_NS, AGAIN_NS = 1_000_000_000, 200_000_000
@@ -85,6 +97,10 @@ class Shadow:
                 self._was_bound &= not (isinstance(entry, Break) and entry.kind == "reboot")
                 self._estimator.update(t_ns, entry)
 
+    def fix(self, now_ns: int, unable: str = "") -> Fix | Refusal:
+        """What would be published now. unable: why nothing is recognized, "" while it is."""
+        return self._estimator.fix(now_ns, replace(LIMITS, unable=unable))
+
     def turn(self, now_ns: int, motion: DeadReckoning, history: PositionHistory, unable: Callable[[], str]) -> None:
         """Once a turn. motion: of the vehicle. history: of the autopilot's own positions. unable: why nothing is
         recognized, "" while it is.
@@ -95,7 +111,7 @@ class Shadow:
         speed_mps = motion.speed_mps(now_ns)
         if now_ns < self._due_ns or speed_mps is None or speed_mps < self._min_speed_mps:
             return
-        answer = self._estimator.fix(now_ns, replace(LIMITS, unable=unable()))
+        answer = self.fix(now_ns, unable())
         stamp_ns = answer.place.stamp_ns if isinstance(answer, Fix) else now_ns
         if stamp_ns <= self._last_ns:
             self._due_ns = now_ns + AGAIN_NS

@@ -28,7 +28,8 @@ class SentPosition(msgspec.Struct, frozen=True):
     """A position that was sent: how far from the truth, in the direction of travel and to its right.
 
     message: the number of the command or message. time_s: since GPS was lost, driven_m: since then. sigma_m, levels:
-    as in the journal, None where it has none for this one (of a stream it has one a second).
+    as in the journal, None where it has none for this one (of a stream it has one a second). Errors
+    are NaN where nothing says where the vehicle was.
     """
 
     time_s: float
@@ -64,12 +65,13 @@ class Score(msgspec.Struct, frozen=True):
 
     def row(self) -> dict[str, float]:
         """The figures of the table; NaN where there is nothing to measure."""
-        error_m = np.array([one.error_m for one in self.positions])
+        error_m = np.array([one.error_m for one in self.positions if not math.isnan(one.error_m)])
         sigmas = np.array([one.error_m / one.sigma_m for one in self.positions if one.sigma_m])
+        sigmas = sigmas[~np.isnan(sigmas)]
         median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
         bounded = [one for one in self.positions if one.level_along_m and one.level_across_m]
         return {
-            "sent": len(error_m),
+            "sent": len(self.positions),
             "median_m": median_m,
             "p95_m": most_m,
             "max_m": largest_m,

@@ -20,6 +20,7 @@ from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
+from sim.research.trial.listed_drive import ListedDrive
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
 from sim.research.trial.table import put_between
@@ -70,7 +71,10 @@ class Failed(msgspec.Struct, frozen=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
-    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
+    about = (
+        "recorded drives, a folder of them, or what `lookback bundle` made: of it, the list of the drive is replayed"
+    )
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help=about)
     parser.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="maps whose drives run side by side (default 1)"
     )
@@ -88,15 +92,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
-    folders = [path for given in args.flights for path in ([given] if (given / LINK).exists() else _inside(given))]
-    if not folders:
+    bundles = [given for given in args.flights if given.is_file()]
+    folders = [given for given in args.flights if given not in bundles]
+    folders = [path for given in folders for path in ([given] if (given / LINK).exists() else _inside(given))]
+    if not folders and not bundles:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
-    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model)
+    listed = [_listed(bundle) for bundle in bundles]
+    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model, listed)
     given = " ".join([*(path.name for path in args.flights), *([f"--model {args.model}"] if args.model else [])])
     publish(flights, given, args.page, args.summary)
     print(table(flights))
     return 0
+
+
+def _listed(bundle: Path) -> Flight:
+    """A drive from the field, of which neither autopilot nor pictures are replayed."""
+    drive = ListedDrive(bundle)
+    return Flight(bundle.stem, "from the field", drive.then, drive.now, [], [], [], round(drive.lost_m, 1))
 
 
 def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None, summary_page: Path | None) -> None:
@@ -153,9 +166,14 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def replay_all(
-    folders: Sequence[Path], output: Path, views: Path, jobs: int, model: Path | None = None
+    folders: Sequence[Path],
+    output: Path,
+    views: Path,
+    jobs: int,
+    model: Path | None = None,
+    listed: Sequence[Flight] = (),
 ) -> list[Flight | Failed]:
-    """Replay drives, those on one road one after the other. model: as `resolve_model` has it.
+    """Replay drives, those on one road one after the other. model: as `resolve_model` has it. listed: done already.
 
     flights.json and flights.md in `output` have what is done as soon as a road is.
     """
@@ -164,14 +182,20 @@ def replay_all(
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
     found: dict[Path, Flight | Failed] = {}
+    flights: list[Flight | Failed] = [*listed]
+    _write(flights, output)
     # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
     with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
         for group in pool.imap_unordered(partial(replay_group, output=output, views=views, model=model), groups):
             found.update(group)
-            flights = [found[folder] for folder in folders if folder in found]
-            (output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
-            (output / "flights.md").write_text(page(flights), encoding="utf-8")
+            flights = [*listed, *(found[folder] for folder in folders if folder in found)]
+            _write(flights, output)
     return flights
+
+
+def _write(flights: Sequence[Flight | Failed], output: Path) -> None:
+    (output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
+    (output / "flights.md").write_text(page(flights), encoding="utf-8")
 
 
 def _road(folder: Path) -> int | None:

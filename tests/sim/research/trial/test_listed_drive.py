@@ -1,0 +1,62 @@
+"""`lookback dev flights` on a drive from the field."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from edge.commands.parser import build_parser
+from edge.localization import Drive, Maps, PositionEstimator
+from edge.localization.drive_file import DriveFile
+from sim.bundle import LIST
+from sim.research.trial.listed_drive import ListedDrive
+from tests.localization.events_of import Road, Vehicle, gps_at, settings
+from tests.localization.route_course import Stretch
+
+
+def bundle(folder: Path, *, reports_only: bool) -> Path:
+    """A vehicle that drives 300 m beside GPS, 3 m behind where GPS has it, and 200 m without."""
+    one = Vehicle(Road(folder, Stretch(0, 600, sigma_m=1.0)))
+    file = DriveFile(folder / "it.drive", settings())
+    one.drive, one.off_m = Drive(PositionEstimator(settings()), file.write), 3.0
+    one.drive.update(0, Maps(one.road.maps))
+    for row in range(250):
+        one.move()
+        one.own(has_gps=row < 150)
+        one.show(one.road.match(one.north_m), gps_at(one.north_m + one.off_m) if row < 150 else None)
+        if not reports_only:
+            one.ask()
+    file.close()
+    with zipfile.ZipFile(folder / "it.zip", "w") as made:
+        made.write(folder / "it.drive", LIST)
+    return folder / "it.zip"
+
+
+def test_what_was_sent_is_what_is_sent_now(tmp_path: Path) -> None:
+    found = ListedDrive(bundle(tmp_path, reports_only=False))
+    assert msgspec.json.encode(found.then) == msgspec.json.encode(found.now)
+    assert found.lost_m == pytest.approx(200, abs=4)
+    row = found.now.row()
+    assert row["sent"] > 50 and row["known"] <= 6, "without GPS no error"
+    assert (row["used"], row["believed"], row["false"]) == (250, 250, 0)
+
+
+def test_of_a_drive_that_sent_nothing_gps_judges_what_would_be(tmp_path: Path) -> None:
+    found = ListedDrive(bundle(tmp_path, reports_only=True))
+    assert not found.then.positions and found.then.silent_s == pytest.approx(20, abs=0.5)
+    row = found.now.row()
+    assert 50 < row["known"] < row["sent"]
+    assert row["median_m"] == pytest.approx(3, abs=1), "by how much GPS is ahead"
+
+
+def test_the_command_has_a_row_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["dev", "flights", str(bundle(tmp_path, reports_only=True)), "-o", str(tmp_path / "out")]
+    args = build_parser(words).parse_args(words)
+    assert args.run(args) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].startswith("| it, then | 0 | -") and lines[3].startswith("| now | ")
+    assert "All 1 drives together" in "\n".join(lines)
+    assert "it, then" in (tmp_path / "out/flights.md").read_text()
