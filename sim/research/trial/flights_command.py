@@ -83,6 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
     parser.add_argument("--model", type=Path, help="the network of the maps and the daemon (default fc6, as recorded)")
+    keypoints = "give the maps keypoints, where they were not made on the way"
+    parser.add_argument("--keypoints", action="store_true", help=keypoints)
     about = "a page of docs, to write what each kind of drive has into, and beside it a CSV file with all drives"
     parser.add_argument("--page", type=Path, metavar="FILE", help=about)
     parser.add_argument("--summary", type=Path, metavar="FILE", help="a page of docs, to write its last lines into")
@@ -98,9 +100,10 @@ def _run(args: argparse.Namespace) -> int:
     if not folders and not bundles:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
-    listed = [_listed(bundle) for bundle in bundles]
-    flights = replay_all(folders, args.output, args.views or args.output / "views", args.jobs, args.model, listed)
-    given = " ".join([*(path.name for path in args.flights), *([f"--model {args.model}"] if args.model else [])])
+    listed, views = [_listed(bundle) for bundle in bundles], args.views or args.output / "views"
+    flights = replay_all(folders, args.output, views, args.jobs, args.model, listed, keypoints=args.keypoints)
+    options = [*([f"--model {args.model}"] if args.model else []), *["--keypoints"] * args.keypoints]
+    given = " ".join([*(path.name for path in args.flights), *options])
     publish(flights, given, args.page, args.summary)
     print(table(flights))
     return 0
@@ -172,6 +175,8 @@ def replay_all(
     jobs: int,
     model: Path | None = None,
     listed: Sequence[Flight] = (),
+    *,
+    keypoints: bool = False,
 ) -> list[Flight | Failed]:
     """Replay drives, those on one road one after the other. model: as `resolve_model` has it. listed: done already.
 
@@ -186,7 +191,8 @@ def replay_all(
     _write(flights, output)
     # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
     with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
-        for group in pool.imap_unordered(partial(replay_group, output=output, views=views, model=model), groups):
+        replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
+        for group in pool.imap_unordered(replayed, groups):
             found.update(group)
             flights = [*listed, *(found[folder] for folder in folders if folder in found)]
             _write(flights, output)
@@ -206,7 +212,7 @@ def _road(folder: Path) -> int | None:
 
 
 def replay_group(
-    folders: Sequence[Path], output: Path, views: Path, model: Path | None = None
+    folders: Sequence[Path], output: Path, views: Path, model: Path | None = None, *, keypoints: bool = False
 ) -> list[tuple[Path, Flight | Failed]]:
     """Replay drives on one road, in one process; each prints its rows."""
     logging.getLogger("edge").setLevel(logging.ERROR)
@@ -226,7 +232,7 @@ def replay_group(
         for folder, drive in drives.items():
             matched = [frame for one in drives.values() if one.map_name == drive.map_name for frame in one.used]
             try:
-                add(folder, _replay(drive, matched, output / drive.name, library))
+                add(folder, _replay(drive, matched, output / drive.name, library, keypoints=keypoints))
             except (LookbackError, RuntimeError) as error:  # of a plug-in that failed
                 add(folder, Failed(folder.name, str(error)))
             library.save()
@@ -235,9 +241,11 @@ def replay_group(
     return found
 
 
-def _replay(drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary) -> Flight:
+def _replay(
+    drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary, *, keypoints: bool
+) -> Flight:
     then = [(one.time_s, one.message) for one in drive.link if one.message.get_srcComponent() == WE]
-    sent = replay(drive, matched, folder, library)
+    sent = replay(drive, matched, folder, library, keypoints=keypoints)
     journal = folder / JOURNAL
     return Flight(
         drive.name,

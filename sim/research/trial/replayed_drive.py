@@ -25,18 +25,20 @@ from edge.daemon import Daemon
 from edge.errors import FeedError
 from edge.geodesy import moved
 from edge.journal.records import FrameUsed, PluginFailed
+from edge.keypoints.network import KeypointNetwork
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge_plugins.home import HomeConfig
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.keypoint_rows import MOST
 from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.research.trial.course_map import map_errors_m, open_builder, place_at
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.recorded_drive import WE, DaemonRun, RecordedDrive
 from sim.trial.records import Array
-from sim.trial.run import JOURNAL, map_scenario
+from sim.trial.run import JOURNAL, RIG, map_scenario
 from sim.trial.simulation import STEP_S
 from sim.trial.views import RoadLibrary
 from sim.vehicle.position_inputs import east_north_m
@@ -51,12 +53,12 @@ DAY: tuple[View, LightName, int] = ("rear", "day", 1)
 
 
 def replay(
-    drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary
+    drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary, *, keypoints: bool = False
 ) -> list[tuple[float, Message]]:
     """Run the daemon on a recorded drive; what it sent, and when. Journal and lists, one of each run, stay in `folder`.
 
-    matched: what was recognized on the drive's map, by whichever drive. FeedError where the map was learned, and
-    RuntimeError where a plug-in failed.
+    matched: what was recognized on the drive's map, by whichever drive. keypoints: of a map that has them, unless it
+    was made on the way. FeedError where the map was learned, and RuntimeError where a plug-in failed.
     """
     if drive.is_learned:
         raise FeedError("its map was learned from several, and it has no record of what they were made of")
@@ -67,11 +69,12 @@ def replay(
         left.unlink()
     with TemporaryDirectory() as scratch, closing(Scenes(library.folder / f"{drive.name}.sqlite")) as scenes:
         map_path = Path(scratch) / "map"
-        _build_map(drive, matched, map_path, library)
+        _build_map(drive, matched, map_path, library, keypoints=keypoints)
         for number, run in enumerate(drive.runs):
             with closing(Cable()) as link, ExitStack() as parts:
                 playback = Playback(drive, run, link, scenes)
-                settings = _settings(drive.config, link, map_path, journal, journal.with_name(f"{number:02}.drive"))
+                recorded = _with_looks(drive) if keypoints else drive.config
+                settings = _settings(recorded, link, map_path, journal, journal.with_name(f"{number:02}.drive"))
                 opened = OpenedParts(
                     settings,
                     parts,
@@ -178,7 +181,16 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path, events
     return replaced(config, map=replaced(config.map, path=str(map_path)), plugins=plugins, telemetry=telemetry)
 
 
-def _build_map(drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary) -> None:
+def _with_looks(drive: RecordedDrive) -> Config:
+    """The drive's config with what looks need: the camera's view, and where it is, which is at the antenna."""
+    replaced, config = msgspec.structs.replace, drive.config
+    camera = replaced(config.camera, fov_deg=drive.scenario.fov_deg)
+    return replaced(config, camera=camera, rig=replaced(config.rig, look_sigma_m=RIG.look_sigma_m))
+
+
+def _build_map(
+    drive: RecordedDrive, matched: list[FrameUsed], path: Path, library: RoadLibrary, *, keypoints: bool
+) -> None:
     """The map before the drive, whose places have the errors that the journals' positions had; none if it was made on
     the way."""
     if drive.config.of(MappingConfig).folder:
@@ -190,13 +202,16 @@ def _build_map(drive: RecordedDrive, matched: list[FrameUsed], path: Path, libra
     places = np.arange(int(drive.scenario.length_m / spacing_m))
     true = [route.at(place * spacing_m, lane_m) for place in places]
     off_m, first_rows = _map_errors(drive, matched, true)
-    with open_builder(path, library.network) as builder:
+    finder = KeypointNetwork() if keypoints else None
+    with open_builder(path, library.network, keypoints=keypoints) as builder:
         for place in places:
             if place in first_rows:
                 builder.begin_segment(f"segment from place {place}", out.view, has_odometer=True, whole_sigma_m=0.0)
                 row = 0
             route_m = float(place * spacing_m)
             builder.add(library[out].raw(route_m), place_at(row, route_m, true[place], off_m[place]))
+            if builder.keypoints and finder:
+                builder.keypoints.add(finder.extract(library[out].picture(route_m), MOST))
             row += 1
         builder.finish()
 
