@@ -204,7 +204,7 @@ class SequenceMatcher:
     def _shows_parallax(self, match: PlaceMatch) -> bool:
         """Whether it is used, and both cameras look the same way: else the two regions see unlike sides of the road."""
         has_regions = self.map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
-        return has_regions and self._config.rig.parallax > 0 and match.order == "same"
+        return has_regions and match.has_line and self._config.rig.parallax > 0 and match.order == "same"
 
     @property
     def needs_odometer(self) -> bool:
