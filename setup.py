@@ -10,7 +10,11 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 VERSION = re.search(r'__version__ = "(.+)"', (HERE / "edge/__init__.py").read_text(encoding="utf-8"))[1]
-RELATIVE = re.compile(r"(!?)\[([^\]]*)\]\((?!https?:|#)([^)#]+)(#[^)]*)?\)")
+PICTURE = re.compile(r"!\[([^\]]*)\]\((?!https?:)([^)]+)\)")
+LINK = re.compile(r"(?<!!)\[((?:!\[[^\]]*\]\([^)]*\)|[^\[\]])*)\]\((?!https?:|#)([^)]+)\)")
+IN_REPOSITORY = "../../"
+"""What README's links to pages of the repository that are no files begin with; on GitHub they lead there."""
+SITE = "deployments/github-pages"
 
 
 def repository() -> str:
@@ -20,25 +24,34 @@ def repository() -> str:
     return env.get("REPOSITORY_URL", by_workflow).rstrip("/")
 
 
+def site(address: str) -> str:
+    """The address of the documentation, which the release publishes on GitHub Pages; elsewhere the folder docs."""
+    pages = re.fullmatch(r"https://github\.com/([^/]+)/([^/]+)", address)
+    return f"https://{pages[1].lower()}.github.io/{pages[2]}/" if pages else f"{address}/tree/v{VERSION}/docs"
+
+
 def as_page(text: str, address: str) -> str:
     """README with its links and pictures as those of this version in the repository."""
 
-    def absolute(found: re.Match[str]) -> str:
-        picture, words, path, anchor = found.groups(default="")
-        if not address:
-            return "" if picture else words
-        kind = "raw" if picture else "blob"
-        return f"{picture}[{words}]({address}/{kind}/v{VERSION}/{path}{anchor})"
+    def absolute(path: str, kind: str) -> str:
+        if path.startswith(IN_REPOSITORY):
+            path = path[len(IN_REPOSITORY) :]
+            return site(address) if path == SITE else f"{address}/{path}"
+        return f"{address}/{kind}/v{VERSION}/{path}"
 
-    return RELATIVE.sub(absolute, text)
+    if not address:
+        return LINK.sub(r"\1", PICTURE.sub("", text))
+    text = PICTURE.sub(lambda found: f"![{found[1]}]({absolute(found[2], 'raw')})", text)
+    return LINK.sub(lambda found: f"[{found[1]}]({absolute(found[2], 'blob')})", text)
 
 
 def urls(address: str) -> dict[str, str]:
     """What stands beside the page."""
     if not address:
         return {}
-    kept = {"Documentation": "tree/v{}/docs", "Changelog": "blob/v{}/CHANGELOG.md", "Issues": "issues"}
-    return {"Source": address, **{name: f"{address}/{path.format(VERSION)}" for name, path in kept.items()}}
+    kept = {"Changelog": "blob/v{}/CHANGELOG.md", "Issues": "issues"}
+    found = {name: f"{address}/{path.format(VERSION)}" for name, path in kept.items()}
+    return {"Source": address, "Documentation": site(address), **found}
 
 
 if __name__ == "__main__":

@@ -1,8 +1,13 @@
-"""What `make docs` changes of the pages: README is the first one, and links out of the docs lead nowhere."""
+"""What `make docs` changes of the pages: README is the first one, and links out of the docs lead to the repository.
+
+Where nobody knows its address (`setup.py`), they become their words.
+"""
 
 from __future__ import annotations
 
+import posixpath
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +15,32 @@ import griffe
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
+SETUP = runpy.run_path(str(ROOT / "setup.py"), run_name="read")
+BADGE = re.compile(r"^\[!\[.*\)\n", re.MULTILINE)
+OUTSIDE = re.compile(
+    r"(?<!!)\[([^\]]+)\]\(((?:\.\./|LICENSE|CONTRIBUTING|CODE_OF|edge/|firmware_config|lookback_fc6)[^)]*)\)"
+)
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """README as the first page."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    """README as the first page, without badges, which are loaded from elsewhere."""
+    text = BADGE.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
     files.append(File.generated(config, "index.md", content=text.replace("](docs/", "](")))
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Links to README lead to the first page; those to other files of the repository become their names."""
-    markdown = markdown.replace("](../README.md", "](index.md")
-    return re.sub(r"(?<!!)\[([^\]]+)\]\((?:\.\./|LICENSE|CONTRIBUTING|edge/|firmware_config)[^)]*\)", r"\1", markdown)
+def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
+    """Links to README lead to the first page, those to other files of the repository to this version of them."""
+    address = SETUP["repository"]()
+
+    def outside(found: re.Match[str]) -> str:
+        words, path = found.groups()
+        if not address or path.startswith(SETUP["IN_REPOSITORY"]):
+            return words
+        folder = "" if page.file.src_uri == "index.md" else posixpath.dirname(f"docs/{page.file.src_uri}")
+        return f"[{words}]({address}/blob/v{SETUP['VERSION']}/{posixpath.normpath(posixpath.join(folder, path))})"
+
+    return OUTSIDE.sub(outside, markdown.replace("](../README.md", "](index.md"))
 
 
 class Examples(griffe.Extension):

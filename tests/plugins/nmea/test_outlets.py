@@ -15,8 +15,10 @@ from pathlib import Path
 
 import pytest
 
+from edge.config import load_config
 from edge.errors import ConfigError
 from edge.journal.records import PlaceFix
+from edge_plugins.nmea import NmeaConfig
 from edge_plugins.nmea.outlets import MOST_CLIENTS, PtyOutlet, TcpOutlet
 from edge_plugins.nmea.sentences import sentences
 from tests.udp_port import free_port
@@ -100,6 +102,15 @@ def test_a_link_that_a_killed_daemon_left_is_replaced_and_no_other_file(tmp_path
     with pytest.raises(ConfigError, match=r"^\[nmea\] pty: .*nmea: cannot make it: File exists$"):
         PtyOutlet(path)
     assert path.read_text() == "mine"
+
+
+def test_a_link_to_a_terminal_that_is_of_another_program_now_stops_no_start(tmp_path: Path) -> None:
+    ends = os.openpty()
+    (tmp_path / "nmea").symlink_to(os.ttyname(ends[1]))
+    (tmp_path / "lookback.toml").write_text('[nmea]\npty = "nmea"\n')
+    assert load_config(tmp_path / "lookback.toml").of(NmeaConfig).pty == str(tmp_path / "nmea")
+    for end in ends:
+        os.close(end)
 
 
 @pytest.mark.skipif(None in map(shutil.which, ("gpsd", "gpspipe")), reason="needs gpsd and gpspipe (gpsd-clients)")
