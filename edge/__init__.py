@@ -18,6 +18,8 @@ The files beside them:
 
     recognizer        one frame in, one match out: the file to read first
     sequence_matcher  descriptors in, matches out
+    place_looks       which frames' keypoints are compared, and with which places
+    place_verification  keypoints of a picture against those of some places
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
     plugin            guests of the daemon: the parts in `edge_plugins/`, which only some vehicles need, or of others

@@ -23,7 +23,7 @@ from edge.errors import MapError, SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
-from edge.journal.records import Stopped
+from edge.journal.records import PlaceFix, Stopped
 from edge.localization import AGREE_SIGMAS, Break, Maps, Moved, events
 from edge.localization.dead_reckoning import Displacement, TurnAround
 from edge.localization.place_fix import frame_used, untracked_fix
@@ -95,6 +95,8 @@ class Daemon:
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
             self._process_frame(frame, distance_m)
+        elif self._recognizer.may_look_again(frame.stamp_ns, distance_m):
+            self._look_again(frame, distance_m)
         return is_place
 
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
@@ -118,6 +120,16 @@ class Daemon:
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
         self.parts.warm_start.keep_if_due(now_ns)
 
+    def _look_again(self, frame: Frame, distance_m: float | None) -> None:
+        """Look at a further picture while the vehicle stands, and nothing is believed; publish the place it shows."""
+        displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
+        reckoned = self._drive.reckoned(displacement)
+        travel = Travel(distance_m, 0, self._search_area(), self._turn_around.course_rad, reckoned)
+        match = self._recognize(frame, travel, again=True)
+        if match is not None:
+            self._estimate(frame.stamp_ns, match, displacement, 0)
+            self._publish_place(frame, match)
+
     def _estimate(
         self, stamp_ns: int, match: PlaceMatch | None, displacement: Displacement | None, missed: int
     ) -> None:
@@ -139,13 +151,17 @@ class Daemon:
         if in_line:
             self._autopilot.judge_gps(self._drive.known.gps)
 
-    def _recognize(self, frame: Frame, travel: Travel) -> PlaceMatch | None:
-        """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged."""
+    def _recognize(self, frame: Frame, travel: Travel, *, again: bool = False) -> PlaceMatch | None:
+        """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged.
+
+        again: from the spot of the last one.
+        """
         if self._distance_gaps != self._autopilot.vehicle.motion.gaps:
             self._distance_gaps = self._autopilot.vehicle.motion.gaps
             self._recognizer.restart_odometer()
         try:
-            match = self._recognizer.observe(frame.image, frame.stamp_ns, travel)
+            observe = self._recognizer.look_again if again else self._recognizer.observe
+            match = observe(frame.image, frame.stamp_ns, travel)
         except MapError:
             left = self.parts.verification.without_cut(self._recognizer.map_set)
             if left is self._recognizer.map_set:
@@ -216,21 +232,26 @@ class Daemon:
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
         """To the journal where it is to have every frame, an event to people, and both to the plug-ins."""
-        parts, route, rig = self.parts, self._drive.route, self.parts.config.rig
-        record = frame_used(frame.index, frame.stamp_ns, match, route, rig, missed)
+        parts = self.parts
+        record = frame_used(frame.index, frame.stamp_ns, match, self._drive.route, parts.config.rig, missed)
         parts.frames_used += 1
-        parts.events += record.emitted
         if parts.config.telemetry.journal_frames:
             parts.record(record)
-        fix = None
-        if match is not None and match.event:
-            fix = self._drive.known.position
-            if fix is None or fix.stamp_ns != frame.stamp_ns:
-                fix = untracked_fix(match, frame.stamp_ns, route, rig)
-            parts.record(fix)
-            self._autopilot.publish_place(fix)
+        fix = None if match is None else self._publish_place(frame, match)
         used = UsedFrame(frame, distance_m, missed, match, record, fix)
         parts.plugins.each(lambda plugin: plugin.frame_used(used))
+
+    def _publish_place(self, frame: Frame, match: PlaceMatch) -> PlaceFix | None:
+        """To people, if it is an event."""
+        if not match.event:
+            return None
+        fix = self._drive.known.position
+        if fix is None or fix.stamp_ns != frame.stamp_ns:
+            fix = untracked_fix(match, frame.stamp_ns, self._drive.route, self.parts.config.rig)
+        self.parts.events += 1
+        self.parts.record(fix)
+        self._autopilot.publish_place(fix)
+        return fix
 
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, and what follows."""

@@ -1,6 +1,7 @@
 """The place recognizer: one frame in, one answer out. No camera, no link, no file, no clock.
 
 image -> regions -> descriptor -> `SequenceMatcher`: online NSD -> cost row -> lines through the last rows -> belief
+      -> keypoints, where the maps have them -------------> ten places ------------------------------------>
 
     recognizer = open_recognizer(load_config(path))
     match = recognizer.observe(image, stamp_ns)
@@ -40,6 +41,11 @@ CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
 """How many times more than usual the picture must have changed over a halt for the vehicle to have been carried. Frames
 2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8;
 after a tow of 100 m one was 2.3 times as far apart."""
+
+LOOK_AGAIN_NS, LOOKS_AGAIN = 1_000_000_000, 3
+"""How long after a picture from the same spot another one is looked at, and how often: more show nothing new."""
+STANDS_M = 0.2
+"""Driven since the newest frame, up to which a vehicle stands where that was."""
 
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
 
@@ -118,6 +124,7 @@ class PlaceRecognizer:
         self.is_in_line = False
         """Whether a line may lead through the newest frame: it shows another place, so far from the last one."""
         self.state: State = "warming up"
+        self._looks_left, self._looked_ns = 0, 0  # at the spot of the newest frame, while nothing is believed there
 
     @property
     def map_set(self) -> MapSet:
@@ -126,6 +133,8 @@ class PlaceRecognizer:
 
     def observe(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
+
+        On a map with keypoints there may be an answer meanwhile, by looks alone.
 
         stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off.
         """
@@ -136,21 +145,46 @@ class PlaceRecognizer:
             # A feed whose every frame is a place has passed one, even if it looks like the last.
             self._used.unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
-            return None
+            return self._look_again(image, stamp_ns, travel) if self._is_look_due(stamp_ns) else None
         self.was_carried = self._used.is_carried(frame)
         self._reset_after_gap(frame)
         travel = replace(travel, missed=travel.missed + self._used.unmoved)
         self._used.newest, self._used.unmoved = frame, 0
         self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
-        match = self.matcher.push(raw, travel)
+        match = self.matcher.push(raw, travel, image)
+        self._looks_left, self._looked_ns = 0 if match is not None and match.accepted else LOOKS_AGAIN, stamp_ns
         if match is None:
             off_the_map = self.is_in_line and self.matcher.has_lines
             self.state = "off the map" if off_the_map else "searching" if self.matcher.is_scanning else "warming up"
             return None
         self.state = "on the map" if match.accepted else "off the map"
-        if not (match.accepted and self._hold_off.passes(stamp_ns)):
-            return match
-        return replace(match, event=True)
+        return self._as_event(match, stamp_ns)
+
+    def may_look_again(self, stamp_ns: int, distance_m: float | None) -> bool:
+        """Whether a further picture from the spot of the newest frame, where the vehicle stands, may show its place."""
+        last = self._used.newest
+        if last is None or distance_m is None or last.distance_m is None or not self._is_look_due(stamp_ns):
+            return False
+        return abs(distance_m - last.distance_m) <= STANDS_M
+
+    def look_again(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
+        """Such a picture (H, W, 3) uint8 BGR: a place that is believed by looks, else None."""
+        self.was_carried = self.is_in_line = False
+        return self._look_again(image, stamp_ns, travel)
+
+    def _is_look_due(self, stamp_ns: int) -> bool:
+        return self.matcher.may_look and self._looks_left > 0 and stamp_ns - self._looked_ns >= LOOK_AGAIN_NS
+
+    def _look_again(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel) -> PlaceMatch | None:
+        self._looks_left, self._looked_ns = self._looks_left - 1, stamp_ns
+        match = self.matcher.look_again(image, travel)
+        if match is None or not match.accepted:
+            return None
+        self.state, self._looks_left = "on the map", 0
+        return self._as_event(match, stamp_ns)
+
+    def _as_event(self, match: PlaceMatch, stamp_ns: int) -> PlaceMatch:
+        return replace(match, event=True) if match.accepted and self._hold_off.passes(stamp_ns) else match
 
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
@@ -191,7 +225,7 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._used.newest, self._used.unmoved = None, 0
+        self._used.newest, self._used.unmoved, self._looks_left = None, 0, 0
         self.state = "warming up"
 
     def begin_way_back(self) -> None:

@@ -1,6 +1,7 @@
-"""Raw descriptors in, matches out: online normalization, costs, sequence search, and the place belief. No network.
+"""Raw descriptors in, matches out: online normalization, costs, sequence search, and the place belief.
 
 raw descriptor (R, D) -> online NSD -> cost row -> best line -> vote -> PlaceConsensus -> belief
+picture, of a map with keypoints ----> ten places --------------------> PlaceLooks -----> belief
 
     matcher = SequenceMatcher(map_set, config)
     matches = [matcher.push(raw) for raw in descriptors]  # each raw is (R, D) float32
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +23,17 @@ from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
 from edge.sequence import NOTHING_KNOWN, PlaceMatch, Reckoning, Travel
-from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
+from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence.prior import Prior
 
+if TYPE_CHECKING:
+    from edge.keypoints.network import KeypointNetwork
+    from edge.place_looks import PlaceLooks
+
+PriorOf: TypeAlias = Callable[[int, float], float]
+"""The odds of being at a point along a drive."""
 MAP_COUNTS_AS = 20
 """Frames that the map's statistics count as when the query's begin; after 100 frames they are a sixth."""
 WAY_OUT_COUNTS_AS = 50
@@ -59,6 +67,7 @@ class SequenceMatcher:
         )
         self._steps = Steps(config.sampling)
         self._frame = 0
+        self._keypoints: KeypointNetwork | None = None
         self.use_maps(map_set)
         self._begin_statistics()
 
@@ -71,12 +80,23 @@ class SequenceMatcher:
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
         self._unmeasured: int | None = 0  # frames of this sequence, as long as none had a known distance
         self._begin_consensus()
+        self._looks = self._open_looks(map_set)
+
+    def _open_looks(self, map_set: MapSet) -> PlaceLooks | None:
+        """None where no map has keypoints, which needs none of their code."""
+        if all(header.keypoints_key is None for header in map_set.headers):
+            return None
+        from edge.place_looks import PlaceLooks
+
+        return PlaceLooks(map_set, self._drives, self._config, self._keypoints)
 
     def grow(self, map_set: MapSet) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
         was_metric = self._drives.is_metric
         self.search.grow(map_set, self._normalizer.rows)
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
+        if self._looks is not None:
+            self._looks.grow(map_set, self._drives)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 
@@ -126,8 +146,13 @@ class SequenceMatcher:
     def _positions_m(self, drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return self._drives.positions_m(drives, along_m)
 
-    def push(self, raw: NDArray[np.float32], travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
-        """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned."""
+    def push(
+        self, raw: NDArray[np.float32], travel: Travel = NOTHING_KNOWN, image: NDArray[np.uint8] | None = None
+    ) -> PlaceMatch | None:
+        """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
+
+        image: (H, W, 3) uint8 BGR, where what its keypoints say counts as well.
+        """
         odometer_m = travel.distance_m if self._drives.is_metric else None
         if travel.distance_m is not None:  # also of a map that knows no meters, as before its first place
             self._unmeasured = None
@@ -143,11 +168,39 @@ class SequenceMatcher:
         some_excluded = self.search.part is not None and self.search.part.excludes
         self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         vote = PlaceVote.of(match, self._drives, self._config.rig) if match else None
-        believed = self._believed(match, self._belief(vote, odometer_m, step, travel.reckoned))
-        self.search.follow(believed.place_index if believed and believed.accepted else None)
+        prior = self._prior(travel.reckoned)
+        belief = self._consensus.update(vote, odometer_m, step, *(prior or ()))
+        if image is not None and self._looks is not None and self._looks.is_due():
+            self._look(image, travel)
+        believed = self._believed(match, belief, prior)
+        self._follow(believed)
         believed = self._with_parallax(believed)
         self._stopwatch("belief")
         return believed
+
+    def look_again(self, image: NDArray[np.uint8], travel: Travel) -> PlaceMatch | None:
+        """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone."""
+        self._look(image, travel)
+        believed = self._believed(None, None, self._prior(travel.reckoned))
+        self._follow(believed)
+        return believed
+
+    def _look(self, image: NDArray[np.uint8], travel: Travel) -> None:
+        if self._looks is not None:
+            driven = self._consensus.driven_m, self._consensus.uncertain_m
+            self._looks.look(image, self.search, travel.course_rad, *driven)
+            self._stopwatch("keypoints")
+
+    @property
+    def may_look(self) -> bool:
+        """Whether the maps have keypoints that compare with those of a picture."""
+        return self._looks is not None and self._looks.is_possible
+
+    def use_keypoints(self, network: KeypointNetwork) -> None:
+        """Find keypoints by this network, not by one of its own."""
+        self._keypoints = network
+        if self._looks is not None:
+            self._looks.use_network(network)
 
     def _best_line(
         self, raw: NDArray[np.float32], travel: Travel, step: float, *, is_measured: bool
@@ -162,25 +215,46 @@ class SequenceMatcher:
         self._stopwatch("search")
         return match
 
-    def _belief(
-        self, vote: PlaceVote | None, odometer_m: float | None, step: float, reckoned: Reckoning | None
-    ) -> PlaceBelief | None:
-        """What the votes add up to, with what is known without them."""
+    def _prior(self, reckoned: Reckoning | None) -> tuple[Prior, AwayOf] | None:
+        """What is known of where the vehicle is without any place."""
         part = self.search.part
         if reckoned is None or part is None:
-            return self._consensus.update(vote, odometer_m, step)
+            return None
         from_deg = reckoned.lat_deg, reckoned.lon_deg
-        prior = Prior(reckoned.sigma_m, part.squares_m2(*from_deg))
-        away_of = partial(self._drives.away_m, from_deg=from_deg)
-        return self._consensus.update(vote, odometer_m, step, prior, away_of)
+        return Prior(reckoned.sigma_m, part.squares_m2(*from_deg)), partial(self._drives.away_m, from_deg=from_deg)
 
-    def _believed(self, match: PlaceMatch | None, belief: PlaceBelief | None) -> PlaceMatch | None:
-        """The match at the place that is believed, with what the votes alone say."""
-        by_votes = self._consensus.by_votes
-        alone = self._match_of(by_votes, match)
-        if belief is by_votes or (both := self._match_of(belief, match, alone)) is None:
+    def _believed(
+        self, match: PlaceMatch | None, votes: PlaceBelief | None, prior: tuple[Prior, AwayOf] | None
+    ) -> PlaceMatch | None:
+        """The match at the place that is believed, with what pictures and odometer say alone.
+
+        match, votes: the best line, and what the votes say with the prior; None where there is no line yet.
+        """
+        by_votes = None if match is None else self._consensus.by_votes
+        alone = self._answer(by_votes, None, match)
+        if votes is by_votes and (prior is None or self._looks is None):
             return alone
-        return replace(both, by_votes=alone)
+        both = self._answer(votes, None if prior is None else partial(_odds, *prior), match, alone)
+        if both is None:
+            return alone
+        return replace(both, by_votes=alone or replace(both, confidence=0.0, accepted=False, seen=None))
+
+    def _answer(
+        self, votes: PlaceBelief | None, prior_of: PriorOf | None, *lines: PlaceMatch | None
+    ) -> PlaceMatch | None:
+        """The match at the place that votes and looks together make most probable."""
+        if self._looks is None:
+            return self._match_of(votes, *lines)
+        answer = self._looks.answer(votes, prior_of, self._consensus.driven_m, self._consensus.settings.slack_m)
+        found = answer.match or self._match_of(answer.votes, *lines)
+        return found if found is None or answer.seen is None else replace(found, seen=answer.seen)
+
+    def _follow(self, believed: PlaceMatch | None) -> None:
+        """Search and look around the place that is believed from the next frame on; None or unbelieved: anywhere."""
+        at = believed if believed is not None and believed.accepted else None
+        self.search.follow(at.place_index if at else None)
+        if self._looks is not None:
+            self._looks.follow(at, self._consensus.driven_m, self._consensus.settings.slack_m)
 
     def _match_of(self, belief: PlaceBelief | None, *lines: PlaceMatch | None) -> PlaceMatch | None:
         """A line that ends at the place that the recent matches agree on: the first of some, else the best of all.
@@ -240,5 +314,12 @@ class SequenceMatcher:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
         self._normalizer.clear_ring()
         self.search.clear()
+        if self._looks is not None:
+            self._looks.reset()
         self._consensus.reset()
         self._unmeasured = 0
+
+
+def _odds(prior: Prior, away_of: AwayOf, drive: int, along_m: float) -> float:
+    """Of being at a point along a drive."""
+    return float(prior.odds(away_of(np.array([drive]), np.array([along_m])))[0])

@@ -52,8 +52,9 @@ def map_error_m(position: Position) -> float:
 
 def match_position(match: PlaceMatch, route: Route, rig: RigConfig) -> Position | None:
     """Where the vehicle was at the match's newest frame: the place moved by the rig's offset."""
-    ahead_m = rig.ahead_m(match.direction, match.order)
-    # The place lies ahead of the vehicle; on the way back "ahead" is towards the start of the map's drive.
+    # What keypoints show lies at the vehicle. The place of a line lies ahead of it.
+    ahead_m = rig.ahead_m(match.direction, match.order) if match.has_line else 0.0
+    # On the way back "ahead" is towards the start of the map's drive.
     offset_m = -ahead_m if match.direction == "forward" else ahead_m
     return position_on_route(route, match.place_index, offset_m, match.direction)
 

@@ -29,7 +29,7 @@ from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
 from edge.reference_map.spatial_index import Ranges, SpatialIndex
-from edge.reference_map.store import PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
+from edge.reference_map.store import KEYPOINTS, PLACES, MapHeader, ModelKey, ReferenceMap, RegionsKey, matching_files
 
 SAMPLED_MAPS = 16
 CUT = "cut off while it is in use; copy the map again"
@@ -203,6 +203,19 @@ class MapSet:
         index = self.index.map_of(start)
         first = self.index.starts[index]
         return self.matchers[index].region_costs(query, start - first, end - first)
+
+    def keypoints_of(self, place_index: int) -> NDArray[np.void]:
+        """Records (K,) of KEYPOINT of a place of a map that has them; a copy. MapError where that is not possible."""
+        index = self.index.map_of(place_index)
+        one = self.maps[index]
+        records, cut = one.keypoints, _cut_off(one)
+        if cut is not None or records is None:
+            raise MapError(f"{cut or one.path / KEYPOINTS}: {CUT}")
+        record = np.array(records[place_index - self.index.starts[index]])
+        pages: mmap.mmap | None = getattr(records, "_mmap", None)
+        if pages is not None:  # or a drive would keep all that it passes
+            pages.madvise(mmap.MADV_DONTNEED)
+        return record
 
     def east_north_m(self, ranges: Ranges) -> NDArray[np.float64]:
         """Meters (n, 2) of some places, from an origin close to them all; NaN where unknown."""

@@ -268,6 +268,13 @@ class Drives:
         last = min(start + lap, end - 1)
         return abs(self.along_m(last) - self.along_m(start)) + (start + lap - last) * self.spacing_m
 
+    def nearest(self, drive: int, along_m: float) -> int:
+        """The place of a drive that is nearest to a point along it."""
+        first, end = self.places_within(drive, along_m, 2 * self.spacing_m)
+        start, stop = self._index.segment(drive)
+        around = range(max(start, first - 1), min(stop, end + 1))
+        return min(around, key=lambda place: abs(self.along_m(place) - along_m))
+
     def places_within(self, drive: int, along_m: float, reach_m: float) -> tuple[int, int]:
         """Places [first, end) of a drive that lie within `reach_m` of a point along it."""
         start, end = self._index.segment(drive)

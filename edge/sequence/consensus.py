@@ -215,7 +215,8 @@ class PlaceConsensus:
     def reset(self) -> None:
         """Start again without votes, as after a gap in which nothing is known of the motion."""
         self._count = 0
-        self._driven_m = self._uncertain_m = 0.0
+        self.driven_m = self.uncertain_m = 0.0
+        """Driven by the newest frame, and how uncertain that is."""
         self._odometer_m: float | None = None
         half = max(1, self.settings.length // 2)
         self._newest = deque[int](maxlen=half)  # slots
@@ -273,16 +274,16 @@ class PlaceConsensus:
             step_m, drift = odometer_m - last_m, self.settings.drift
         else:
             step_m, drift = places * (spacing_m or self.settings.spacing_m), self.settings.blind_drift
-        self._driven_m += step_m
-        self._uncertain_m += drift * step_m
+        self.driven_m += step_m
+        self.uncertain_m += drift * step_m
 
     def _add(self, vote: PlaceVote) -> None:
         votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
         self._newest.append(slot)
         sign = 1.0 if vote.direction == "forward" else -1.0
-        offset_m = vote.along_m - sign * self._driven_m
-        lengths_m = self._driven_m, self._uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m, vote.ahead_m
+        offset_m = vote.along_m - sign * self.driven_m
+        lengths_m = self.driven_m, self.uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m, vote.ahead_m
         road = sum(self._roads) / len(self._roads)
         votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False, road)
         votes["weight"][slot] = self._weight(vote)
@@ -320,12 +321,12 @@ class PlaceConsensus:
         """Where each vote puts the vehicle now, along its drive."""
         votes = self._votes
         middle_m = (votes["start_m"] + votes["end_m"]) / 2
-        now_m = votes["offset_m"] + votes["sign"] * self._driven_m
+        now_m = votes["offset_m"] + votes["sign"] * self.driven_m
         return np.asarray(middle_m + _within_lap(now_m - middle_m, votes["lap_m"]))
 
     def _within(self, lines: float) -> NDArray[np.bool_]:
         """Which votes were cast within so many lengths of a sequence."""
-        return np.asarray(self._driven_m - self._votes["at_m"] <= lines * self.settings.line_m)
+        return np.asarray(self.driven_m - self._votes["at_m"] <= lines * self.settings.line_m)
 
     def _weight(self, vote: PlaceVote) -> float:
         shares = self._votes["row_share"][np.array(self._newest)]

@@ -116,6 +116,14 @@ class PlaceSearch:
         """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
         return self.part.newest if self.part is not None else np.zeros((1, 0), np.int32)
 
+    def nearest(self, most: int) -> NDArray[np.intp]:
+        """Places whose left region is nearest to the newest frame's left one, and right to right, the nearest first."""
+        if self.part is None or not self.part.newest.size:
+            return np.zeros(0, np.intp)
+        costs = self.part.newest[0]
+        some = np.argpartition(costs, most)[:most] if most < len(costs) else np.arange(len(costs))
+        return np.asarray(self.part.places[some[np.argsort(costs[some], kind="stable")]])
+
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
         self._scan.restart()

@@ -1,14 +1,16 @@
-"""One look at a map with keypoints: how far poses are off on simulated roads, as the table of docs/keypoints.md.
+"""One look at a map with keypoints, on simulated roads, as the tables of docs/keypoints.md: poses, or what is believed.
 
     python -m sim.research.evaluation.poses 9601 9602 --folder DRIVES --write docs/keypoints.md
+    python -m sim.research.evaluation.poses 9821 9822 9823 --believed --folder DRIVES --write docs/keypoints.md
 
-One frame each, without any filter: of the five places nearest to the truth the one on which most points agree. What is
-made stays in the folder, and is not made again.
+Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
+What is believed: see `looks`. What is made stays in the folder, and is not made again.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -19,6 +21,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network
 from edge.feed import FeedImages, View, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
@@ -28,6 +31,8 @@ from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
+from sim.research.evaluation import looks
+from sim.research.evaluation.tables import publish
 from sim.world.recording import record_drive
 from sim.world.scenario import LightName, Scenario
 
@@ -39,7 +44,6 @@ DRIVES: dict[str, tuple[View, Scenario]] = {
 """The view of the map's camera, and the drive on it: half a meter beside, and in the lane of the way home."""
 LIGHTS: tuple[LightName, ...] = ("dusk", "night", "snow")
 AROUND = 2
-BEGIN, END = "<!-- poses -->", "<!-- end of poses -->"
 
 
 def main() -> None:
@@ -47,17 +51,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("roads", nargs="+", type=int, metavar="SEED")
     parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
+    parser.add_argument("--believed", action="store_true", help="what the recognizer believes, in place of poses")
     parser.add_argument("--write", type=Path, metavar="PAGE")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    rows = [_row(args.folder, *case) for case in product(DRIVES, LIGHTS, args.roads)]
-    head = "| drive | light | road | with a pose | along | across | heading | rms over sigma |"
-    table = "\n".join([head, "|---" * 8 + "|", *rows])
-    print(table)
-    if args.write:
-        before, rest = args.write.read_text(encoding="utf-8").split(BEGIN)
-        after = rest.split(END)[1]
-        args.write.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
+    if args.believed:
+        publish(
+            "looks", looks.tables(args.roads, partial(_long_map, args.folder), partial(_long, args.folder)), args.write
+        )
+    else:
+        publish("poses", _poses(args.folder, args.roads), args.write)
+
+
+def _poses(folder: Path, roads: list[int]) -> Iterator[str]:
+    yield "| drive | light | road | with a pose | along | across | heading | rms over sigma |"
+    yield "|---" * 8 + "|"
+    yield from (_row(folder, *case) for case in product(DRIVES, LIGHTS, roads))
+
+
+def _long(folder: Path, road: int, drive: str, light: LightName) -> Path:
+    scenario = replace(DRIVES[drive][1], seed=road, light=light, length_m=looks.LENGTH_M)
+    return _drive(folder / f"{road}_{looks.LENGTH_M:g}m_{drive}_{light}", scenario, looks.SPACING_M)
+
+
+def _long_map(folder: Path, road: int, view: View) -> ReferenceMap:
+    return _map(folder, road, view, looks.LENGTH_M)
 
 
 def _row(folder: Path, drive: str, light: LightName, road: int) -> str:
@@ -83,12 +101,12 @@ def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
     return path
 
 
-def _map(folder: Path, road: int, view: View) -> ReferenceMap:
-    path = folder / f"{road}_{view}_map"
+def _map(folder: Path, road: int, view: View, length_m: float = LENGTH_M) -> ReferenceMap:
+    path = folder / f"{road}_{length_m:g}m_{view}_map"
     if not path.exists():
-        feed = _drive(folder / f"{road}_{view}", Scenario(road, LENGTH_M, view=view, drive_seed=11), 2.0)
-        key = partial(keypoints_key, fov_deg=Scenario().fov_deg)
-        build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), keypoints=key)
+        feed = _drive(folder / f"{road}_{length_m:g}m_{view}", Scenario(road, length_m, view=view, drive_seed=11), 2.0)
+        key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
+        build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), network=network, keypoints=key)
     return open_map(path, every_file=True)
 
 

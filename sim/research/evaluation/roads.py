@@ -64,8 +64,10 @@ class Described:
     driven_m: Floats
     east_north_m: Floats | None = None
 
-    def reckoned(self, lost_m: float, seed: int) -> list[Reckoning]:
+    def reckoned(self, lost_m: float, seed: int, origin: tuple[float, float] = ORIGIN) -> list[Reckoning]:
         """By GPS, and since GPS was lost, by what was driven; lost_m: before the drive began, < 0 for GPS all the time.
+
+        origin: latitude and longitude of meters.
 
         Errors are as large as they say: of GPS, and a share of what was driven since.
         """
@@ -74,7 +76,7 @@ class Described:
         errors_m = GPS_SIGMA_M * rng.normal(size=2) + DRIFT * np.outer(since_m, rng.normal(size=2))
         sigmas_m = np.hypot(GPS_SIGMA_M, DRIFT * since_m)
         where = zip((self.east_north_m + errors_m).tolist(), sigmas_m.tolist(), strict=True)
-        return [Reckoning(*moved(*ORIGIN, *at_m), sigma_m) for at_m, sigma_m in where]
+        return [Reckoning(*moved(*origin, *at_m), sigma_m) for at_m, sigma_m in where]
 
 
 Case = tuple[Direction, LightName, Cut]

@@ -1,0 +1,184 @@
+"""Which frames are looked at, for which places of the map, and where what is seen puts the vehicle along a drive."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config
+from edge.keypoints.network import KeypointNetwork
+from edge.place_verification import PlaceVerification
+from edge.reference_map import Drives, MapSet
+from edge.sequence import PlaceMatch, Seen
+from edge.sequence.consensus import PlaceBelief
+from edge.sequence.looks import APART_M, Looks, PriorOf, Sighted, joined, sign_of
+from edge.sequence.place_search import PlaceSearch
+
+EVERY = 2
+"""Frames, of which one is looked at: so the daemon takes at most 1.8 times as long."""
+NEAREST, APART = 10, 2
+"""Places by the newest frame alone that are tried where nothing is believed, and how far they are apart: the right one,
+or its neighbor, was among them in 1.00 of the frames by a front camera on a front camera's map, in .95 on the way home
+on a rear camera's (two roads). Its pose then says which of its neighbors is nearest."""
+AMONG = 200
+"""Places by the newest frame alone that these are chosen from: others are neighbors, or were seen another way."""
+LIKELY = 0.5
+"""Confidence of looks from which what they saw goes with a line: a road that is not mapped had weaker ones."""
+BY_LOOKS_M = 4.0
+"""As far from a place that looks believe others are tried."""
+
+
+class Answer(NamedTuple):
+    """What votes and looks say together.
+
+    votes: the place they speak for, with what looks say of it. match: of a place that looks believe, where no line that
+    the votes believe leads to it. seen: what the newest frame showed of the place, where a line leads to it.
+    """
+
+    votes: PlaceBelief | None
+    match: PlaceMatch | None = None
+    seen: Seen | None = None
+
+
+class PlaceLooks:
+    """Looks at some frames of a drive on some maps."""
+
+    def __init__(self, map_set: MapSet, drives: Drives, config: Config, network: KeypointNetwork | None = None) -> None:
+        """network: None for one that is opened when it is needed."""
+        self._verification, self._least = PlaceVerification(config), config.acceptance.confidence_from
+        if network is not None:
+            self.use_network(network)
+        self.grow(map_set, drives)
+        self.reset()
+
+    def grow(self, map_set: MapSet, drives: Drives) -> None:
+        """Look for the places of a set from now on that has further ones after those of the last one."""
+        self._verification.use_maps(map_set)
+        self._map_set, self._drives = map_set, drives
+
+    def use_network(self, network: KeypointNetwork) -> None:
+        """Find keypoints by this network."""
+        self._verification.network = network
+
+    def reset(self) -> None:
+        """Nothing that was seen so far counts."""
+        self._kept = Looks()
+        self._unlooked = EVERY  # frames since a look
+        self._around: tuple[PlaceBelief, float, float] | None = None
+        self._is_in_vain = False
+        self._newest: tuple[Seen, Sighted] | None = None  # of the newest frame, if it was looked at
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the maps have keypoints that compare with those of a picture."""
+        return self._verification.is_possible
+
+    def is_due(self) -> bool:
+        """Whether this frame is to be looked at."""
+        self._unlooked += 1
+        self._newest = None
+        return self.is_possible and self._unlooked >= EVERY
+
+    def look(
+        self,
+        image: NDArray[np.uint8],
+        search: PlaceSearch,
+        course_rad: float | None,
+        driven_m: float,
+        uncertain_m: float,
+    ) -> None:
+        """Look at the newest frame, whose costs were searched. driven_m, uncertain_m: by then. MapError as `costs`."""
+        places = self._candidates(search, course_rad, driven_m)
+        if not places:
+            return
+        self._unlooked = 0
+        seen = self._verification.look(image, places)
+        self._newest = None if seen is None else (seen, self._sighted(seen, driven_m, uncertain_m))
+        self._kept.add(self._newest[1] if self._newest else None)
+        self._is_in_vain = seen is None and self._around is not None
+
+    def answer(self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float) -> Answer:
+        """What the votes' belief and that of looks say together.
+
+        prior_of: odds of being at a point along a drive without either. slack_m: by how much two votes may differ.
+        """
+        looks = self._kept.belief(driven_m, self._least, self._drives.positions_m, prior_of)
+        if looks is None:
+            return Answer(votes)
+        is_one_place = votes is not None and self._is_one_place(votes, looks, slack_m)
+        seen = self._seen_at(looks) if looks.confidence >= LIKELY else None
+        by_looks, by_votes = joined(looks, votes, self._least, is_one_place=is_one_place)
+        if is_one_place and votes is not None and votes.is_believed:
+            return Answer(by_votes, seen=seen)
+        return Answer(by_votes, self._match_of(by_looks, seen) if by_looks.is_believed else None)
+
+    def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
+        """Look around the place that is believed from the next frame on; None: anywhere."""
+        self._around = None
+        if match is None:
+            return
+        drive, along_m = self._drives.drive_of(match.place_index), self._drives.along_m(match.place_index)
+        place = PlaceBelief(drive, along_m, match.direction, match.confidence, is_believed=True)
+        looks = self._kept.belief(driven_m, self._least, self._drives.positions_m)
+        if looks is not None and looks.confidence >= LIKELY and self._is_one_place(place, looks, slack_m):
+            self._around = looks, driven_m, BY_LOOKS_M
+        else:
+            self._around = place, driven_m, slack_m
+
+    def _seen_at(self, looks: PlaceBelief) -> Seen | None:
+        """What the newest frame showed of the place that looks believe; None where it was not that."""
+        if self._newest is None:
+            return None
+        seen, sighted = self._newest
+        is_there = sighted.drive == looks.drive and abs(sighted.along_m - looks.along_m) <= APART_M
+        return seen if is_there and sighted.direction == looks.direction else None
+
+    def _match_of(self, looks: PlaceBelief, seen: Seen | None) -> PlaceMatch:
+        """A place that looks alone say."""
+        place_index = self._drives.nearest(looks.drive, looks.along_m) if seen is None else seen.place_index
+        name, row = self._map_set.locate(place_index)
+        return PlaceMatch(
+            place_index=place_index,
+            place=row,
+            direction=looks.direction,
+            order="same",
+            slope=0.0,
+            distance=0.0,
+            uniqueness=1.0,
+            confidence=looks.confidence,
+            accepted=True,
+            seen=seen,
+            has_line=False,
+            map=name,
+        )
+
+    def _is_one_place(self, one: PlaceBelief, other: PlaceBelief, slack_m: float) -> bool:
+        """Whether two beliefs differ by no more than two votes may."""
+        if (one.drive, one.direction) == (other.drive, other.direction):
+            return abs(math.remainder(one.along_m - other.along_m, self._drives.lap_m(one.drive))) <= slack_m
+        drives, along_m = np.array([one.drive, other.drive]), np.array([one.along_m, other.along_m])
+        return bool(np.hypot(*np.diff(self._drives.positions_m(drives, along_m), axis=0)[0]) <= slack_m)
+
+    def _candidates(self, search: PlaceSearch, course_rad: float | None, driven_m: float) -> list[int]:
+        """Places to try, the likeliest first. After a look around a place that showed nothing, they are anywhere."""
+        if self._around is None or self._is_in_vain:
+            self._is_in_vain = False
+            return self._verification.candidates(search.nearest(AMONG), course_rad, NEAREST, APART)
+        belief, then_m, reach_m = self._around
+        along_m = belief.along_m + sign_of(belief.direction) * (driven_m - then_m)
+        places = np.arange(*self._drives.places_within(belief.drive, along_m, reach_m))
+        away_m = np.abs([self._drives.along_m(place) - along_m for place in places.tolist()])
+        places = places[np.argsort(away_m, kind="stable")]
+        if not (places.size and self._verification.direction(int(places[0])) == belief.direction):
+            return []  # the views are opposite
+        return self._verification.candidates(places, course_rad, NEAREST, APART)
+
+    def _sighted(self, seen: Seen, driven_m: float, uncertain_m: float) -> Sighted:
+        """A look on the map's drive: the camera of a place looks along it, or back."""
+        drive, direction = self._drives.drive_of(seen.place_index), self._verification.direction(seen.place_index)
+        along_m = self._drives.along_m(seen.place_index) + self._verification.facing(seen.place_index) * seen.ahead_m
+        odds = seen.confidence / (1 - seen.confidence)
+        return Sighted(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds)

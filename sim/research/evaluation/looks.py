@@ -1,0 +1,233 @@
+"""What is believed on maps with keypoints and on the same maps without: what `sim.research.evaluation.poses` adds.
+
+The daemon's own recognizer gets the frames of simulated drives, the course, and an odometer that counts 1 % too much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config, DescriptorConfig
+from edge.feed import FeedImages, read_feed
+from edge.geodesy import east_north
+from edge.keypoints import Keypoints
+from edge.keypoints.network import KeypointNetwork
+from edge.localization import Displacement
+from edge.localization.dead_reckoning import TurnAround
+from edge.recognizer import open_recognizer
+from edge.reference_map import MapSet, ReferenceMap
+from edge.sequence import PlaceMatch, Reckoning, Travel
+from sim.evaluation.memoizing_network import MemoizingNetwork
+from sim.research.evaluation.belief import LAYOUTS
+from sim.research.evaluation.roads import TOLERANCE_M, Described
+from sim.world.scenario import LightName
+
+LENGTH_M, SPACING_M = 500.0, 2.0
+LIGHTS: dict[str, tuple[LightName, ...]] = {
+    "front": ("dusk", "night", "snow", "rain"),
+    "home": ("dusk", "night", "snow"),
+}
+OFF_MAP_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
+STARTS_M, STANDS_M = 160.0, 40.0
+"""Between the starts of a vehicle that drives, and between those of one that stands."""
+PICTURES, NOISE = 4, 2.0
+"""Of one that stands, and the standard deviation in which they differ."""
+SCALE, STEP_NS, STANDS_NS = 1.01, 200_000_000, 1_000_000_000
+NOWHERE = "anywhere; course and position are not known"
+Image = NDArray[np.uint8]
+
+
+class MemoizingKeypoints(KeypointNetwork):
+    """A picture that it has seen before is not computed again."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._known: dict[int, Keypoints] = {}
+
+    def extract(self, image: Image, most: int = 0) -> Keypoints:
+        """See `KeypointNetwork`."""
+        key = hash(image.tobytes())
+        if key not in self._known:
+            self._known[key] = super().extract(image, most)
+        return self._known[key]
+
+
+class Filmed:
+    """A recorded drive; ground_m: (n, 2) meters east and north of the map's first place."""
+
+    def __init__(self, path: Path, origin: tuple[float, float]) -> None:
+        feed = read_feed(path)
+        images = FeedImages(feed)
+        self.images = [images.read(number) for number in range(len(feed.rows))]
+        images.close()
+        degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], np.float64)
+        self.ground_m = east_north(degrees[:, 0], degrees[:, 1], origin)
+
+    def described(self, drive: int) -> Described:
+        """With the numbers of drive and frame in place of descriptors."""
+        driven_m = np.arange(len(self.images), dtype=np.float64) * SPACING_M
+        frames = np.column_stack([np.full(len(driven_m), drive), np.arange(len(driven_m))])
+        return Described(frames.astype(np.float32), driven_m, driven_m, self.ground_m)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A road's map, and the drives on it by their lights."""
+
+    reference: ReferenceMap
+    drives: dict[LightName, Filmed]
+
+    @cached_property
+    def ground_m(self) -> NDArray[np.float64]:
+        """Meters (N, 2) of the places."""
+        places = self.reference.places
+        return east_north(places["lat_deg"], places["lon_deg"], self.origin)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """Of these meters."""
+        return float(self.reference.places["lat_deg"][0]), float(self.reference.places["lon_deg"][0])
+
+
+class Bench:
+    """The networks, which remember, and what drives over a map."""
+
+    def __init__(self) -> None:
+        self._network, self._keypoints = MemoizingNetwork.load(Path("grid")), MemoizingKeypoints()
+
+    def answers(
+        self,
+        mapped: Mapped,
+        frames: Sequence[Image],
+        ground_m: NDArray[np.float64],
+        reckoned: Sequence[Reckoning] | None = None,
+        *,
+        looks: bool,
+        knows_course: bool = True,
+    ) -> Iterator[PlaceMatch | None]:
+        """To each frame, 2 m after the last one; frames with the same ground_m are those of a vehicle that stands."""
+        one = mapped.reference
+        one = one if looks else replace(one, header=one.header.with_keypoints(None))
+        config = Config(descriptor=DescriptorConfig(model="grid"))
+        recognizer = open_recognizer(config, network=self._network, map_set=MapSet.of(one))
+        recognizer.matcher.use_keypoints(self._keypoints)
+        turned, driven_m, stamp_ns = TurnAround(), 0.0, 0
+        for number, (image, at_m) in enumerate(zip(frames, ground_m, strict=True)):
+            stands = number > 0 and np.array_equal(at_m, ground_m[number - 1])
+            if not stands:
+                turned.add(Displacement(0, *at_m.tolist()))
+            driven_m += SPACING_M * SCALE * (number > 0 and not stands)
+            stamp_ns += STANDS_NS if stands else STEP_NS
+            course_rad = turned.course_rad if knows_course else None
+            travel = Travel(driven_m, course_rad=course_rad, reckoned=reckoned[number] if reckoned else None)
+            if not stands:
+                yield recognizer.observe(image, stamp_ns, travel)
+            elif recognizer.may_look_again(stamp_ns, driven_m):
+                yield recognizer.look_again(image, stamp_ns, travel)
+            else:
+                yield None
+
+
+def tables(
+    roads: Sequence[int], map_of: Callable[[int, str], ReferenceMap], drive_of: Callable[[int, str, LightName], Path]
+) -> Iterator[str]:
+    """On the maps of some roads, then off them."""
+    bench, seen = Bench(), dict[str, list[Mapped]]()
+    yield "| drive | light | first belief after | standing | believed | wrong |"
+    yield "|---|---|---|---|---|---|"
+    for drive, lights in LIGHTS.items():
+        seen[drive] = []
+        for road in roads:
+            reference = map_of(road, "front" if drive == "front" else "rear")
+            mapped = Mapped(reference, {})
+            for light in lights:
+                mapped.drives[light] = Filmed(drive_of(road, drive, light), mapped.origin)
+            seen[drive].append(mapped)
+        for light in lights:
+            yield f"| {drive} | {light} | {' | '.join(_on_map(bench, seen[drive], light))} |"
+    yield from [
+        "",
+        "| a road that is not mapped | frames | believed without keypoints | with them |",
+        "|---|---|---|---|",
+    ]
+    for where in (NOWHERE, *LAYOUTS):
+        confidences = [np.concatenate(list(_off_map(bench, seen, where, looks=looks))) for looks in (False, True)]
+        least = Config().acceptance.confidence_from
+        cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
+        yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
+
+
+def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator[str]:
+    """Meters to the first belief, what a standing vehicle believes, and all frames: without and with keypoints."""
+    first_m: tuple[list[float], list[float]] = ([], [])
+    believed, wrong, frames = [0, 0], [0, 0], 0
+    standing = np.zeros(PICTURES + 1, int)
+    for mapped in roads:
+        film = mapped.drives[light]
+        count = len(film.images)
+        frames += count
+        for looks in (False, True):
+            answers = list(bench.answers(mapped, film.images, film.ground_m, looks=looks))
+            off_m = _off_m(mapped, answers, film.ground_m)
+            believed[looks] += int(np.isfinite(off_m).sum())
+            wrong[looks] += int((off_m > TOLERANCE_M).sum())
+            for start in range(0, count - 60, round(STARTS_M / SPACING_M)):
+                rest = film.images[start:], film.ground_m[start:]
+                again = answers if start == 0 else bench.answers(mapped, *rest, looks=looks)
+                first = next((n for n, one in enumerate(again) if one is not None and one.accepted), np.inf)
+                first_m[looks].append(first * SPACING_M)
+        for start in range(0, count - 10, round(STANDS_M / SPACING_M)):
+            pictures = list(_stands(film.images[start]))
+            at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
+            answers = list(bench.answers(mapped, pictures, at_m, looks=True))
+            found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
+            standing[found] += 1
+    yield " -> ".join(f"{np.median(one):.0f} (90 %: {np.percentile(one, 90):.0f}) m" for one in first_m)
+    shares = np.cumsum(standing)[:-1] / standing.sum()
+    yield ", ".join(f"{share:.2f}" for share in shares[1:])
+    yield " -> ".join(f"{one / frames:.3f}" for one in believed)
+    yield " -> ".join(map(str, wrong)) + f" of {frames}"
+
+
+def _stands(image: Image) -> Iterator[Image]:
+    """Pictures from one spot."""
+    rng = np.random.default_rng(0)
+    for _ in range(PICTURES):
+        yield (image + rng.normal(0, NOISE, image.shape)).round().clip(0, 255).astype(np.uint8)
+
+
+def _off_m(mapped: Mapped, answers: Sequence[PlaceMatch | None], ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Meters (n,) of each believed place from the vehicle, NaN where none is believed."""
+    places = np.array([one.place_index if one is not None and one.accepted else -1 for one in answers])
+    off_m = np.hypot(*(mapped.ground_m[places] - ground_m).T)
+    return np.where(places >= 0, off_m, np.nan)
+
+
+def _off_map(bench: Bench, seen: dict[str, list[Mapped]], where: str, *, looks: bool) -> Iterator[NDArray[np.float64]]:
+    """The confidence of each frame on a road that is not mapped: of the next road, or of a twin, the own one."""
+    for drive, roads in seen.items():
+        for mapped, other in zip(roads, [*roads[1:], *roads[:1]], strict=True):
+            line_m = mapped.ground_m[:: 1 if drive == "front" else -1]
+            for light in OFF_MAP_LIGHTS:
+                films = mapped.drives[light], other.drives[light]
+                if where == NOWHERE:
+                    found = bench.answers(mapped, films[1].images, films[1].ground_m, looks=looks, knows_course=False)
+                    yield _confidence(found)
+                    continue
+                for layout in LAYOUTS[where]:
+                    laid, is_off = layout(line_m, *(film.described(n) for n, film in enumerate(films)))
+                    assert laid.east_north_m is not None
+                    images = [films[drive_number].images[frame] for drive_number, frame in laid.raw.astype(int)]
+                    reckoned = laid.reckoned(-1.0, len(images), mapped.origin)
+                    found = bench.answers(mapped, images, laid.east_north_m, reckoned, looks=looks)
+                    yield _confidence(found)[is_off]
+
+
+def _confidence(answers: Iterator[PlaceMatch | None]) -> NDArray[np.float64]:
+    return np.array([one.confidence if one else 0.0 for one in answers])

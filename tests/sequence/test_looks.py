@@ -1,0 +1,97 @@
+"""What looks add up to, and how that goes with the votes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.config import AcceptanceConfig
+from edge.sequence import Direction
+from edge.sequence.consensus import PlaceBelief
+from edge.sequence.looks import ALONE, MOST_ODDS, Looks, PriorOf, Sighted, confidence_of, joined
+from edge.sequence.prior import LEAST
+
+FROM = AcceptanceConfig().confidence_from
+STRONG, WEAK = MOST_ODDS / ALONE, 1 / ALONE
+"""Odds by one look alone."""
+
+
+def sighted(
+    along_m: float, at_m: float, odds: float = STRONG, *, drive: int = 0, direction: Direction = "forward"
+) -> Sighted:
+    return Sighted(drive, along_m, direction, 1e12, at_m, 0.05 * at_m, odds)
+
+
+def side_by_side(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Meters of drives that lie on one another but for a few meters, and of a third one far away."""
+    return np.column_stack([np.where(drives == 2, 500.0, 3.0 * drives), along_m])
+
+
+def belief(*seen: Sighted | None, prior_of: PriorOf | None = None) -> PlaceBelief | None:
+    looks = Looks()
+    for one in seen:
+        looks.add(one)
+    last_m = max(one.at_m for one in seen if one is not None)
+    return looks.belief(last_m, FROM, side_by_side, prior_of)
+
+
+def is_believed(*seen: Sighted | None, prior_of: PriorOf | None = None) -> bool:
+    found = belief(*seen, prior_of=prior_of)
+    return found is not None and found.is_believed
+
+
+def test_two_looks_as_far_apart_as_was_driven_are_believed_and_one_is_not() -> None:
+    found = belief(sighted(100, 0), sighted(104.5, 4))
+    assert found is not None and found.is_believed
+    assert found.along_m == 104.5
+    assert not is_believed(sighted(100, 0))
+    assert not is_believed(sighted(100, 0), sighted(108, 4))
+    assert not is_believed(sighted(100, 0), sighted(96, 4))
+    assert is_believed(sighted(100, 0, direction="reverse"), sighted(96, 4, direction="reverse"))
+    assert is_believed(sighted(100, 4), sighted(100, 4)), "of a vehicle that stands"
+
+
+def test_looks_that_agree_are_as_sure_as_the_strongest_of_them_however_many_there_are() -> None:
+    """What resembles a place does so for some frames on end."""
+    weak = [sighted(100 + at_m, at_m, WEAK) for at_m in (0, 4, 8, 12)]
+    found = belief(*weak)
+    assert found is not None and found.confidence == pytest.approx(0.5)
+    assert is_believed(*weak[:3], sighted(112, 12))
+    strong = belief(*(sighted(100 + at_m, at_m) for at_m in (0, 4, 8, 12)))
+    assert strong is not None and strong.confidence == pytest.approx(MOST_ODDS / (1 + MOST_ODDS))
+
+
+def test_a_look_at_another_place_and_looks_that_show_nothing_end_a_belief() -> None:
+    agreeing = sighted(100, 0), sighted(104, 4)
+    assert is_believed(*agreeing, None)
+    assert not is_believed(*agreeing, sighted(300, 8), sighted(304, 12)), "two against two"
+    assert not is_believed(*agreeing, None, None, None)
+
+
+def test_two_drives_on_one_street_agree_and_two_streets_do_not() -> None:
+    assert is_believed(sighted(100, 0), sighted(104, 4, drive=1))
+    assert not is_believed(sighted(100, 0), sighted(104, 4, drive=2))
+
+
+def test_what_is_reckoned_makes_a_place_of_one_look_and_keeps_a_twin_from_being_believed() -> None:
+    assert is_believed(sighted(100, 0), prior_of=lambda drive, along_m: 14.0)
+    assert not is_believed(sighted(100, 0, WEAK), prior_of=lambda drive, along_m: 14.0)
+    assert not is_believed(sighted(100, 0), sighted(104, 4), prior_of=lambda drive, along_m: LEAST)
+
+
+def test_of_one_place_the_surer_of_votes_and_looks_counts_and_two_places_speak_against_each_other() -> None:
+    looks = PlaceBelief(0, 100.0, "forward", 0.95, is_believed=True)
+    votes = replace(looks, confidence=0.6, is_believed=False)
+    assert [one and one.confidence for one in joined(looks, votes, FROM, is_one_place=True)] == [0.95, 0.95]
+    elsewhere = replace(votes, along_m=300.0, confidence=0.95, is_believed=True)
+    both = joined(looks, elsewhere, FROM, is_one_place=False)
+    assert not any(one is None or one.is_believed for one in both)
+    assert joined(looks, None, FROM, is_one_place=False) == (looks, None)
+
+
+def test_points_that_few_matches_agree_on_say_little() -> None:
+    assert confidence_of(60, 0.7, 90) == pytest.approx(STRONG / (1 + STRONG))
+    assert confidence_of(25, 0.4, 50) < 0.2 < confidence_of(30, 0.6, 60)

@@ -1,0 +1,169 @@
+"""Places that are believed by keypoints: standing, from the second look on, in one direction, and of no other road."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from edge.config import Config, DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network
+from edge.errors import MapError
+from edge.feed import FeedImages, read_feed
+from edge.geodesy import east_north
+from edge.keypoints.network import KeypointNetwork
+from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.reference_map import MapSet, open_map
+from edge.reference_map.store import KEYPOINTS
+from edge.sequence import PlaceMatch, Travel
+from edge_plugins.mapping.keypoint_rows import keypoints_key
+from sim.maps.command import build_map
+
+RECORDINGS = Path(__file__).parent / "golden/recordings"
+SECOND_NS = 1_000_000_000
+BESIDE_M = 9.0
+"""Of the place, in another lane, of which a picture may be 8 m ahead or behind where the next one is not mapped."""
+
+
+@pytest.fixture(scope="module")
+def maps(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+    """Of the way out by day with a rear camera, and of another road."""
+    return make_once("maps_with_keypoints", partial(_build, grid))
+
+
+def _build(grid: Network, folder: Path) -> None:
+    for name, feeds in {"street": ("out_first", "out_second"), "elsewhere": ("elsewhere",)}.items():
+        build_map(
+            [read_feed(RECORDINGS / feed) for feed in feeds],
+            folder / name,
+            DescriptorConfig(model="grid"),
+            SamplingConfig(),
+            network=grid,
+            keypoints=partial(keypoints_key, fov_deg=80.0),
+        )
+
+
+class Drive:
+    """Frames of a recording from one on."""
+
+    def __init__(self, name: str, first: int = 0) -> None:
+        feed = read_feed(RECORDINGS / name)
+        self.rows = feed.rows[first:]
+        images = FeedImages(feed)
+        self.images = [images.read(row) for row in range(first, len(feed.rows))]
+        images.close()
+
+    def off_m(self, number: int, match: PlaceMatch, map_set: MapSet) -> float:
+        """How far the place of a match is from where a frame was taken."""
+        place, row = map_set.places[match.place_index], self.rows[number]
+        assert row.lat_deg is not None and row.lon_deg is not None
+        where = np.array([place["lat_deg"], row.lat_deg]), np.array([place["lon_deg"], row.lon_deg])
+        return float(np.hypot(*np.diff(east_north(*where), axis=0)[0]))
+
+
+def opened(path: Path, grid: Network, *, keypoints: bool = True) -> PlaceRecognizer:
+    reference = open_map(path)
+    if not keypoints:
+        reference = dataclasses.replace(reference, header=reference.header.with_keypoints(None))
+    config = Config(descriptor=DescriptorConfig(model="grid"))
+    return open_recognizer(config, network=grid, map_set=MapSet.of(reference))
+
+
+def driven(
+    recognizer: PlaceRecognizer, drive: Drive, frames: int, *, backwards: bool = False
+) -> list[PlaceMatch | None]:
+    """The answers to frames; the course is that of the vehicle, or the opposite one."""
+    answers = []
+    for number in range(frames):
+        heading_deg, distance_m = drive.rows[number].heading_deg, drive.rows[number].distance_m
+        assert heading_deg is not None
+        course_rad = math.radians(heading_deg) + math.pi * backwards
+        travel = Travel(distance_m, course_rad=course_rad)
+        answers.append(recognizer.observe(drive.images[number], number * SECOND_NS, travel))
+    return answers
+
+
+def test_on_the_way_home_a_place_is_believed_after_meters_and_seen_from_where_the_vehicle_is(
+    maps: Path, grid: Network
+) -> None:
+    drive = Drive("home_night", 100)
+    recognizer = opened(maps / "street", grid)
+    believed = [(n, one) for n, one in enumerate(driven(recognizer, drive, 14)) if one is not None and one.accepted]
+    assert believed and believed[0][0] <= 10
+    for number, match in believed:
+        assert (match.direction, match.order, match.has_line) == ("reverse", "same", False)
+        assert drive.off_m(number, match, recognizer.map_set) < BESIDE_M
+        assert recognizer.map_set.locate(match.place_index) == (match.map, match.place)
+    seen = next(one.seen for _, one in believed if one.seen is not None)
+    assert 2.0 < abs(seen.right_m) < 5.0, "in the other lane"
+    assert abs(seen.ahead_m) < 2.0
+    without = driven(opened(maps / "street", grid, keypoints=False), drive, 14)
+    assert not [one for one in without if one is not None and one.accepted]
+
+
+def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, grid: Network) -> None:
+    drive, standing = Drive("home_night"), []
+    for first in range(20, 140, 10):
+        recognizer = opened(maps / "street", grid)
+        at_m, image = Travel(7.0), drive.images[first]
+        assert recognizer.observe(image, 0, at_m) is None, "one look is not enough"
+        assert not recognizer.may_look_again(SECOND_NS // 2, 7.0), "nothing new yet"
+        assert not recognizer.may_look_again(SECOND_NS, 9.0), "it drives"
+        assert recognizer.may_look_again(SECOND_NS, 7.0)
+        match = recognizer.look_again(image, SECOND_NS, at_m)
+        if match is not None:
+            standing.append(drive.off_m(first, match, recognizer.map_set))
+            assert match.accepted and match.event and recognizer.state == "on the map"
+            assert not recognizer.may_look_again(3 * SECOND_NS, 7.0), "it is known"
+    assert len(standing) >= 3
+    assert max(standing) < BESIDE_M
+
+
+def test_another_road_is_never_believed_by_looks(maps: Path, grid: Network) -> None:
+    answers = driven(opened(maps / "elsewhere", grid), Drive("home_night"), 40)
+    assert not [one for one in answers if one is not None and (one.accepted or one.seen is not None)]
+
+
+def test_opposite_views_never_load_the_network(maps: Path, grid: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A front camera on a rear camera's map, the same way."""
+
+    def opened_network(self: KeypointNetwork, name: str = "") -> None:
+        raise AssertionError("loaded")
+
+    monkeypatch.setattr(KeypointNetwork, "__init__", opened_network)
+    drive = Drive("again_dusk", 20)
+    driven(opened(maps / "street", grid), drive, 12)
+    with pytest.raises(AssertionError, match="loaded"):
+        driven(opened(maps / "street", grid), drive, 12, backwards=True)
+
+
+def test_keypoints_of_another_network_are_not_used(maps: Path, grid: Network) -> None:
+    reference = open_map(maps / "street")
+    key = reference.header.keypoints_key
+    assert key is not None
+    other = reference.header.with_keypoints(replace(key, sha256="0" * 64))
+    recognizer = open_recognizer(
+        Config(descriptor=DescriptorConfig(model="grid")),
+        network=grid,
+        map_set=MapSet.of(dataclasses.replace(reference, header=other)),
+    )
+    assert not recognizer.matcher.may_look
+    drive = Drive("home_night", 100)
+    assert not [one for one in driven(recognizer, drive, 12) if one is not None and one.accepted]
+
+
+def test_a_file_of_keypoints_that_was_cut_off_is_named(maps: Path, grid: Network, tmp_path: Path) -> None:
+    shutil.copytree(maps / "street", tmp_path / "map")
+    recognizer, drive = opened(tmp_path / "map", grid), Drive("home_night", 100)
+    driven(recognizer, drive, 1)
+    with (tmp_path / "map" / KEYPOINTS).open("r+b") as file:
+        file.truncate(100)
+    with pytest.raises(MapError, match=r"keypoints\.bin: cut off"):
+        driven(recognizer, drive, 6)
