@@ -42,12 +42,15 @@ SAME_PLACE_M = 10.0
 class Look:
     """A vehicle by one picture.
 
-    position_m: meters east and north (2,). covariance: (2, 2), without the map's error. turn_rad: of the vehicle
-    against the road there, clockwise; turn_sigma_rad: one standard deviation. points: that agree on it.
+    position_m: meters east and north (2,). covariance: (2, 2), without the map's error. map_sigma_m: of that, in each
+    direction. whole: (2, 2) of what all looks at this drive of the map are off by together besides. turn_rad: of the
+    vehicle against the road there, clockwise; turn_sigma_rad: one standard deviation. points: that agree on it.
     """
 
     position_m: Vector
     covariance: NDArray[np.float64]
+    map_sigma_m: float
+    whole: NDArray[np.float64]
     turn_rad: float
     turn_sigma_rad: float
     points: int

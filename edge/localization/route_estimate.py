@@ -222,17 +222,18 @@ class RouteEstimate:
         """Whether a look or regions said within CORRELATION_M how far across the road the vehicle is."""
         return min(self.since_regions_m, self.since_looks_m) < CORRELATION_M
 
-    def at_look(self, map_sigma_m: float) -> NDArray[np.float64]:
+    def at_look(self, look: Look) -> NDArray[np.float64]:
         """Covariance (2, 2) of the position as a look at the map would have it, whose positions wander.
 
-        map_sigma_m: of them, in each direction.
+        For the first one at a drive, they are off as a whole as well.
         """
-        wandered = 2 * map_sigma_m**2 * (1 - math.exp(-self.since_looks_m / MAP_M))
-        return self.covariance[:2, :2] + wandered * np.eye(2)
+        wandered = 2 * look.map_sigma_m**2 * (1 - math.exp(-self.since_looks_m / MAP_M))
+        spread: NDArray[np.float64] = self.covariance[:2, :2] + wandered * np.eye(2)
+        return spread + look.whole if math.isinf(self.since_looks_m) else spread
 
-    def correct_by_look(self, look: Look, map_sigma_m: float) -> None:
+    def correct_by_look(self, look: Look) -> None:
         """Correct the position by what one picture says, which it shares in part with what the last one said."""
-        self.covariance[:2, :2] = self.at_look(map_sigma_m)
+        self.covariance[:2, :2] = self.at_look(look)
         shared = max(1.0, SHARED_M / max(self.since_looks_m, STANDS_M))
         self.since_looks_m = 0.0
         noise = shared * look.covariance

@@ -92,7 +92,7 @@ class Sighting:
         if self.look is None:
             return road_sigma_m
         left = left_of(self.passed.along)
-        return math.hypot(math.sqrt(float(left @ self.look.covariance @ left)), self.map_sigma_m)
+        return math.hypot(math.sqrt(float(left @ (self.look.covariance + self.look.whole) @ left)), self.map_sigma_m)
 
 
 class Sightings:
@@ -186,14 +186,26 @@ class Sightings:
         road_rad = math.radians(road.heading_deg)
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         turn_rad = math.remainder(heading_rad - road_rad, math.tau)
-        look = Look(position_m, covariance, turn_rad, math.sqrt(float(np.asarray(seen.covariance)[2, 2])), seen.points)
         whole_along_m, whole_across_m = drive.whole_sigma_m
+        whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
+        look = Look(
+            position_m=position_m,
+            covariance=covariance,
+            map_sigma_m=map_error_m(row),
+            whole=sum(
+                (one**2 * np.outer(way, way) for one, way in zip(whole_m, (along, left_of(along)), strict=True)),
+                start=np.zeros((2, 2)),
+            ),
+            turn_rad=turn_rad,
+            turn_sigma_rad=math.sqrt(float(np.asarray(seen.covariance)[2, 2])),
+            points=seen.points,
+        )
         return Sighting(
             match=match,
             segment=drive.segment,
             recording=drive.recording,
             checked_m=drive.checked_m,
-            whole_sigma_m=(math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m),
+            whole_sigma_m=whole_m,
             passed=Passed(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
             sigma_m=math.sqrt(float(along @ covariance @ along)),

@@ -71,13 +71,13 @@ class Track:
     def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
         if sighting.look is not None:
-            return self._disagrees(sighting, sighting.look) <= LOOK_CHI2
+            return self._disagrees(sighting.look) <= LOOK_CHI2
         # Far beside the road, what its regions show means nothing.
         off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
         return off_m <= AGREE_SIGMAS * sigma_m and self._agrees_along(sighting)
 
-    def _disagrees(self, sighting: Sighting, look: Look) -> float:
-        return look.disagrees(self.estimate.position_m, self.estimate.at_look(sighting.map_sigma_m))
+    def _disagrees(self, look: Look) -> float:
+        return look.disagrees(self.estimate.position_m, self.estimate.at_look(look))
 
     def _agrees_along(self, sighting: Sighting) -> bool:
         if sighting.regions is not None and not self._begins_drive(sighting):
@@ -90,7 +90,7 @@ class Track:
         Of a look, in each direction.
         """
         if sighting.look is not None:
-            return math.sqrt(self._disagrees(sighting, sighting.look) / 2)
+            return math.sqrt(self._disagrees(sighting.look) / 2)
         off_m, sigma_m = self._expects(sighting)
         return off_m / sigma_m
 
@@ -106,7 +106,7 @@ class Track:
         """Meters along the road from where a match is expected, and their standard deviation."""
         if sighting.look is not None:
             along, off_m = sighting.passed.along, sighting.look.position_m - self.estimate.position_m
-            spread = self.estimate.at_look(sighting.map_sigma_m) + sighting.look.covariance
+            spread = self.estimate.at_look(sighting.look) + sighting.look.covariance
             return float(along @ off_m), math.sqrt(float(along @ spread @ along))
         sigma_m = math.hypot(sighting.sigma_m, self._new_drive_m(sighting))
         return self.estimate.innovation(sighting.passed, sigma_m, sighting.faint)
@@ -126,7 +126,7 @@ class Track:
         if self._begins_drive(sighting):
             self.estimate.begin_drive(sighting.errors)
         if sighting.look is not None:
-            self.estimate.correct_by_look(sighting.look, sighting.map_sigma_m)
+            self.estimate.correct_by_look(sighting.look)
             self._added(sighting, stamp_ns)
             return
         if self.is_looked:

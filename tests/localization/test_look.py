@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -38,7 +39,7 @@ from tests.localization.events_of import (
     nothing,
     settings,
 )
-from tests.localization.route_course import SPACING_M
+from tests.localization.route_course import SPACING_M, Stretch
 
 LINE_M = LENGTH * SPACING_M
 MEASURED = settings(RigConfig(look_sigma_m=0.01))
@@ -225,6 +226,25 @@ def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> No
     assert north_m(one.place_at()) == pytest.approx(one.north_m, abs=0.1)
     one.go(4, looks(road, 1.5, ahead_m=30.0))
     assert one.place is not None and one.place.disputed
+
+
+@pytest.mark.parametrize(("whole_sigma_m", "is_followed"), [(0.0, False), (None, True)])
+def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
+    mapped: Callable[..., Road], whole_sigma_m: float | None, is_followed: bool
+) -> None:
+    """Looks have a vehicle 15 m from where GPS has had it."""
+    one = Vehicle(mapped(Stretch(0, 400, sigma_m=1.0, whole_sigma_m=whole_sigma_m)), MEASURED, 300.0, "reverse")
+    one.go(LINE_M, nothing, gps=True)
+    one.go(
+        8,
+        lambda at_m: match(
+            round(at_m / 2), "reverse", order="same", has_line=False, seen=seen(round(at_m / 2), ahead_m=15.0)
+        ),
+    )
+    assert one.place is not None
+    assert north_m(one.place) == pytest.approx(one.north_m - 15.0, abs=1.0)
+    assert one.place.disputed != is_followed
+    assert one.place.sigma_along_m > 8.0 or not is_followed
 
 
 def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
