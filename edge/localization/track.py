@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.localization.claims import SPREAD_M, STRETCH_WRONG
-from edge.localization.look import LOOK_CHI2, TURNS_RAD, Look
+from edge.localization.look import HOLDS_M, LOOK_CHI2, TURNS_RAD, Look
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, LEAST_SUPPORT, RouteEstimate
 from edge.localization.sighting import Sighting
@@ -129,8 +129,7 @@ class Track:
             self.estimate.correct_by_look(sighting.look)
             self._added(sighting, stamp_ns)
             return
-        if self.is_looked:
-            # A line is wrong by meters: it only shows that the vehicle is still there.
+        if self.estimate.since_looks_m < HOLDS_M:  # then it only shows that the vehicle is still there
             self._added(replace(sighting, whole_sigma_m=self.newest.whole_sigma_m), stamp_ns)
             return
         # A vehicle that leaves its lane sees less of what the map shows.
