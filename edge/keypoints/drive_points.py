@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
+from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.points import REACH_M, Points, points_of
 from edge.keypoints.view_geometry import Camera
 
@@ -31,11 +32,13 @@ def points_of_drive(
     rows: Sequence[int],
     *,
     looks_back: bool = False,
-) -> Iterator[Points]:
-    """The points of some rows of a drive, one row after another.
+    mount: Mount | None = None,
+) -> Iterator[tuple[Points, Mount]]:
+    """What `points_of` has of some rows of a drive, one row after another.
 
     keypoints_of: of a row. route_m: driven so far, and heading: of the vehicle, clockwise in radians, each (N,). Where
-    either is NaN, no distance is known. looks_back: the camera, which is a rear one.
+    either is NaN, no distance is known. looks_back: the camera, which is a rear one. mount: as
+    other rows of the drive have it.
     """
     kept = lru_cache(WINDOW)(keypoints_of)
     matched = lru_cache(WINDOW * MOST_ROWS)(
@@ -50,7 +53,10 @@ def points_of_drive(
             first, second = matched(min(row, other), max(row, other)).T
             mine, theirs = (first, second) if row < other else (second, first)
             found[at, mine] = camera.directions(kept(other).xy[theirs])
-        yield points_of(camera.directions(kept(row).xy), found, _seen_by(row, near, east_m, north_m, heading), camera)
+        seen_by = _seen_by(row, near, east_m, north_m, heading)
+        points, of_row = points_of(camera.directions(kept(row).xy), found, seen_by, camera, mount)
+        mount = mount_of_drive([of_row], mount)
+        yield points, of_row
 
 
 def _near(route_m: NDArray[np.float64], heading: NDArray[np.float64], row: int) -> list[int]:

@@ -7,11 +7,12 @@ a point that its matches in all rows around must see: least squares over its dir
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.keypoints.mount import ROW_SIGMA, Mount, unknown
 from edge.keypoints.view_geometry import Camera, Sight
 
 REACH_M = 10.0
@@ -32,7 +33,7 @@ WIDER = (3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Keypoints (K,) of a row as points in the row's own frame: its camera, upright.
+    """Keypoints (K,) of a row as points in the row's own frame: its camera, as if it looked level along the road.
 
     places: (K, 3) direction (x / z, y / z), and 1 / z in 1/m, NaN where the distance is not known. sigma: (K,) of
     1 / z.
@@ -45,6 +46,11 @@ class Points:
         """Some of them."""
         return Points(self.places[chosen], self.sigma[chosen])
 
+    def turned(self, rotation: NDArray[np.float64]) -> Points:
+        """In the frame of a camera at the same place that has rays turned by a matrix (3, 3)."""
+        rays = np.column_stack([self.places[:, :2], np.ones(len(self.places))]) @ rotation.T
+        return Points(np.column_stack([rays[:, :2], self.places[:, 2]]) / rays[:, 2:], self.sigma / rays[:, 2])
+
     @property
     def is_known(self) -> NDArray[np.bool_]:
         """(K,) whether the distance is known."""
@@ -52,35 +58,46 @@ class Points:
 
 
 def points_of(
-    own: NDArray[np.float64], matched: NDArray[np.float64], rows: NDArray[np.float64], camera: Camera
-) -> Points:
+    own: NDArray[np.float64],
+    matched: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    camera: Camera,
+    of_drive: Mount | None = None,
+) -> tuple[Points, Mount]:
     """The keypoints of a row with directions `own` (K, 2), by those of their matches (V, K, 2) in V rows, NaN: none.
 
     rows: (V, 3) the cameras of those rows in the row's own frame: meters right and ahead, turned clockwise in radians.
     They are corrected by what they see (a bundle adjustment), since what a compass is off by from row to row would make
-    distances wrong by a tenth for each degree.
+    distances wrong by a tenth for each degree. So is the frame: a camera that looks down by 3 degrees sees the way
+    it moves above its middle. The points are in the frame of the camera as it is mounted; and how it is by this row.
+    of_drive: how it is mounted by other rows, from which the adjustment starts.
     """
     limit = MOST_OFF_PX / camera.focal_px
-    seen = np.concatenate([own[np.newaxis], matched])
-    matches = np.isfinite(seen).all(axis=-1)
+    begun = unknown(ROW_SIGMA) if of_drive is None else replace(of_drive, information=unknown(ROW_SIGMA).information)
+    mount = begun
+    raw = np.concatenate([own[np.newaxis], matched])
+    matches = np.isfinite(raw).all(axis=-1)
     tried = np.flatnonzero(matches.sum(axis=0) >= FEWEST_ROWS)
     places = np.column_stack([own, np.full(len(own), np.nan)])
     sigma = np.full(len(own), np.nan)
     if not tried.size:
-        return Points(places, sigma)
-    seen, matches = seen[:, tried], matches[:, tried]
-    at = np.zeros((len(seen), 1, 4))
+        return Points(places, sigma), mount
+    raw, matches = raw[:, tried], matches[:, tried]
+    at = np.zeros((len(raw), 1, 4))
     at[1:, 0, :3] = rows
-    cameras, points, kept = at.copy(), _started(seen, matches, at, limit), matches
+    seen = mount.leveled(raw)
+    cameras, points = at.copy(), _started(seen, matches, at, limit)
     for wider in WIDER:
         kept = matches & _agree(points, seen, cameras, wider * limit)
         kept &= kept.sum(axis=0) >= FEWEST_ROWS
-        points, cameras, variance = _adjusted(points, cameras, at, seen, kept, PIXEL_SIGMA / camera.focal_px)
+        step = _adjusted(points, cameras, at, seen, kept, PIXEL_SIGMA / camera.focal_px, mount, begun)
+        points, cameras, mount, variance = step
+        seen = mount.leveled(raw)
     kept &= _agree(points, seen, cameras, limit)
     known = kept[0] & (kept.sum(axis=0) >= FEWEST_ROWS) & (points[:, 2] > INVERSES[0] / 4)
-    places[tried[known]] = points[known]
-    sigma[tried[known]] = np.sqrt(variance[known])
-    return Points(places, sigma)
+    mounted = Points(points[known], np.sqrt(variance[known])).turned(mount.rotation)
+    places[tried[known]], sigma[tried[known]] = mounted.places, mounted.sigma
+    return Points(places, sigma), mount
 
 
 def _started(
@@ -112,35 +129,48 @@ def _adjusted(
     seen: NDArray[np.float64],
     kept: NDArray[np.bool_],
     pixel: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """A step of Gauss and Newton for points (K, 3) and cameras (1 + V, 1, 4) together, and the variance of 1 / z (K,).
+    mount: Mount,
+    begun: Mount,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Mount, NDArray[np.float64]]:
+    """A step of Gauss and Newton for points (K, 3), cameras (1 + V, 1, 4) and the mount together.
 
-    The row's own camera is fixed. at: of the cameras as they are known. Points are eliminated (Schur).
+    And the variance of 1 / z (K,). The row's own camera is fixed but for the mount. at: of the cameras as they are
+    known, as is `begun` of the mount. seen: as leveled by the mount so far. Points are eliminated (Schur).
     """
-    sight, count = Sight(cameras, points), 4 * (len(cameras) - 1)
+    sight, size, others = Sight(cameras, points), len(points), len(cameras) - 1
     weight = kept[..., np.newaxis] / pixel
-    off = np.where(kept[..., np.newaxis], seen - sight.directions, 0.0) / pixel
+    seen = np.where(kept[..., np.newaxis], seen, 0.0)
+    off = (seen - sight.directions) * weight
     by_point, by_camera = sight.by_point() * weight[..., np.newaxis], (sight.by_camera() * weight[..., np.newaxis])[1:]
-    # (K, 3, 3), (K, 3, 1) of the points, (V, 4, 4), (V, 4) of the cameras, (K, 3, 4 V) of both
-    flat = by_point.transpose(1, 0, 2, 3).reshape(len(points), 2 * len(seen), 3)
+    u, v = np.moveaxis(seen, -1, 0)
+    turned = [[-u * v, -1 - u * u], [-1 - v * v, -u * v]]  # by the mount: what is seen moves
+    by_mount = np.stack([np.stack(row, axis=-1) for row in turned], axis=-2) * weight[..., np.newaxis]
+    # (K, 3, 3), (K, 3, 1) of the points, (V, 4, 4), (V, 4) of the cameras, (K, 3, 4 V + 2) of both and the mount
+    flat, mounted = (one.swapaxes(0, 1).reshape(size, 2 * len(seen), -1) for one in (by_point, by_mount))
     of_points = flat.transpose(0, 2, 1)
     spread = np.linalg.inv(of_points @ flat + np.eye(3) * 1e-6)
-    gradient = of_points @ off.transpose(1, 0, 2).reshape(len(points), 2 * len(seen), 1)
-    both = (by_point[1:].swapaxes(-1, -2) @ by_camera).transpose(1, 2, 0, 3).reshape(len(points), 3, count)
-    own = by_camera.reshape(len(cameras) - 1, 2 * len(points), 4)
+    gradient = of_points @ off.swapaxes(0, 1).reshape(size, 2 * len(seen), 1)
+    both = (by_point[1:].swapaxes(-1, -2) @ by_camera).transpose(1, 2, 0, 3).reshape(size, 3, 4 * others)
+    both = np.concatenate([both, of_points @ mounted], axis=-1)
+    own, all_mounted = by_camera.reshape(others, 2 * size, 4), by_mount.reshape(-1, 2)
     of_cameras = own.transpose(0, 2, 1)
-    information = np.diag(np.tile(ROW_SIGMAS**-2, len(own)))
+    information = np.zeros((4 * others + 2, 4 * others + 2))
     for row, block in enumerate(of_cameras @ own):
-        information[4 * row : 4 * row + 4, 4 * row : 4 * row + 4] += block
-    wanted = (of_cameras @ off[1:].reshape(len(own), 2 * len(points), 1)).ravel()
+        information[4 * row : 4 * row + 4, 4 * row : 4 * row + 4] = block + np.diag(ROW_SIGMAS**-2)
+    information[:-2, -2:] = (of_cameras @ by_mount[1:].reshape(others, 2 * size, 2)).reshape(-1, 2)
+    information[-2:, :-2] = information[:-2, -2:].T
+    information[-2:, -2:] = all_mounted.T @ all_mounted + begun.information
+    wanted = (of_cameras @ off[1:].reshape(others, 2 * size, 1)).ravel()
     wanted += ((at - cameras)[1:, 0] / ROW_SIGMAS**2).ravel()
-    solved = (spread @ both).reshape(-1, count)
-    across = both.reshape(-1, count).T
+    wanted = np.concatenate([wanted, all_mounted.T @ off.ravel() + begun.information @ (begun.radians - mount.radians)])
+    solved = (spread @ both).reshape(-1, len(information))
+    across = both.reshape(solved.shape).T
     rows = np.linalg.inv(information - across @ solved)
     moved = rows @ (wanted - across @ (spread @ gradient).ravel())
     step = (spread @ gradient).ravel() - solved @ moved
-    shared = solved.reshape(len(points), 3, count)[:, 2]
+    shared = solved.reshape(size, 3, -1)[:, 2]
     variance = spread[:, 2, 2] + ((shared @ rows) * shared).sum(axis=1)
     corrected = cameras.copy()
-    corrected[1:, 0] += moved.reshape(-1, 4)
-    return points + step.reshape(-1, 3), corrected, variance
+    corrected[1:, 0] += moved[:-2].reshape(-1, 4)
+    found = Mount(mount.radians + moved[-2:], np.linalg.inv(rows[-2:, -2:]))
+    return points + step.reshape(-1, 3), corrected, found, variance

@@ -12,9 +12,10 @@ from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.errors import MapError
 from edge.keypoints import Keypoints
 from edge.keypoints.drive_points import points_of_drive
+from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.network import NETWORK
 from edge.reference_map.keypoint_file import KeypointsKey, mapped
-from edge.reference_map.keypoint_records import camera_of, keypoints_of, put_points, record_of
+from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of, put_points, record_of
 from edge.reference_map.store import Segment
 
 MOST = 300
@@ -43,7 +44,7 @@ class KeypointRows:
         self._key: KeypointsKey | None = None
         self._file = file.open("wb")
         self._count = 0
-        self._new: list[int] = []  # places whose distances are not known yet
+        self._mounts: dict[int, Mount | None] = {}  # of places that are not leveled yet; None: nor are distances known
 
     def add(self, keypoints: Keypoints) -> None:
         """Of the next place. MapError for a picture of another shape."""
@@ -54,7 +55,7 @@ class KeypointRows:
                 f"pictures of {width} x {height} and of {key.width} x {key.height} pixels: a map with keypoints has"
                 " those of one shape; build two maps, or use --no-keypoints"
             )
-        self._new.append(self._count)
+        self._mounts[self._count] = None
         self._write(record_of(keypoints, key))
 
     def add_record(self, record: NDArray[np.void], key: KeypointsKey) -> None:
@@ -62,28 +63,46 @@ class KeypointRows:
         self._key = self._key or key
         self._write(record)
 
+    def add_mapped(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount | None) -> None:
+        """Of the next place, as live mapping has them; mount: by this place, None where no distance is known yet."""
+        if record["descriptor"].any():
+            self._mounts[self._count] = mount
+        self.add_record(record, key)
+
     def _write(self, record: NDArray[np.void]) -> None:
         self._file.write(record.tobytes())
         self._count += 1
 
     def finish(self, places: NDArray[np.void], segments: Iterable[Segment]) -> KeypointsKey:
-        """Compute the distances of new places by all rows of their drives. places: (N,) of PLACE."""
+        """Compute the distances of new places by all rows of their drives, and level them. places: (N,) of PLACE."""
         self.close()
         assert self._key is not None  # a map has places
         key = self._key
-        records, new = mapped(self._path, key, self._count, writable=True), np.array(self._new, np.intp)
+        records = mapped(self._path, key, self._count, writable=True)
         for segment in segments:
             drive = records[segment.start : segment.end]
             own = places[segment.start : segment.end]
             heading, looks_back = np.radians(own["heading_deg"]), segment.view == "rear"
-            rows = (new[(new >= segment.start) & (new < segment.end)] - segment.start).tolist()
+            mounts = {
+                row - segment.start: self._mounts[row]
+                for row in range(segment.start, segment.end)
+                if row in self._mounts
+            }
+            rows = [row for row, mount in mounts.items() if mount is None]
 
             def read(row: int, drive: NDArray[np.void] = drive) -> Keypoints:
                 return keypoints_of(drive[row], key)
 
-            found = points_of_drive(read, own["route_m"], heading, camera_of(key), rows, looks_back=looks_back)
-            for row, points in zip(rows, found, strict=True):
+            of_drive = mount_of_drive(mount for mount in mounts.values() if mount is not None)
+            found = points_of_drive(
+                read, own["route_m"], heading, camera_of(key), rows, looks_back=looks_back, mount=of_drive
+            )
+            for row, (points, mount) in zip(rows, found, strict=True):
                 put_points(drive[row], points)
+                mounts[row] = mount
+            of_drive = mount_of_drive(mount for mount in mounts.values() if mount is not None)
+            for row in mounts:
+                put_points(drive[row], points_of(drive[row]).turned(of_drive.rotation.T))
         records.flush()  # type: ignore[attr-defined]
         return key
 

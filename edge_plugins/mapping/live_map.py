@@ -136,7 +136,8 @@ class LiveMap:
             self._placed_ns = position.stamp_ns
             self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
         elif self._outage.is_bridgeable:
-            self._outage.wait(raw, self._place(position, self._route_m(distance_m), image), self._motion.moved, missed)
+            new = MappedPlace(raw, self._place(position, self._route_m(distance_m), image))
+            self._outage.wait(new, self._motion.moved, missed)
 
     def go_on(self, position: VehiclePosition, distance_m: float | None) -> None:
         """The vehicle is there, whether or not a camera shows it."""

@@ -63,7 +63,7 @@ class Trail:
                 heading_deg=nearest.place.heading_deg if is_measured else math.nan,
                 position_sigma_m=math.hypot(np.maximum(first.position_sigma_m, last.position_sigma_m), aside_m),
             )
-            yield replace(nearest, place=place)
+            yield replace(nearest, place=place, keypoints=None)  # which would say that it is where it is not
 
 
 def straight_m(before: Place, after: Place) -> float | None:

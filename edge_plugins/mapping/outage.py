@@ -14,9 +14,6 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from edge.geodesy import WORST_FIRST, VehiclePosition, east_north_of, moved
 from edge.reference_map.gps_motion import OFF_SHARE, GpsMotion, Moved
 from edge_plugins.mapping import MappingConfig
@@ -24,14 +21,13 @@ from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace
 
 MOST_PLACES = 200
-"""That wait to be placed: 32 kB each. On a map of 2 m they are as long as `max_sigma_m` of 5 m allows."""
+"""That wait to be placed: 32 or 55 kB each. On a map of 2 m they are as long as `max_sigma_m` of 5 m allows."""
 
 
 class Waiting(NamedTuple):
-    """A place that has no position yet: raw descriptor (R, D), how the vehicle has moved, and places missed before."""
+    """A place that has no position yet, how the vehicle has moved, and places missed before."""
 
-    raw: NDArray[np.float32]
-    place: Place
+    new: MappedPlace
     at: Moved
     missed: int
 
@@ -55,10 +51,10 @@ class Outage:
         """Whether a place that waits may be placed later: there was a good position before, and not too far back."""
         return self._begin is not None
 
-    def wait(self, raw: NDArray[np.float32], place: Place, at: Moved, missed: int) -> None:
+    def wait(self, new: MappedPlace, at: Moved, missed: int) -> None:
         """A place without a good position; missed: places that were passed before it without a frame."""
         assert self._begin is not None
-        self._waiting.append(Waiting(raw, place, at, missed + self._missed))
+        self._waiting.append(Waiting(new, at, missed + self._missed))
         self._missed = 0
         way_m = at.way_m - self._begin[1].way_m
         if OFF_SHARE * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_PLACES:
@@ -99,14 +95,14 @@ class Outage:
             lat_deg, lon_deg = moved(*origin, point_m.real, point_m.imag)
             alt_m = begin.alt_m + share * (end.alt_m - begin.alt_m)
             place = replace(
-                one.place,
+                one.new.place,
                 lat_deg=lat_deg,
                 lon_deg=lon_deg,
                 alt_m=alt_m,
                 position_sigma_m=sigma_m,
                 position_source="dead_reckoning",
             )
-            placed.append((MappedPlace(one.raw, place), one.missed))
+            placed.append((replace(one.new, place=place), one.missed))
         return placed
 
 

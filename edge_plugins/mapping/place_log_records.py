@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 
 import edge
 from edge.config import SamplingConfig
+from edge.keypoints.mount import Mount
 from edge.reference_map import ModelKey, RegionsKey
+from edge.reference_map.keypoint_file import KeypointsKey
 from edge_plugins.mapping.builder import Place
 
-FORMAT, VERSION = "lookback-places", 1
+FORMAT = "lookback-places"
+VERSION, VERSION_WITH_KEYPOINTS = 1, 2
 MARK = b"LBPL"
 HEAD = struct.Struct("<4sII")
 MAX_BODY_BYTES = 4 << 20
@@ -31,7 +34,7 @@ SEARCHED_BYTES = 1 << 20
 
 
 class LogHeader(msgspec.Struct, frozen=True, tag="header"):
-    """How the places were made; a map is made of places that were made alike."""
+    """How the places were made; a map is made of places that were made alike. keypoints: None where they have none."""
 
     model: ModelKey
     regions: RegionsKey
@@ -39,6 +42,11 @@ class LogHeader(msgspec.Struct, frozen=True, tag="header"):
     lookback: str = edge.__version__
     format: str = FORMAT
     version: int = VERSION
+    keypoints: KeypointsKey | None = None
+
+    def with_keypoints(self, key: KeypointsKey) -> LogHeader:
+        """Of a file whose places have keypoints."""
+        return msgspec.structs.replace(self, version=VERSION_WITH_KEYPOINTS, keypoints=key)
 
 
 class DriveBegun(msgspec.Struct, frozen=True, tag="drive"):
@@ -52,6 +60,7 @@ class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
 
     unix_s: when it was written, 0 in files of earlier versions. view: of the camera, as in its DriveBegun, which may be
     damaged; None in such files. is_vouched: whether all of its drive moved as what GPS has no part in, see `OwnMotion`.
+    keypoints: records of KEYPOINT, whose distances are not known yet; b"" for a place without.
     """
 
     place: Place
@@ -59,9 +68,29 @@ class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
     unix_s: float = 0.0
     view: Literal["front", "rear"] | None = None
     is_vouched: bool = False
+    keypoints: bytes = b""
 
 
-LogRecord = LogHeader | DriveBegun | PlacePassed
+class PointsMade(msgspec.Struct, frozen=True, tag="points"):
+    """How far away the keypoints of a place are, known once the drive has gone on.
+
+    place_at: where in the file the place is. points: records of KEYPOINT, in the frame of the camera as it is mounted.
+    down, right: how it is mounted by this place, in radians. information: of these, (2, 2) row by row.
+    """
+
+    place_at: int
+    points: bytes
+    down: float
+    right: float
+    information: tuple[float, float, float, float]
+
+    @property
+    def mount(self) -> Mount:
+        """How the camera is mounted by this place."""
+        return Mount(np.array([self.down, self.right]), np.reshape(self.information, (2, 2)))
+
+
+LogRecord = LogHeader | DriveBegun | PlacePassed | PointsMade
 _decoder = msgspec.msgpack.Decoder(LogRecord)
 
 
@@ -116,7 +145,8 @@ def record_at(descriptor: int, at: int) -> LogRecord | None:
 
 @dataclass(frozen=True)
 class MappedPlace:
-    """A place and its raw descriptor (R, D)."""
+    """A place, its raw descriptor (R, D), and records (K,) of its keypoints, None for a place without."""
 
     raw: NDArray[np.float32]
     place: Place
+    keypoints: NDArray[np.void] | None = None

@@ -45,6 +45,7 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
         size=(scenario.width, scenario.height),
         fov_deg=scenario.fov_deg,
         seed=scenario.drive_seed,
+        mounted_deg=(scenario.camera_down_deg, scenario.camera_right_deg),
     )
 
 

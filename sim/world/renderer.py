@@ -57,8 +57,10 @@ class Renderer:
         size: tuple[int, int],
         fov_deg: float,
         seed: int,
+        mounted_deg: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self._turn_deg = 0.0 if view == "front" else 180.0
+        """mounted_deg: by which it looks down and to the right of where it should."""
+        self._turn_deg, self._mounted_deg = 0.0 if view == "front" else 180.0, mounted_deg
         self._size = size
         self._sensor = Sensor(light, view, size, fov_deg, seed)
         self._root = NodePath("world")
@@ -87,7 +89,9 @@ class Renderer:
         """The scene before the sensor, (H, W, 3) uint8 BGR."""
         self._camera.set_pos(pose.east_m, pose.north_m, CAMERA_HIGH_M)
         sign = 1.0 if self._turn_deg == 0.0 else -1.0  # what lifts the nose lowers the rear
-        self._camera.set_hpr(self._turn_deg - pose.heading_deg, sign * pose.pitch_deg, sign * pose.roll_deg)
+        down_deg, right_deg = self._mounted_deg
+        turn_deg, pitch_deg = self._turn_deg - right_deg - pose.heading_deg, sign * pose.pitch_deg - down_deg
+        self._camera.set_hpr(turn_deg, pitch_deg, sign * pose.roll_deg)
         self._sky.set_pos(pose.east_m, pose.north_m, CAMERA_HIGH_M)
         self._place_cars(time_s)
         self._buffer.set_active(True)

@@ -13,6 +13,8 @@
     height = 240
     fov_deg = 80.0           # horizontal, 30 to 120
     camera_ahead_m = 0.0     # of the vehicle's GPS antenna, which positions are of; -10 to 10
+    camera_down_deg = 0.0    # by which the camera looks down, -30 to 30
+    camera_right_deg = 0.0   # by which it is turned clockwise, seen from above, -30 to 30
     shaking = 0.0            # pitch and roll of the vehicle, 1 as a car's, 0 to 3
     exposure_s = 0.0         # of a picture, which blurs what moves, 0 to 0.1
     readout_s = 0.0          # from the first row to the last (rolling shutter), 0 to 0.1
@@ -54,6 +56,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     height: Annotated[int, Meta(ge=24, le=2048)] = 240
     fov_deg: Annotated[float, Meta(ge=30, le=120)] = 80.0
     camera_ahead_m: Annotated[float, Meta(ge=-10, le=10)] = 0.0
+    camera_down_deg: Annotated[float, Meta(ge=-30, le=30)] = 0.0
+    camera_right_deg: Annotated[float, Meta(ge=-30, le=30)] = 0.0
     shaking: Annotated[float, Meta(ge=0, le=3)] = 0.0
     exposure_s: Annotated[float, Meta(ge=0, le=0.1)] = 0.0
     readout_s: Annotated[float, Meta(ge=0, le=0.1)] = 0.0

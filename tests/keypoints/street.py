@@ -41,4 +41,4 @@ def row_points(rng: np.random.Generator, world_m: NDArray[np.float64], *, pixels
     matched[rng.random(matched.shape[:2]) < 0.3] = np.nan
     matched[rng.random(matched.shape[:2]) < 0.1] = 0.4  # matches of something else
     rows = ROWS + rng.normal(0, np.radians(turned_deg), len(ROWS))[:, np.newaxis] * (0, 0, 1)
-    return points_of(with_noise(rng, seen(world_m, (0, 0, 0, 0)), pixels), matched, rows, CAMERA)
+    return points_of(with_noise(rng, seen(world_m, (0, 0, 0, 0)), pixels), matched, rows, CAMERA)[0]

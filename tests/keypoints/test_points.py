@@ -47,7 +47,7 @@ def test_points_that_fewer_than_three_rows_see_have_no_distance_and_keep_their_d
     matched = np.full((3, 30, 2), np.nan)
     matched[:, :20] = [seen(world_m[:20], (0, ahead_m, 0, 0)) for ahead_m in (2, 4, 6)]
     matched[1:, :5] = np.nan
-    found = points_of(own, matched, np.array([(0, 2, 0), (0, 4, 0), (0, 6, 0)]), CAMERA)
+    found = points_of(own, matched, np.array([(0, 2, 0), (0, 4, 0), (0, 6, 0)]), CAMERA)[0]
     assert found.is_known.tolist() == [False] * 5 + [True] * 15 + [False] * 10
     assert found.places[~found.is_known, :2] == pytest.approx(own[~found.is_known])
     assert np.isnan(found.places[~found.is_known, 2]).all()
@@ -55,5 +55,5 @@ def test_points_that_fewer_than_three_rows_see_have_no_distance_and_keep_their_d
 
 
 def test_no_match_is_no_point() -> None:
-    found = points_of(np.zeros((4, 2)), np.full((2, 4, 2), np.nan), np.array([(0, 2, 0), (0, 4, 0)]), CAMERA)
+    found = points_of(np.zeros((4, 2)), np.full((2, 4, 2), np.nan), np.array([(0, 2, 0), (0, 4, 0)]), CAMERA)[0]
     assert not found.is_known.any()

@@ -94,7 +94,7 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     truth = vehicle.poses[0]
     heading = np.radians([pose.heading_deg for pose in rows.poses])
     looks_back = mapped == "rear"
-    (points,) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
+    ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
     pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
     found = Seen(ROW, 90, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)

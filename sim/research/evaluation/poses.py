@@ -2,6 +2,7 @@
 
     python -m sim.research.evaluation.poses 9601 9602 --folder DRIVES --write docs/keypoints.md
     python -m sim.research.evaluation.poses 9821 9822 9823 --believed --folder DRIVES --write docs/keypoints.md
+    python -m sim.research.evaluation.poses 9601 --folder DRIVES --light dusk --map-mounted 3 0
 
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
 What is believed: see `looks`. What is made stays in the folder, and is not made again.
@@ -10,10 +11,11 @@ What is believed: see `looks`. What is made stays in the folder, and is not made
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -53,6 +55,10 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
     parser.add_argument("--believed", action="store_true", help="what the recognizer believes, in place of poses")
     parser.add_argument("--write", type=Path, metavar="PAGE")
+    parser.add_argument("--light", choices=LIGHTS, action="append", help="only this one")
+    for option, whose in (("--map-mounted", "the map's"), ("--mounted", "the other")):
+        about = f"degrees by which {whose} camera looks down, and to the right"
+        parser.add_argument(option, type=float, nargs=2, default=(0.0, 0.0), metavar=("DOWN", "RIGHT"), help=about)
     args = parser.parse_args()
     cv2.setNumThreads(1)
     if args.believed:
@@ -60,13 +66,15 @@ def main() -> None:
             "looks", looks.tables(args.roads, partial(_long_map, args.folder), partial(_long, args.folder)), args.write
         )
     else:
-        publish("poses", _poses(args.folder, args.roads), args.write)
+        mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
+        cases = product(DRIVES, args.light or LIGHTS, args.roads)
+        publish("poses", _poses(args.folder, cases, mounts), args.write)
 
 
-def _poses(folder: Path, roads: list[int]) -> Iterator[str]:
+def _poses(folder: Path, cases: Iterable[tuple[str, LightName, int]], mounts: tuple[_Mount, _Mount]) -> Iterator[str]:
     yield "| drive | light | road | with a pose | along | across | heading | rms over sigma |"
     yield "|---" * 8 + "|"
-    yield from (_row(folder, *case) for case in product(DRIVES, LIGHTS, roads))
+    yield from (_row(folder, *case, *mounts) for case in cases)
 
 
 def _long(folder: Path, road: int, drive: str, light: LightName) -> Path:
@@ -75,14 +83,31 @@ def _long(folder: Path, road: int, drive: str, light: LightName) -> Path:
 
 
 def _long_map(folder: Path, road: int, view: View) -> ReferenceMap:
-    return _map(folder, road, view, looks.LENGTH_M)
+    return _map(folder, road, view, _Mount(0.0, 0.0), looks.LENGTH_M)
 
 
-def _row(folder: Path, drive: str, light: LightName, road: int) -> str:
+class _Mount(NamedTuple):
+    """Degrees by which a camera looks down, and to the right."""
+
+    down_deg: float
+    right_deg: float
+
+    @property
+    def name(self) -> str:
+        """Of what is made by it; "" for a camera that looks level along the road."""
+        return f"_{self.down_deg:g}_{self.right_deg:g}" if any(self) else ""
+
+    def of(self, scenario: Scenario) -> Scenario:
+        """With a camera that is mounted so."""
+        return replace(scenario, camera_down_deg=self.down_deg, camera_right_deg=self.right_deg)
+
+
+def _row(folder: Path, drive: str, light: LightName, road: int, of_map: _Mount, mounted: _Mount) -> str:
     view, made = DRIVES[drive]
-    reference = _map(folder, road, view)
-    query = _drive(folder / f"{road}_{drive}_{light}", replace(made, seed=road, light=light), QUERY_M)
-    off, count = _errors(reference, query)
+    reference = _map(folder, road, view, of_map)
+    scenario = mounted.of(replace(made, seed=road, light=light))
+    off, count = _errors(reference, _drive(folder / f"{road}_{drive}_{light}{mounted.name}", scenario, QUERY_M))
+    off[:, 0, 2] -= np.radians(mounted.right_deg)  # a pose is the camera's
     size = np.abs(off[:, 0]) * (1, 1, np.degrees(1))
     spelled = [
         f"{median:.2f} / {most:.2f} / {nearly:.2f} {unit}"
@@ -101,10 +126,12 @@ def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
     return path
 
 
-def _map(folder: Path, road: int, view: View, length_m: float = LENGTH_M) -> ReferenceMap:
-    path = folder / f"{road}_{length_m:g}m_{view}_map"
+def _map(folder: Path, road: int, view: View, mounted: _Mount, length_m: float = LENGTH_M) -> ReferenceMap:
+    name = f"{road}_{length_m:g}m_{view}{mounted.name}"
+    path = folder / f"{name}_map"
     if not path.exists():
-        feed = _drive(folder / f"{road}_{length_m:g}m_{view}", Scenario(road, length_m, view=view, drive_seed=11), 2.0)
+        scenario = mounted.of(Scenario(road, length_m, view=view, drive_seed=11))
+        feed = _drive(folder / name, scenario, 2.0)
         key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
         build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), network=network, keypoints=key)
     return open_map(path, every_file=True)
