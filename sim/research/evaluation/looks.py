@@ -187,6 +187,7 @@ def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator
             at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
             answers = list(bench.answers(mapped, pictures, at_m, looks=True))
             found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
+            wrong[True] += int((_off_m(mapped, answers, at_m) > TOLERANCE_M).any())
             standing[found] += 1
     yield " -> ".join(f"{np.median(one):.0f} (90 %: {np.percentile(one, 90):.0f}) m" for one in first_m)
     shares = np.cumsum(standing)[:-1] / standing.sum()
