@@ -25,6 +25,7 @@ The files beside them:
     plugin            guests of the daemon: the parts in `edge_plugins/`, which only some vehicles need, or of others
     config            the one TOML file
     map_verification  which maps are used
+    feed_start        when a feed begins that a vehicle follows
     warm_start        what is kept from one run to the next
     errors            everything that can go wrong, in three kinds
     geodesy           degrees and local meters

@@ -29,8 +29,6 @@ from edge.warm_start import WarmStart
 if TYPE_CHECKING:
     from edge.telemetry.shadow import Shadow
 
-FEED_WAITS_S, POLL_S = 3.0, 0.02  # heartbeats come each second, and a speed half a second after it is asked for
-
 log = logging.getLogger(__name__)
 
 
@@ -108,14 +106,9 @@ class OpenedParts:
         self.device: NewestFrame | None = None
         if frames is None:
             if config.camera.kind == "feed" and config.sampling.by == "distance":
-                self._await_speed()
-            frames = self.device = NewestFrame.configured(config.camera, self.clock_ns)
+                from edge.feed_start import open_feed
+
+                self.device = open_feed(config.camera, self.autopilot)
+            frames = self.device = self.device or NewestFrame.configured(config.camera, self.clock_ns)
         self.pictures = open_picture_check(self.device, config.camera.kind, config.gates.min_speed_mps)
         self.camera: Frames = parts.enter_context(closing(frames))
-
-    def _await_speed(self) -> None:
-        """A feed waits for nobody, and its frames are chosen by the distance driven: let an autopilot speak first."""
-        until_s = time.monotonic() + FEED_WAITS_S
-        while self.autopilot.vehicle.motion.speed_mps(self.clock_ns()) is None and time.monotonic() < until_s:
-            self.autopilot.poll()
-            time.sleep(POLL_S)

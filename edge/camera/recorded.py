@@ -37,13 +37,16 @@ class RecordedCamera:
         self.read_timeout_s = DECODE_S + longest_ns / 1e9
 
     @classmethod
-    def of(cls, config: CameraConfig) -> RecordedCamera:
+    def of(cls, config: CameraConfig, began_ns: int | None = None) -> RecordedCamera:
         """Play the feed or video `config.device`; size and rate are the recording's, not the config's.
 
+        began_ns: CLOCK_MONOTONIC at which the first frame was due; None: at the first read().
         Raises FeedError, and ConfigError for a mask that does not fit.
         """
         feed = preprocessed_feed(read_feed(Path(config.device)), config)
         camera = cls(feed)
+        if began_ns is not None and feed.rows:
+            camera._offset_ns = began_ns - feed.rows[0].stamp_ns
         recorded, asked = feed.header.preprocessing, config.preprocessing
         if asked not in ("", recorded):
             camera.differences = (f"asked for {asked}; the feed was recorded with {recorded}, and stays as it is",)

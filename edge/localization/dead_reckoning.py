@@ -181,6 +181,8 @@ class DeadReckoning:
         self.gaps = 0
         """How often the distance leads on from nothing before: a speed came too late, or BACKED_M were backed."""
         self._speed_mps = self._forward_mps = 0.0
+        self.set_off_ns: int | None = None
+        """When the vehicle set off last, None where it was not seen to."""
         self._behind_m = 0.0
         """How far the vehicle is behind the furthest point that it has driven to, at most BACKED_M."""
         self._source = 0
@@ -201,6 +203,8 @@ class DeadReckoning:
             if gap_ns <= 0 or (source > self._source and gap_ns < SPEED_VALID_NS):
                 return
             is_known = gap_ns <= LONGEST_GAP_OF_SPEED_NS
+            if is_known and forward_mps and not self._forward_mps:
+                self.set_off_ns = (last_ns + stamp_ns) // 2
             self.gaps += not is_known
             moved_m = (self._forward_mps + forward_mps) / 2 * gap_ns / 1e9 if is_known else 0.0
             behind_m = min(BACKED_M, max(0.0, self._behind_m - moved_m))

@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, read_feed
 from edge.telemetry import open_link
+from edge.telemetry.codec import Message
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.firmware import FIRMWARES
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
 
 PRINT_S = 0.1
 EAGER_US = 50_000
-"""Between heartbeats of an autopilot that follows a recording: at 1 s the vehicle was 13 m behind its camera."""
+"""Between heartbeats of an autopilot that follows a recording: the sooner it is heard, the sooner the feed begins."""
+STANDS_S = 0.5
+"""From the request of its positions, so that some are of the vehicle before it sets off."""
 FURTHEST_M = 50_000.0
 """From the simulation's origin: farther away, its flat east and north are meters wrong."""
 
@@ -43,7 +46,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--firmware", choices=list(FIRMWARES), default="ardupilot")
     parser.add_argument("--speed", metavar="MPS", type=float, default=0.0, help="speed of a straight drive, default 0")
     parser.add_argument("--heading", metavar="DEG", type=float, default=0.0, help="clockwise from north (default 0)")
-    about = "drive as in this simulated recording, from the companion computer's first picture on"
+    about = "drive as in this simulated recording, once the companion computer has requested positions"
     parser.add_argument("--follow", metavar="FEED", type=Path, help=about)
     parser.add_argument("--no-gps", action="store_true", help="no GPS, odometry only")
     about = "GPS is lost S seconds after the drive began"
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     link = _open(arguments.udp)
     autopilot = SimulatedAutopilot(link, pose_at, firmware=arguments.firmware, gps=not arguments.no_gps)
     if arguments.follow is not None:
-        # Over UDP the other end answers what it hears: the sooner it does, the less its camera is ahead.
+        # Over UDP the other end answers what it hears.
         often = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, mavlink.MAVLINK_MSG_ID_HEARTBEAT, EAGER_US
         autopilot.handle(mavlink.MAVLink_command_long_message(1, 1, *often, *[0] * 5))
     stop = threading.Event()
@@ -96,6 +99,13 @@ class Start:
     """When a recorded drive begins, in seconds of CLOCK_MONOTONIC: the vehicle stands at its first place until then."""
 
     time_s: float = math.inf
+
+    def hear(self, message: Message, time_s: float) -> None:
+        """Set off soon after a companion computer has requested positions: it begins its feed when it hears of that."""
+        if message.get_type() != "COMMAND_LONG" or message.command != mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            return
+        if message.param1 == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+            self.time_s = min(self.time_s, time_s + STANDS_S)
 
 
 def recorded_drive(feed: Feed, start: Start) -> Callable[[float], Pose]:
@@ -142,10 +152,7 @@ def _print_received(
             autopilot.gps = False
         batch = autopilot.received[:]
         for received in batch:
-            # From its first picture on its state is not BOOT: camera and vehicle begin together, however slow it loads.
-            heard = received.message
-            if heard.get_type() == "HEARTBEAT" and heard.system_status != mavlink.MAV_STATE_BOOT:
-                start.time_s = min(start.time_s, received.time_s)
+            start.hear(received.message, received.time_s)
             line = {"time_s": round(received.time_s, 4), **received.message.to_dict()}
             print(msgspec.json.encode(line).decode(), flush=True)
         del autopilot.received[: len(batch)]  # the thread only appends
