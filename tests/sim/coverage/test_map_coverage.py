@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import re
+from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import numpy as np
 import pytest
 
 from edge.__main__ import main
 from edge.config import Config, SamplingConfig
+from edge.journal.journal import Journal
 from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.reference_map.store import ModelKey, RegionsKey
+from edge.telemetry.shadow import ShadowPosition
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
 from sim.coverage.rehearsal import Light, Way
@@ -242,3 +247,29 @@ def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pyte
     assert np.corrcoef(predicted, found)[0, 1] > 0.8
     gaps = [int(gap) for sheet in sheets for gap in re.findall(r"longest gap: (\d+) m", sheet)]
     assert 1 / 1.5 < gaps[0] / gaps[1] < 1.5
+
+
+def test_drives_beside_gps_that_went_this_way_in_this_light_replace_the_rehearsals(
+    maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three by day that publish on the second half of the first drive; one back, which is of another way."""
+    noon_s = datetime(2026, 6, 1, 2, 0, tzinfo=timezone.utc).timestamp()
+    places = maps.places[:PLACES]
+    for number in range(4):
+        journal = Journal(tmp_path / f"{number}.jsonl", unix_time_s=partial(float, noon_s + 86_400 * number))
+        order = places[::-1] if number == 3 else places
+        for row, place in enumerate(order[::4]):
+            at = float(place["lat_deg"]), float(place["lon_deg"])
+            one = ShadowPosition(row * 10**9, 8.0, 8.0 * row, "off the map", *at, 0.5, "rtk_fixed")
+            if row >= 25:
+                one = msgspec.structs.replace(one, withheld="", lat_deg=at[0], lon_deg=at[1], heading_deg=0.0)
+                one = msgspec.structs.replace(one, sigma_along_m=2.0, sigma_across_m=2.0)
+            journal.write(one)
+        journal.close()
+    journals = [str(tmp_path / f"{number}.jsonl") for number in range(4)]
+    words = ["map", "coverage", str(maps.path), *journals, "--rehearsals", "2", "--for", "again", "--light", "day"]
+    assert main([*words, "--stretch-m", "200"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("and 3 earlier ones")
+    assert [line.split("m: ")[1].split(" of the")[0].strip() for line in lines[1:3]] == ["0 %", "100 %"]
+    assert "believed on 3 of 3 earlier drives" in lines[2]
