@@ -97,7 +97,10 @@ def _run(args: argparse.Namespace) -> int:
     text = table(found)
     if args.page is not None:
         given = " ".join(path.name for path in args.flights)
-        put_between(SECTION, args.page, f"`lookback dev ablate flights {given}` of version {__version__}:\n\n{text}")
+        rules = f"Without each of {len(NAMES) - len(CONSTANTS)} rules and {len(CONSTANTS)} constants"
+        names = "all" if len(drives) == len(folders) else ", ".join(drive.name for drive in drives)
+        made = f"`lookback dev ablate LISTS {given}` of version {__version__}:\n\n{rules}; drives: {names}."
+        put_between(SECTION, args.page, f"{made}\n\n{text}")
     print(text)
     return 0
 
