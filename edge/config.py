@@ -74,6 +74,23 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
 now, with its section where it has moved (None: it is gone)."""
 
 
+ADDRESS = re.compile(r"(\w[\w+.-]*://)([^\s\"]*@)?([^\s?=\"'@]*)([?=][^\s\"']*)?")
+COMMAND = re.compile(r"^(exec:\s*\S+)\s.*", re.DOTALL)
+
+
+def without_secrets(text: str, mark: str = "") -> str:
+    """The text with `mark` where an address has a user, a password or a query, and a camera's command its arguments.
+
+    Cameras also have them in the path: rtsp://HOST/user=NAME_password=WORD_channel=1.sdp ends at the first "=".
+    """
+
+    def shown(found: re.Match[str]) -> str:
+        scheme, user, where, query = found.groups()
+        return f"{scheme}{mark + '@' if user and mark else ''}{where}{query[0] + mark if query and mark else ''}"
+
+    return ADDRESS.sub(shown, COMMAND.sub(rf"\1 {mark}" if mark else r"\1", text))
+
+
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[camera]: which camera, and the settings to request from it."""
 
@@ -113,11 +130,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def source(self) -> str:
         """Kind and device for people: without the password of an address, or the arguments of a command."""
-        device = self.device
-        if self.kind == "stream":
-            device = re.sub(r"//.*@", "//", device).partition("?")[0]
-            device = device.partition(" ")[0] if device.startswith("exec:") else device
-        return f"{self.kind} {device}"
+        return f"{self.kind} {without_secrets(self.device)}"
 
 
 class SamplingConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -27,7 +27,7 @@ import msgspec
 import tomli_w
 
 import edge
-from edge.config import Config, load_config
+from edge.config import Config, load_config, without_secrets
 from edge.errors import ConfigError, FeedError
 from edge.reference_map.store import THUMBNAILS
 from edge.toml_file import toml_values
@@ -36,9 +36,6 @@ from sim.output import refusing
 
 LIST = "drive.list"
 SECRET_KEY = re.compile(r"token|key$|pass|secret")
-IN_URL = re.compile(
-    r"(?<=://)[^/@\s\"]+(?=@)|(?<=[?&])((?:\w*(?:token|key|pass\w*|secret)\w*)=)[^&\s\"]+", re.IGNORECASE
-)
 HIDDEN = "***"
 SHORTEST = 8
 """Letters of a secret, which is replaced wherever it stands: a shorter one is a word."""
@@ -133,7 +130,7 @@ def _map_files(folder: Path, *, pictures: bool) -> Iterator[Path]:
 
 @dataclass
 class Hiding:
-    """Replaces what only the owner may know: what secret keys of the config hold, wherever it stands, and in URLs."""
+    """Replaces what only the owner may know: what secret keys of the config hold, wherever it stands, addresses too."""
 
     config: dict[str, Any]
     values: dict[str, Any] = field(init=False)
@@ -145,7 +142,7 @@ class Hiding:
 
     def __call__(self, text: str) -> str:
         """The text with *** in place of secrets."""
-        text = IN_URL.sub(lambda found: f"{found[1] or ''}{HIDDEN}", text)
+        text = without_secrets(text, HIDDEN)
         for secret in self._secrets:
             text = text.replace(secret, HIDDEN)
         return text

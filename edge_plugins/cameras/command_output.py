@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import selectors
 import shutil
 import signal
@@ -14,6 +13,7 @@ import time
 from functools import cache
 
 from edge.camera.process_groups import STARTED
+from edge.config import without_secrets
 from edge.errors import ConfigError
 
 TERMINATE_S = 0.7
@@ -103,8 +103,7 @@ class CommandOutput:
 
     def _in_its_words(self) -> str:
         text = self._last_line.decode(errors="replace")
-        words = "".join(letter if letter.isprintable() else " " for letter in text).strip()
-        words = re.sub(r"//\S*@", "//", words)  # an address with its password
+        words = without_secrets("".join(letter if letter.isprintable() else " " for letter in text).strip())
         return f": {words}" if words else ""
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 #!/bin/bash
 # Boot a real Debian in a container, install Lookback as README says, and try what happens to a service: starts, crashes,
-# hangs, missing devices, unreadable paths, updates, failed and killed updates, a rollback, the Debian package, removal.
+# hangs, a slow disk, missing devices, unreadable paths, updates, failed and killed updates, a rollback, the Debian package, removal.
 # Usage: sudo tests/systemd/boot.sh [WORK]   (default /var/tmp/lookback-boot; about 3 GB, kept for the next run)
 # Needs mmdebstrap and systemd-container; PYTHON with Lookback's packages makes the map (default .venv/bin/python).
 # Exit code 77: this computer cannot boot one, and why. DEB=FILE uses a package that build-deb.sh has made for Debian 12;
@@ -117,6 +117,31 @@ try_crash_and_hang() {
     wait_for 90 restarted "$before" || fail "not restarted by the watchdog"
     log_says "Watchdog timeout" || fail "no watchdog timeout in the log"
     step "stopped process: restarted by the watchdog"
+}
+
+try_slow_disk() { # each write and flush of the service takes 2 s, for four times WatchdogSec=
+    local before began drop_in=$root/run/systemd/system/lookback.service.d
+    command -v cc >/dev/null || { step "no C compiler here: the slow disk was not tried"; return; }
+    cc -shared -fPIC -O2 -o "$root/usr/lib/slow_writes.so" "$here/tests/faults/slow_writes_shim.c" -ldl
+    write_config 'journal_frames = true' telemetry
+    inside mkdir -p "${drop_in#"$root"}"
+    inside tee "${drop_in#"$root"}/slow.conf" >/dev/null <<<$'[Service]\nEnvironment=LD_PRELOAD=/usr/lib/slow_writes.so SLOW_US=2000000'
+    inside systemctl daemon-reload
+    inside systemctl restart lookback || fail "it does not start on a slow disk"
+    before=$(property NRestarts),$(property MainPID)
+    inside grep -q slow_writes "/proc/$(property MainPID)/maps" || fail "its writes are not slow"
+    sleep 40
+    [ "$(property NRestarts),$(property MainPID)" = "$before" ] || fail "the watchdog ended it on a slow disk"
+    [ "$(property ActiveState)" = active ] || fail "slow disk: $(property ActiveState)"
+    began=$SECONDS
+    inside systemctl stop lookback
+    [ "$(property Result)" = success ] || fail "slow disk: stopped with $(property Result)"
+    step "each write takes 2 s: runs on for 40 s; status: $(property StatusText); stopped within $((SECONDS - began + 1)) s"
+    inside rm -r "${drop_in#"$root"}"
+    rm "$root/usr/lib/slow_writes.so"
+    inside systemctl daemon-reload
+    write_config
+    inside systemctl start lookback || fail "it does not start after the slow disk"
 }
 
 refused() { # KEY = VALUE that the service cannot read, SECTION where the key is not in the config
@@ -293,6 +318,7 @@ step "started; status: $(property StatusText)"
 if [ "${ONLY:-}" != package ]; then
     try_doctor
     try_crash_and_hang
+    try_slow_disk
     try_unreadable_paths
     try_missing_port_at_boot
     try_updates
