@@ -74,21 +74,16 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
 now, with its section where it has moved (None: it is gone)."""
 
 
-ADDRESS = re.compile(r"(\w[\w+.-]*://)([^\s\"]*@)?([^\s?=\"'@]*)([?=][^\s\"']*)?")
+ADDRESS = re.compile(r"(\w[\w+.-]*://)(?:[^\s\"]*@)?([^\s?=\"'@]*)(?:[?=][^\s\"']*)?")
 COMMAND = re.compile(r"^(exec:\s*\S+)\s.*", re.DOTALL)
 
 
-def without_secrets(text: str, mark: str = "") -> str:
-    """The text with `mark` where an address has a user, a password or a query, and a camera's command its arguments.
+def without_secrets(text: str) -> str:
+    """The text with each address up to its query, without a user, and of a camera's command (exec:) only the program.
 
-    Cameras also have them in the path: rtsp://HOST/user=NAME_password=WORD_channel=1.sdp ends at the first "=".
+    A path with a password, as in rtsp://HOST/user=NAME_password=WORD.sdp, ends at its first "=".
     """
-
-    def shown(found: re.Match[str]) -> str:
-        scheme, user, where, query = found.groups()
-        return f"{scheme}{mark + '@' if user and mark else ''}{where}{query[0] + mark if query and mark else ''}"
-
-    return ADDRESS.sub(shown, COMMAND.sub(rf"\1 {mark}" if mark else r"\1", text))
+    return ADDRESS.sub(r"\1\2", COMMAND.sub(r"\1", text))
 
 
 class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):

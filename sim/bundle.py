@@ -1,7 +1,7 @@
 """`lookback bundle`: one file of a drive that went wrong, to send to somebody, without secrets and pictures.
 
 bundle.json   when and by what it was made, the packages, and what is missing and why
-config.toml   the settings, secrets as ***
+config.toml   the settings: secrets as ***, addresses without user and query
 doctor.json   what `lookback doctor --offline` finds
 journal.jsonl, journal.jsonl.1, ...   the events
 drive.list    what [telemetry] drive wrote: `lookback dev drive BUNDLE` replays it
@@ -142,7 +142,7 @@ class Hiding:
 
     def __call__(self, text: str) -> str:
         """The text with *** in place of secrets."""
-        text = without_secrets(text, HIDDEN)
+        text = without_secrets(text)
         for secret in self._secrets:
             text = text.replace(secret, HIDDEN)
         return text

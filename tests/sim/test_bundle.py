@@ -61,7 +61,7 @@ def test_a_bundle_has_what_happened_and_no_secret(
     assert TOKEN.encode() not in whole and PASSWORD.encode() not in whole and b"abcdef" not in whole
     assert names >= {"bundle.json", "config.toml", "doctor.json", "journal.jsonl", "drive.list", "log.txt"}
     assert {"maps/map/map.json", "maps/map/places.bin"} <= names and "maps/map/thumbnails.jpgs" not in names
-    assert journal == '{"event": "camera", "why": "rtsp://***@10.0.0.2 ***"}\n'
+    assert journal == '{"event": "camera", "why": "rtsp://10.0.0.2 ***"}\n'
     assert about["missing"] == {} and any(one.startswith("numpy ") for one in about["packages"])
     assert main(["dev", "drive", str(tmp_path / "it.zip")]) == 0
     assert "0 of 1 answers differ from those of the drive" in capsys.readouterr().out
