@@ -21,7 +21,7 @@ from sim.research.trial.course import drafted
 from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import HONEST, CourseRun, Failure, Rule, failures
 from sim.research.trial.courses import CASES, COURSES, courses_of
-from sim.research.trial.courses.maps import DRIVES, on_layers
+from sim.research.trial.courses.maps import DRIVES, on_keypoints, on_layers
 from sim.research.trial.table import (
     ENOUGH_RUNS,
     HEADER,
@@ -29,6 +29,7 @@ from sim.research.trial.table import (
     in_short,
     layers_in_short,
     line,
+    looks_table,
     put_between,
 )
 from sim.research.trial.ways import joined, placed
@@ -273,6 +274,7 @@ def test_a_turned_way_is_continuous_and_its_view_turns_with_it() -> None:
         (["--course", "moon"], "--course list"),
         (["--case", "Z"], "not one of A, B"),
         (["--length-m", "100"], "not between 500 and 20000"),
+        (["--keypoints", "--layers"], "not with --layers"),
     ],
 )
 def test_bad_options_are_refused(options: list[str], message: str) -> None:
@@ -339,6 +341,33 @@ def test_layers_are_compared_road_by_road_over_one_course() -> None:
     planned = command.plan(_options(["--course", "home", "--runs", "4", "--worlds", "5,11,63", "--layers"]))
     names = [score.name for score in command.compare({one: run_of() for one in planned})]
     assert names[::2] == [f"{one}, one map" for one in ("**all**", "road 5", "road 11", "road 63")]
+
+
+def test_keypoints_are_compared_course_by_course_with_lines() -> None:
+    planned = command.plan(_options(["--course", "home,person", "--runs", "2", "--keypoints"]))
+    lane_m = np.column_stack([np.full(50, 0.2), np.full(50, -0.1)])
+    runs = {one: run_of(lane_m=lane_m if one.keypoints else 10 * lane_m) for one in planned}
+    names = [f"{name}, {what}" for name in ("home", "person") for what in ("lines", "looks")]
+    table = [row.split(" | ") for row in looks_table(command.compare_looks(runs)).splitlines()[2:]]
+    assert [row[0].lstrip("| ") for row in table] == names and {row[1] for row in table} == {"2"}
+    assert [row[4:6] for row in table[:2]] == [
+        ["2.00 / 2.00 / 2.00 m", "1.00 / 1.00 / 1.00 m"],
+        ["0.20 / 0.20 / 0.20 m", "0.10 / 0.10 / 0.10 m"],
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["home", "repeat-dusk"])
+def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
+    name: str, library: RoadLibrary, tmp_path: Path
+) -> None:
+    """The way home, in the other lane, and the way out again: the daemon's own looks, by rendered pictures."""
+    run = drive(on_keypoints(COURSES[name]), 1, LENGTH_M, WORLD, tmp_path, library)
+    assert not failures(run, HONEST), line(name, run)
+    along_m, across_m = np.percentile(np.abs(run.lane_m), 90, axis=0)
+    assert len(run.lane_m) > 20 and max(along_m, across_m) < 1.0
+    sent = [json.loads(one) for one in (tmp_path / JOURNAL).read_text().splitlines()]
+    assert any(one.get("points", 0) >= 12 for one in sent if one["event"] == "fix_sent")
 
 
 def _bold(cases: str) -> list[str]:
