@@ -6,7 +6,8 @@ place of the line, although its middle is known better: the middle would have to
 
 An autopilot that steers by a GPS that is dragged across the road leaves the road, and GPS stays on it. Then no place is
 believed that could contradict GPS. What is left is that GPS goes on along the mapped drive of the last believed place,
-and nothing of that drive is recognized. That is no call: a changed road looks the same to the daemon.
+and nothing of that drive is recognized. That alone is no call: a changed road looks the same to the daemon. Where GPS
+has gone aside otherwise than the vehicle's own motion as well, two witnesses of three speak against it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from edge.config import Config, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
 from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
-from edge.localization.gps_referee import Comparison, GpsReferee, GpsVerdict
+from edge.localization.gps_referee import DOUBTFUL, Comparison, GpsReferee, GpsVerdict
+from edge.localization.own_motion import Departure, GpsTrack
 from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
 from edge.localization.route_estimate import CORRELATION_M
 from edge.reference_map import Position, Route
@@ -50,6 +52,7 @@ class GpsJudge:
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
         self._route: Route | None = None
         self._unseen_road: UnseenRoad | None = None
+        self._track, self._departed = GpsTrack(gates.drift_percent / 100), Departure()
         self._is_unseen = False
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_wrong = False
@@ -63,6 +66,7 @@ class GpsJudge:
 
     def reset(self) -> None:
         """No frame from before counts. What is known of GPS stays."""
+        self._track.clear()
         if self._unseen_road is not None:
             self._unseen_road.reset()
 
@@ -85,9 +89,20 @@ class GpsJudge:
             comparison = replace(comparison, motion=frame.without_gps) if heads else None
         was_wrong = self._referee.verdict.state == "wrong"
         verdict = self._referee.update(comparison, frame.missed)
+        self._track.add(gps, frame.without_gps)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
-        self._is_unseen = self._unseen_road.update(match, _where(gps, own, frame), doubt)
-        return verdict.state == "wrong" and not was_wrong
+        self._unseen_road.update(match, _where(gps, own, frame), doubt)
+        self._use_departure(self._unseen_road)
+        return self._referee.verdict.state == "wrong" and not was_wrong
+
+    def _use_departure(self, road: UnseenRoad) -> None:
+        """Not recognized where GPS has the vehicle: has GPS gone there as the vehicle has?"""
+        is_open = road.unseen_m >= UNSEEN_M / 4 and self._referee.verdict.state != "wrong"
+        self._departed = max(self._departed, self._track.departure()) if is_open else Departure()
+        evidence, east_m, north_m = self._departed
+        self._is_unseen = road.is_unseen(evidence / self._referee.disagrees)
+        if self._is_unseen and evidence >= DOUBTFUL:
+            self._referee.call(east_m, north_m)
 
     @property
     def verdict(self) -> GpsVerdict:
@@ -106,15 +121,18 @@ class GpsJudge:
         """Whether positions are published as if GPS were lost."""
         return self.is_wrong and self._acts
 
-    def use_verdict(self, own: Own) -> None:
-        """Go by the newest verdict from now on; it stays "wrong" until GPS agrees again."""
+    def use_verdict(self, *, follows_gps: bool) -> None:
+        """Go by the newest verdict from now on; it stays "wrong" until GPS agrees again.
+
+        follows_gps: whether the autopilot's own position still rests on GPS.
+        """
         verdict = self.verdict
         self.is_wrong = verdict.state == "wrong" or (self.is_wrong and verdict.state != "agrees")
         if not self.is_wrong:
             self._error_m, self.published = None, verdict
             return
-        if own.gps_sigma_m is not None and verdict.east_m is not None and verdict.north_m is not None:
-            self._error_m = verdict.east_m, verdict.north_m  # as long as the autopilot follows GPS
+        if follows_gps and verdict.east_m is not None and verdict.north_m is not None:
+            self._error_m = verdict.east_m, verdict.north_m
         self.published = replace(verdict, state="wrong", doubt=1.0)
 
     def bound(self) -> None:
@@ -176,10 +194,15 @@ class UnseenRoad:
     def reset(self) -> None:
         """Nothing is known of where the vehicle was recognized last."""
         self._last: PlaceMatch | None = None
-        self._firm_m = self._ahead_m = self._unseen_m = self._beside_m = self._doubt = 0.0
+        self._firm_m = self._ahead_m = self._beside_m = self._doubt = 0.0
+        self.unseen_m = 0.0  # that GPS went on along the drive without any of it being recognized
 
-    def update(self, match: PlaceMatch | None, by_gps: Sequence[GpsFix], doubt: float = 0.0) -> bool:
-        """After the answer to one more frame: whether the vehicle is not recognized where GPS has it.
+    def is_unseen(self, doubt: float) -> bool:
+        """Whether the vehicle is not recognized where GPS has it. doubt: by its own motion, see `GpsVerdict`."""
+        return self.unseen_m >= UNSEEN_M * (1 - min(max(self._doubt, doubt), 1.0) / 2)
+
+    def update(self, match: PlaceMatch | None, by_gps: Sequence[GpsFix], doubt: float = 0.0) -> None:
+        """The answer to one more frame.
 
         by_gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
         steers by it, and lags a receiver that is dragged off. doubt: see `GpsVerdict`; 0 where GPS is not doubtful.
@@ -190,18 +213,17 @@ class UnseenRoad:
             self._see(match, doubt)
         elif self._last is not None and by_gps:
             self._follow(self._last, by_gps)
-        return self._unseen_m >= UNSEEN_M * (1 - self._doubt / 2)
 
     def _see(self, match: PlaceMatch, doubt: float) -> None:
         spacing_m = self._route.drive(match.place_index).spacing_m
         if match.confidence >= FIRM:
-            self._firm_m = min(CORRELATION_M, max(0.0, self._firm_m + spacing_m - self._unseen_m))
-            self._unseen_m = 0.0
+            self._firm_m = min(CORRELATION_M, max(0.0, self._firm_m + spacing_m - self.unseen_m))
+            self.unseen_m = 0.0
         else:
             # A vehicle that leaves the road is recognized there now and then, but not firmly.
             if not doubt:
                 self._firm_m = max(0.0, self._firm_m - spacing_m)
-            self._unseen_m = max(0.0, self._unseen_m - spacing_m)
+            self.unseen_m = max(0.0, self.unseen_m - spacing_m)
         is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
         self._last, self._ahead_m, self._doubt = (match if is_firm else None), 0.0, doubt
 
@@ -224,7 +246,7 @@ class UnseenRoad:
         self._beside_m = 0.0
         most_m = MOST_PLACES * self._route.drive(last.place_index).spacing_m
         self._ahead_m += ahead_m
-        self._unseen_m += max(-most_m, min(ahead_m, most_m))
+        self.unseen_m += max(-most_m, min(ahead_m, most_m))
 
 
 def _where(gps: GpsFix | None, own: Own, frame: Frame) -> list[GpsFix]:

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -54,7 +54,7 @@ was off in the first: on another street that looks the same, it is that far off 
 be elsewhere than half of it in their middle: one that jumps may have been right."""
 LONGEST_GAP_M = 240.0
 """Without a place, after which comparisons do not add up any more."""
-KEPT = 32  # agreeing comparisons
+KEPT, SAMPLES = 32, 512  # agreeing comparisons, and all
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
@@ -115,11 +115,12 @@ class GpsVerdict:
 
 @dataclass(frozen=True)
 class _Sample:
-    """A comparison, the meters driven by then, the evidence in it, and the two sums."""
+    """A comparison, the meters driven by then, the evidence in it, the most in the newest ones, and the two sums."""
 
     comparison: Comparison
     at_m: float
     evidence: float
+    most: float
     high: float
     low: float
 
@@ -156,9 +157,10 @@ class GpsReferee:
         drift: one standard deviation of the vehicle's own motion, as a share of the distance.
         """
         self._drift = drift
-        self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
+        self.disagrees, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
         self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
-        self._samples: deque[_Sample] = deque(maxlen=512)
+        self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
+        self._lost: tuple[Anchor, deque[_Sample]] | None = None  # where GPS was, and the samples since then as well
         self._at_m = self._gap_m = 0.0
         self._settled: GpsVerdictState = "cannot say"
         self.verdict = GpsVerdict()
@@ -172,24 +174,63 @@ class GpsReferee:
         if comparison is not None:
             self._at_m, self._gap_m = self._at_m + self._gap_m, 0.0
             if comparison.off_along_m is not None:
+                self._lost = None
                 self._add(comparison)
             else:
-                self.verdict = self._without_gps
+                self.verdict = self._since_lost(comparison)
         return self.verdict
+
+    def call(self, east_m: float, north_m: float) -> None:
+        """GPS is wrong by so much, as something else has shown: see `GpsTrack`."""
+        self._settled, self.verdict = "wrong", GpsVerdict("wrong", east_m, north_m, 1.0)
+        self._samples.clear()  # what agreed before does not count for it
 
     def keep_until_lost(self, anchor: Anchor) -> None:
         """GPS was lost there: if no place was compared with it before, it counts as right until then.
 
         Had it been wrong, places would contradict that as well as GPS that is back, and nothing would be called.
         """
+        if self._lost is None:
+            self._lost = anchor, deque(self._samples, SAMPLES)
         if not self._agreed:
             at = anchor.lat_deg, anchor.lon_deg
             sigma_m = anchor.sigma_m
             lost = Comparison(*at, 0.0, 0.0, 0.0, 0.0, sigma_m, sigma_m, sigma_m, anchor.displacement)
             self._agreed.append(_Agreed(lost, -math.inf))
 
+    def _since_lost(self, comparison: Comparison) -> GpsVerdict:
+        """GPS was lost before it was called: the place against where it had the vehicle, moved on by own motion.
+
+        That can show that it was wrong, and nothing else; two witnesses that make it doubtful are enough, since it will
+        not be heard again.
+        """
+        goes_on = None if self._lost is None or self._settled == "wrong" else self._moved_on(self._lost[0], comparison)
+        if self._lost is None or goes_on is None:
+            return self._without_gps
+        _, samples = self._lost
+        high, _ = self._sums(goes_on, samples)
+        if high >= DOUBTFUL and len(samples) >= NEWEST and self._wrong_one(samples) == "wrong":
+            self.call(*_mean_offset(samples))
+            return self.verdict
+        return self._without_gps
+
+    def _moved_on(self, lost: Anchor, now: Comparison) -> Comparison | None:
+        """A comparison with where GPS would be, had it not been lost; None where own motion is not known."""
+        agreed = [one.comparison for one in self._agreed]
+        led, led_then = self._led(agreed, now, now.motion), self._led(agreed, now, lost.displacement)
+        if led is None or led_then is None:
+            return None
+        along_m, left_m = now.axes @ (_meters_from(now, lost) + led[0][:, 1] - led_then[0][:, 1])
+        along, left = np.sqrt(np.diag(now.axes @ led[1] @ now.axes.T) + lost.sigma_m**2)
+        sigmas_m = {
+            "along_sigma_m": math.hypot(now.along_sigma_m, along),
+            "left_sigma_m": math.hypot(now.left_sigma_m, left),
+        }
+        return replace(now, off_along_m=float(along_m), off_left_m=float(left_m), **sigmas_m)
+
     def _begin_anew(self) -> None:
         self._samples.clear()
+        self._lost = None
         if self._settled != "wrong":
             self._settled = "cannot say"
         self.verdict = self._without_gps
@@ -199,34 +240,40 @@ class GpsReferee:
         return GpsVerdict("wrong", doubt=1.0) if self._settled == "wrong" else GpsVerdict()
 
     def _add(self, comparison: Comparison) -> None:
-        evidence = evidence_of(comparison)
-        recent = [sample.evidence for sample in list(self._samples)[1 - NEWEST :]] + [evidence]
-        before = next((one for one in reversed(self._samples) if self._at_m - one.at_m >= CORRELATION_M), None)
-        # A sum far beyond a boundary would hide a change for long.
-        high = min(min(recent) + max(0.0, before.high if before else 0.0), 2 * self._disagree)
-        low = max(max(recent) + min(0.0, before.low if before else 0.0), 2 * self._agree)
-        self._samples.append(_Sample(comparison, self._at_m, evidence, high, low))
+        high, low = self._sums(comparison, self._samples)
         if len(self._samples) >= NEWEST:
-            if low <= self._agree:
+            # The sum lags: places that are displaced since have agreed for up to 120 m.
+            if low <= self._agree and self._samples[-1].most < 0:
                 self._settled = "agrees"
                 self._keep_agreed(comparison)
-            elif high >= self._disagree and self._settled != "wrong":
-                self._settled = self._wrong_one()
+            elif high >= self.disagrees and self._settled != "wrong":
+                self._settled = self._wrong_one(self._samples)
         self.verdict = self._judged(high)
+
+    def _sums(self, comparison: Comparison, samples: deque[_Sample]) -> tuple[float, float]:
+        """Add a comparison; the two sums by then."""
+        evidence = evidence_of(comparison)
+        recent = [sample.evidence for sample in list(samples)[1 - NEWEST :]] + [evidence]
+        before = next((one for one in reversed(samples) if self._at_m - one.at_m >= CORRELATION_M), None)
+        # A sum far beyond a boundary would hide a change for long.
+        high = min(min(recent) + max(0.0, before.high if before else 0.0), 2 * self.disagrees)
+        low = max(max(recent) + min(0.0, before.low if before else 0.0), 2 * self._agree)
+        samples.append(_Sample(comparison, self._at_m, evidence, max(recent), high, low))
+        return high, low
 
     def _keep_agreed(self, comparison: Comparison) -> None:
         agreed = self._agreed
-        if len(agreed) > 1 and math.hypot(*_between(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
+        if len(agreed) > 1 and math.hypot(*_meters_from(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
             agreed.pop()
         agreed.append(_Agreed(comparison, self._at_m))
 
-    def _wrong_one(self) -> GpsVerdictState:
+    def _wrong_one(self, among: Sequence[_Sample]) -> GpsVerdictState:
         """Which of both moved otherwise than the vehicle, since any time at which they agreed.
 
         Only until the sum began to grow: it lags, and what has moved since then agreed with nothing. Slow drags are
         well under way before they show, so that the newest time is not the best one.
         """
-        samples = list(self._samples)
+        samples = list(among)
         row = len(samples) - 1
         while row > 0 and samples[row].high > 0.0:
             row -= 1
@@ -260,28 +307,40 @@ class GpsReferee:
 
     def _moved_without_gps(self, agreed: Sequence[Comparison], now: Comparison) -> float:
         """Logarithm of how much more likely the places moved as the vehicle did than GPS; 0 where nobody knows."""
-        known = [one for one in agreed if one.motion is not None]
-        if now.motion is None or not known or known[-1] is not agreed[-1]:
-            return 0.0
-        places = [_between(now, one) for one in known]
-        at_m = np.array([np.column_stack([at, at + _offset(one)]) for at, one in zip(places, known, strict=True)])
-        sigma_m = np.array([one.each_sigma_m for one in known])
-        found = predicted([one.motion for one in known if one.motion], at_m, sigma_m, now.motion, self._drift)
+        found = self._led(agreed, now, now.motion)
         if found is None:
             return 0.0
         where_m, covariance = found
         places_off_m, gps_off_m = -where_m[:, 0], _offset(now) - where_m[:, 1]
-        precision = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
-        return float(gps_off_m @ precision @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
+        precision = precision_gps = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
+        if self._lost is not None:  # own motion was more certain then
+            lost = self._lost[0]
+            then = self._led(agreed, now, lost.displacement)
+            if then is None:
+                return 0.0
+            gps_off_m = _meters_from(now, lost) - then[0][:, 1]
+            precision_gps = np.linalg.inv(then[1] + now.each_sigma_m**2 * np.eye(2))
+        return float(gps_off_m @ precision_gps @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
+
+    def _led(
+        self, agreed: Sequence[Comparison], here: Comparison, motion: Displacement | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Where own motion leads from places that agreed, and from GPS, meters from another place; see `predicted`."""
+        known = [one for one in agreed if one.motion is not None]
+        if motion is None or not known or known[-1] is not agreed[-1]:
+            return None
+        places = [_meters_from(here, one) for one in known]
+        at_m = np.array([np.column_stack([at, at + _offset(one)]) for at, one in zip(places, known, strict=True)])
+        sigma_m = np.array([one.each_sigma_m for one in known])
+        return predicted([one.motion for one in known if one.motion], at_m, sigma_m, motion, self._drift)
 
     def _judged(self, high: float) -> GpsVerdict:
-        east_m, north_m = np.mean([_offset(one.comparison) for one in list(self._samples)[-NEWEST:]], axis=0)
-        state, doubt = self._settled, min(max(high / self._disagree, 0.0), 1.0)
+        state, doubt = self._settled, min(max(high / self.disagrees, 0.0), 1.0)
         if state == "wrong":
             doubt = 1.0
         elif state in ("agrees", "cannot say") and high >= DOUBTFUL:
             state = "doubtful"
-        return GpsVerdict(state, float(east_m), float(north_m), doubt)
+        return GpsVerdict(state, *_mean_offset(self._samples), doubt)
 
 
 def _offset(comparison: Comparison) -> NDArray[np.float64]:
@@ -291,9 +350,15 @@ def _offset(comparison: Comparison) -> NDArray[np.float64]:
     return offset
 
 
-def _between(before: Comparison, after: Comparison) -> NDArray[np.float64]:
-    """Meters east and north (2,) from one place to another."""
-    return np.array(east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg)))
+def _mean_offset(samples: Sequence[_Sample]) -> tuple[float, float]:
+    """Meters east and north, by the newest."""
+    east_m, north_m = np.mean([_offset(one.comparison) for one in list(samples)[-NEWEST:]], axis=0)
+    return float(east_m), float(north_m)
+
+
+def _meters_from(here: Comparison, there: Comparison | Anchor) -> NDArray[np.float64]:
+    """East and north (2,), from one place to another."""
+    return np.array(east_north_of(there.lat_deg, there.lon_deg, (here.lat_deg, here.lon_deg)))
 
 
 def _normal(value: float, sigma: float) -> float:

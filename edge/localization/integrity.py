@@ -233,9 +233,20 @@ def better_of(fix: PlaceFix, position: VehiclePosition, axes_m: tuple[float, flo
     """Along the way and across it, the better of a fix and the autopilot's own position.
 
     axes_m: standard deviations of the latter; by_gps: whether GPS bounded it last. None where the fix is better in
-    neither.
+    neither. Where they contradict each other, the fix: it is published only where its place is certain.
     """
     assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
+    heading_rad = math.radians(fix.heading_deg)
+    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+    east_m, north_m = offset_m(position, fix)
+    off_m, sigmas_m = (
+        (east_m * sin + north_m * cos, east_m * cos - north_m * sin),
+        (fix.sigma_along_m, fix.sigma_across_m),
+    )
+    if any(
+        abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
+    ):
+        return Best(fix)  # what bounds the autopilot is wrong
     own_along_m, own_across_m = axes_m
     grows = 1.0 if by_gps else GROWS
     keeps_along = fix.sigma_along_m > _most_m(own_along_m, grows)
@@ -244,11 +255,8 @@ def better_of(fix: PlaceFix, position: VehiclePosition, axes_m: tuple[float, flo
         return None
     if not keeps_along and not keeps_across:
         return Best(fix)
-    heading_rad = math.radians(fix.heading_deg + (90.0 if keeps_across else 0.0))
-    kept = math.sin(heading_rad), math.cos(heading_rad)
-    east_m, north_m = offset_m(position, fix)
-    off_m = east_m * kept[0] + north_m * kept[1]
-    lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -off_m * kept[0], -off_m * kept[1])
+    kept, kept_m = ((cos, -sin), off_m[1]) if keeps_across else ((sin, cos), off_m[0])
+    lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -kept_m * kept[0], -kept_m * kept[1])
     place = replace(
         fix,
         lat_deg=round(lat_deg, 9),

@@ -9,13 +9,17 @@ moved while they agreed with GPS (`predicted`), from the autopilot's heading of 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.geodesy import east_north_of
 from edge.localization.dead_reckoning import DeadReckoning, Displacement, Gyros, Integral
+from edge.localization.events import GpsFix
 
 RATES_APART_NS = 1_500_000_000
 """The longest silence between two rates. Of six that are requested a second, one has come by then; at one a second, as
@@ -27,6 +31,11 @@ COMPASS_RAD = math.radians(4.0)
 WITHIN_S = 100.0
 """Time before a moment whose places calibrate: over a longer one, even a small bias turns by no small angle."""
 CHANGES = 0.02  # what of own motion's error is not the same before and after, as a share
+FIXES_M, KEPT_FIXES, ALIKE_FIXES = 20.0, 64, 3
+"""Meters between two fixes of GPS that are kept, and how many in a row are wrong alike, as in bursts of multipath."""
+SINCE_M = 60.0, 120.0, 180.0
+"""Meters driven within which GPS is held against own motion: beyond, the heading by gyros is as uncertain as a drag of
+1 m/s turns the way by."""
 Vector = NDArray[np.float64]
 
 
@@ -145,3 +154,65 @@ def _moved(then: Displacement, now: Displacement) -> _Moved | None:
     aside_m = np.array([by_m[1], -by_m[0]])
     by_bias = turn @ (after.bias_east_m - before.bias_east_m, after.bias_north_m - before.bias_north_m)
     return _Moved(by_m, np.column_stack([np.eye(2), aside_m, by_m, by_bias - before.time_s * aside_m]))
+
+
+class Departure(NamedTuple):
+    """GPS less own motion, meters east and north; evidence: half the square of it across the way, over its variance."""
+
+    evidence: float = 0.0
+    east_m: float = 0.0
+    north_m: float = 0.0
+
+
+class GpsTrack:
+    """GPS against own motion alone: whether it goes on from its own earlier fixes as the vehicle moves.
+
+    An autopilot that steers by a GPS that is dragged aside leaves the road, and GPS stays on it: no place contradicts
+    that. Only across the way, since along it wheels may slip, and a vehicle that stays on its road sees its places.
+    """
+
+    def __init__(self, drift: float) -> None:
+        """drift: one standard deviation of the speed's scale, as a share."""
+        self._drift = drift
+        self.clear()
+
+    def clear(self) -> None:
+        """Nothing is known of what was before."""
+        self._fixes: deque[tuple[float, GpsFix, Displacement]] = deque(maxlen=KEPT_FIXES)  # with the meters by then
+        self._newest: tuple[float, GpsFix, Displacement] | None = None
+
+    def add(self, gps: GpsFix | None, motion: Displacement | None) -> None:
+        """GPS and own motion at an exposure, None where not known."""
+        self._newest = None
+        if gps is None or motion is None or motion.gyros is None:
+            return
+        if not self._fixes or motion.leg != self._fixes[-1][2].leg:
+            self._fixes.clear()
+            self._fixes.append((0.0, gps, motion))
+        before_m, _, before = self._fixes[-1]
+        self._newest = before_m + math.hypot(*motion.since(before)), gps, motion
+        if self._newest[0] - before_m >= FIXES_M:
+            self._fixes.append(self._newest)
+
+    def departure(self) -> Departure:
+        """By how much GPS has departed within any of SINCE_M, the most evident; none where not known."""
+        found = Departure()
+        if self._newest is None:
+            return found
+        at_m, gps, motion = self._newest
+        for since_m in SINCE_M:
+            before = [one for one in self._fixes if at_m - one[0] >= since_m]
+            if len(before) < 2:  # one has no direction
+                continue
+            here = gps.lat_deg, gps.lon_deg
+            fixes_m = np.array([east_north_of(one.lat_deg, one.lon_deg, here) for _, one, _ in before])
+            sigmas_m = math.sqrt(ALIKE_FIXES) * np.array([one.sigma_m for _, one, _ in before])
+            where = predicted([one for *_, one in before], fixes_m[:, :, None], sigmas_m, motion, self._drift)
+            length_m = math.hypot(*fixes_m[-1])
+            if where is None or length_m < since_m / 2:  # it has turned around
+                continue
+            across = np.array([-fixes_m[-1][1], fixes_m[-1][0]]) / length_m
+            off_m, variance = -where[0][:, 0], float(across @ where[1] @ across) + gps.sigma_m**2
+            evidence = float(off_m @ across) ** 2 / (2 * variance)
+            found = max(found, Departure(evidence, float(off_m[0]), float(off_m[1])))
+        return found

@@ -171,7 +171,9 @@ class PositionEstimator:
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
         ignored = self._gps.is_ignored
-        self._gps.use_verdict(self._own)
+        bound = self._bound.bound
+        is_bound_by_gps = bound is not None and bound.by_gps
+        self._gps.use_verdict(follows_gps=self._own.gps_sigma_m is not None or is_bound_by_gps)
         if self._gps.is_ignored and not ignored:
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M)
