@@ -22,7 +22,8 @@ from edge.config import Config, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
 from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
-from edge.localization.gps_referee import DOUBTFUL, Comparison, GpsReferee, GpsVerdict
+from edge.localization.gps_comparison import Comparison
+from edge.localization.gps_referee import DOUBTFUL, GpsReferee, GpsVerdict
 from edge.localization.own_motion import Departure, GpsTrack
 from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
 from edge.localization.route_estimate import CORRELATION_M
@@ -71,7 +72,7 @@ class GpsJudge:
             self._unseen_road.reset()
 
     def update(self, frame: Frame, own: Own, anchor: Anchor | None, undated_m: float = 0.0) -> bool:
-        """Compare GPS with the place of a frame at which the vehicle moved; True where it is called wrong by that.
+        """Compare GPS with the place of a frame at which the vehicle moved; True where it speaks against GPS by that.
 
         anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
         """
@@ -87,20 +88,20 @@ class GpsJudge:
             heading_deg = None if own.position is None else own.position.heading_deg
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
             comparison = replace(comparison, motion=frame.without_gps) if heads else None
-        was_wrong = self._referee.verdict.state == "wrong"
+        before = self._referee.verdict.state
         verdict = self._referee.update(comparison, frame.missed)
         self._track.add(gps, frame.without_gps)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
         self._unseen_road.update(match, _where(gps, own, frame), doubt)
         self._use_departure(self._unseen_road)
-        return self._referee.verdict.state == "wrong" and not was_wrong
+        return self._referee.verdict.state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
 
     def _use_departure(self, road: UnseenRoad) -> None:
         """Not recognized where GPS has the vehicle: has GPS gone there as the vehicle has?"""
         is_open = road.unseen_m >= UNSEEN_M / 4 and self._referee.verdict.state != "wrong"
         self._departed = max(self._departed, self._track.departure()) if is_open else Departure()
         evidence, east_m, north_m = self._departed
-        self._is_unseen = road.is_unseen(evidence / self._referee.disagrees)
+        self._is_unseen = road.is_unseen(evidence / DOUBTFUL)
         if self._is_unseen and evidence >= DOUBTFUL:
             self._referee.call(east_m, north_m)
 
@@ -115,6 +116,11 @@ class GpsJudge:
     def is_doubted(self) -> bool:
         """Whether places speak against GPS now."""
         return self._referee.verdict.state in ("doubtful", "disagrees", "wrong")
+
+    @property
+    def unsettled_m(self) -> float | None:
+        """See `GpsReferee`."""
+        return self._referee.unsettled_m
 
     @property
     def is_ignored(self) -> bool:

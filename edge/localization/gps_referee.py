@@ -29,21 +29,15 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north_of
 from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
 from edge.localization.own_motion import predicted
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal[
     "cannot say", "agrees", "doubtful", "disagrees", "wrong", "map wrong", "not recognized"
 ]
-OFFSETS_M = (20.0, 50.0, 300.0)
-"""Scales of the offset of a wrong GPS: what first shows beside the errors of places, and what a spoofer ends with."""
-ANYWHERE = 2e-15
-"""Per square meter: anywhere on Earth. No honest offset is less likely than a thousandth of that."""
-BURST_SHARE, BURST_M = 0.05, 5.0
-"""Share of the sightings in a burst of multipath, and one standard deviation of it east and north: 10 m are two."""
 DOUBTFUL = 3.0
 """Score (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
 NEWEST = 3
@@ -53,37 +47,9 @@ DEPARTS_M, DEPARTS, UNSTEADY = 20.0, 1.5, 0.25
 was off in the first: on another street that looks the same, it is that far off all along. By which share of that it may
 be elsewhere than half of it in their middle: one that jumps may have been right."""
 LONGEST_GAP_M = 240.0
-"""Without a place, after which comparisons do not add up any more."""
+"""Without a place or without GPS, after which comparisons do not add up any more."""
 KEPT, SAMPLES = 32, 512  # agreeing comparisons, and all
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """GPS less place, at one exposure: meters along the road and to its left, with one standard deviation of each.
-
-    lat_deg, lon_deg: where the match says that the vehicle is. spacing_m: between places of the map, of which a frame
-    passes about one. heading_rad: of travel. off_*_m: None without GPS. each_sigma_m: of the less certain of both by
-    itself. motion: the vehicle's own, without GPS, None if unknown.
-    """
-
-    lat_deg: float
-    lon_deg: float
-    spacing_m: float
-    heading_rad: float
-    off_along_m: float | None
-    off_left_m: float | None
-    along_sigma_m: float
-    left_sigma_m: float
-    each_sigma_m: float
-    motion: Displacement | None = None
-    shape: str = ""
-
-    @property
-    def axes(self) -> NDArray[np.float64]:
-        """Unit vectors, east and north, along the road and to its left: (2, 2)."""
-        sin, cos = math.sin(self.heading_rad), math.cos(self.heading_rad)
-        return np.array([[sin, cos], [-cos, sin]])
 
 
 @dataclass(frozen=True)
@@ -125,20 +91,13 @@ class _Sample:
     low: float
 
 
-def evidence_of(comparison: Comparison) -> float:
-    """Logarithm of how much more likely its offset is if GPS is wrong than if it is honest."""
-    assert comparison.off_along_m is not None and comparison.off_left_m is not None
-    off_along_m, off_left_m = comparison.off_along_m, comparison.off_left_m
-    along, left = comparison.along_sigma_m, comparison.left_sigma_m
-    honest = (1 - BURST_SHARE) * _normal(off_along_m, along) * _normal(off_left_m, left)
-    honest += (
-        BURST_SHARE * _normal(off_along_m, math.hypot(along, BURST_M)) * _normal(off_left_m, math.hypot(left, BURST_M))
-    )
-    wrong = sum(
-        _normal(off_along_m, math.hypot(along, scale_m)) * _normal(off_left_m, math.hypot(left, scale_m))
-        for scale_m in OFFSETS_M
-    ) / len(OFFSETS_M)
-    return math.log((wrong + ANYWHERE) / max(honest, ANYWHERE / 1000))
+@dataclass(frozen=True)
+class _Lost:
+    """Where GPS had the vehicle last, the meters driven by then, and the samples, those since then among them."""
+
+    anchor: Anchor
+    at_m: float
+    samples: deque[_Sample]
 
 
 class _Agreed(NamedTuple):
@@ -157,13 +116,16 @@ class GpsReferee:
         drift: one standard deviation of the vehicle's own motion, as a share of the distance.
         """
         self._drift = drift
-        self.disagrees, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
+        self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
         self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
-        self._lost: tuple[Anchor, deque[_Sample]] | None = None  # where GPS was, and the samples since then as well
+        self._lost: _Lost | None = None
         self._at_m = self._gap_m = 0.0
         self._settled: GpsVerdictState = "cannot say"
         self.verdict = GpsVerdict()
+        self.unsettled_m: float | None = None
+        """How far GPS was from the places when it was lost, where own motion rather speaks for a recording that GPS had
+        agreed with, and that keeps its shape: GPS bounds nothing better than that."""
 
     def update(self, comparison: Comparison | None, missed: int = 0) -> GpsVerdict:
         """The verdict after one more used frame; None: its place is not known. missed: places passed before it."""
@@ -174,7 +136,7 @@ class GpsReferee:
         if comparison is not None:
             self._at_m, self._gap_m = self._at_m + self._gap_m, 0.0
             if comparison.off_along_m is not None:
-                self._lost = None
+                self._lost = self.unsettled_m = None
                 self._add(comparison)
             else:
                 self.verdict = self._since_lost(comparison)
@@ -191,7 +153,7 @@ class GpsReferee:
         Had it been wrong, places would contradict that as well as GPS that is back, and nothing would be called.
         """
         if self._lost is None:
-            self._lost = anchor, deque(self._samples, SAMPLES)
+            self._lost = _Lost(anchor, self._at_m, deque(self._samples, SAMPLES))
         if not self._agreed:
             at = anchor.lat_deg, anchor.lon_deg
             sigma_m = anchor.sigma_m
@@ -201,17 +163,24 @@ class GpsReferee:
     def _since_lost(self, comparison: Comparison) -> GpsVerdict:
         """GPS was lost before it was called: the place against where it had the vehicle, moved on by own motion.
 
-        That can show that it was wrong, and nothing else; two witnesses that make it doubtful are enough, since it will
-        not be heard again.
+        That can show that it was wrong, or that nobody knows, and nothing else. Two witnesses that make it doubtful are
+        enough, since it will not be heard again.
         """
-        goes_on = None if self._lost is None or self._settled == "wrong" else self._moved_on(self._lost[0], comparison)
-        if self._lost is None or goes_on is None:
+        lost = self._lost
+        is_over = self._settled == "wrong" or self.unsettled_m is not None
+        if lost is None or is_over or self._at_m - lost.at_m > LONGEST_GAP_M:
             return self._without_gps
-        _, samples = self._lost
-        high, _ = self._sums(goes_on, samples)
-        if high >= DOUBTFUL and len(samples) >= NEWEST and self._wrong_one(samples) == "wrong":
+        goes_on, samples = self._moved_on(lost.anchor, comparison), lost.samples
+        high = -math.inf if goes_on is None else self._sums(goes_on, samples)[0]
+        if high < DOUBTFUL or len(samples) < NEWEST:
+            return self._without_gps
+        state, leans = self._wrong_one(samples)
+        if state == "wrong":
             self.call(*_mean_offset(samples))
             return self.verdict
+        shapes = {one.comparison.shape for one in self._agreed}
+        if state == "disagrees" and leans and high >= self._disagree and comparison.shape in shapes - {""}:
+            self.unsettled_m = math.hypot(*_mean_offset(samples))
         return self._without_gps
 
     def _moved_on(self, lost: Anchor, now: Comparison) -> Comparison | None:
@@ -220,17 +189,19 @@ class GpsReferee:
         led, led_then = self._led(agreed, now, now.motion), self._led(agreed, now, lost.displacement)
         if led is None or led_then is None:
             return None
-        along_m, left_m = now.axes @ (_meters_from(now, lost) + led[0][:, 1] - led_then[0][:, 1])
+        along_m, left_m = now.axes @ (meters_from(now, lost) + led[0][:, 1] - led_then[0][:, 1])
         along, left = np.sqrt(np.diag(now.axes @ led[1] @ now.axes.T) + lost.sigma_m**2)
-        sigmas_m = {
-            "along_sigma_m": math.hypot(now.along_sigma_m, along),
-            "left_sigma_m": math.hypot(now.left_sigma_m, left),
-        }
-        return replace(now, off_along_m=float(along_m), off_left_m=float(left_m), **sigmas_m)
+        return replace(
+            now,
+            off_along_m=float(along_m),
+            off_left_m=float(left_m),
+            along_sigma_m=math.hypot(now.along_sigma_m, along),
+            left_sigma_m=math.hypot(now.left_sigma_m, left),
+        )
 
     def _begin_anew(self) -> None:
         self._samples.clear()
-        self._lost = None
+        self._lost = self.unsettled_m = None
         if self._settled != "wrong":
             self._settled = "cannot say"
         self.verdict = self._without_gps
@@ -246,8 +217,8 @@ class GpsReferee:
             if low <= self._agree and self._samples[-1].most < 0:
                 self._settled = "agrees"
                 self._keep_agreed(comparison)
-            elif high >= self.disagrees and self._settled != "wrong":
-                self._settled = self._wrong_one(self._samples)
+            elif high >= self._disagree and self._settled != "wrong":
+                self._settled, _ = self._wrong_one(self._samples)
         self.verdict = self._judged(high)
 
     def _sums(self, comparison: Comparison, samples: deque[_Sample]) -> tuple[float, float]:
@@ -256,19 +227,19 @@ class GpsReferee:
         recent = [sample.evidence for sample in list(samples)[1 - NEWEST :]] + [evidence]
         before = next((one for one in reversed(samples) if self._at_m - one.at_m >= CORRELATION_M), None)
         # A sum far beyond a boundary would hide a change for long.
-        high = min(min(recent) + max(0.0, before.high if before else 0.0), 2 * self.disagrees)
+        high = min(min(recent) + max(0.0, before.high if before else 0.0), 2 * self._disagree)
         low = max(max(recent) + min(0.0, before.low if before else 0.0), 2 * self._agree)
         samples.append(_Sample(comparison, self._at_m, evidence, max(recent), high, low))
         return high, low
 
     def _keep_agreed(self, comparison: Comparison) -> None:
         agreed = self._agreed
-        if len(agreed) > 1 and math.hypot(*_meters_from(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
+        if len(agreed) > 1 and math.hypot(*meters_from(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
             agreed.pop()
         agreed.append(_Agreed(comparison, self._at_m))
 
-    def _wrong_one(self, among: Sequence[_Sample]) -> GpsVerdictState:
-        """Which of both moved otherwise than the vehicle, since any time at which they agreed.
+    def _wrong_one(self, among: Sequence[_Sample]) -> tuple[GpsVerdictState, bool]:
+        """Which of both moved otherwise than the vehicle, since any time at which they agreed; whether rather GPS did.
 
         Only until the sum began to grow: it lags, and what has moved since then agreed with nothing. Slow drags are
         well under way before they show, so that the newest time is not the best one.
@@ -287,7 +258,8 @@ class GpsReferee:
         is_gps = any(min(one) >= DOUBTFUL for one in says)
         is_map = any(max(one) <= -DOUBTFUL for one in says)
         is_gps |= not is_map and self._has_departed(samples[row + 1 :], {one.shape for one in agreed})
-        return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong"
+        leans = any(min(one) > 0 for one in says)
+        return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong", leans
 
     def _has_departed(self, grows: Sequence[_Sample], agreed: Collection[str]) -> bool:
         """Whether GPS moved away steadily from a recording that keeps its shape, and with which it agreed before.
@@ -300,9 +272,9 @@ class GpsReferee:
         first, half, last = (one.comparison for one in (grows[0], middle, grows[-1]))
         if not first.shape or first.shape not in agreed or not first.shape == half.shape == last.shape:
             return False
-        grown_m, half_m = _offset(last) - _offset(first), _offset(half) - _offset(first)
+        grown_m, half_m = offset_m(last) - offset_m(first), offset_m(half) - offset_m(first)
         square = float(grown_m @ grown_m)
-        departs_m = max(DEPARTS_M, DEPARTS * float(np.hypot(*_offset(first))))
+        departs_m = max(DEPARTS_M, DEPARTS * float(np.hypot(*offset_m(first))))
         return square >= departs_m**2 and abs(float(half_m @ grown_m) / square - 0.5) <= UNSTEADY
 
     def _moved_without_gps(self, agreed: Sequence[Comparison], now: Comparison) -> float:
@@ -311,14 +283,14 @@ class GpsReferee:
         if found is None:
             return 0.0
         where_m, covariance = found
-        places_off_m, gps_off_m = -where_m[:, 0], _offset(now) - where_m[:, 1]
+        places_off_m, gps_off_m = -where_m[:, 0], offset_m(now) - where_m[:, 1]
         precision = precision_gps = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
         if self._lost is not None:  # own motion was more certain then
-            lost = self._lost[0]
+            lost = self._lost.anchor
             then = self._led(agreed, now, lost.displacement)
             if then is None:
                 return 0.0
-            gps_off_m = _meters_from(now, lost) - then[0][:, 1]
+            gps_off_m = meters_from(now, lost) - then[0][:, 1]
             precision_gps = np.linalg.inv(then[1] + now.each_sigma_m**2 * np.eye(2))
         return float(gps_off_m @ precision_gps @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
 
@@ -329,13 +301,13 @@ class GpsReferee:
         known = [one for one in agreed if one.motion is not None]
         if motion is None or not known or known[-1] is not agreed[-1]:
             return None
-        places = [_meters_from(here, one) for one in known]
-        at_m = np.array([np.column_stack([at, at + _offset(one)]) for at, one in zip(places, known, strict=True)])
+        places = [meters_from(here, one) for one in known]
+        at_m = np.array([np.column_stack([at, at + offset_m(one)]) for at, one in zip(places, known, strict=True)])
         sigma_m = np.array([one.each_sigma_m for one in known])
         return predicted([one.motion for one in known if one.motion], at_m, sigma_m, motion, self._drift)
 
     def _judged(self, high: float) -> GpsVerdict:
-        state, doubt = self._settled, min(max(high / self.disagrees, 0.0), 1.0)
+        state, doubt = self._settled, min(max(high / self._disagree, 0.0), 1.0)
         if state == "wrong":
             doubt = 1.0
         elif state in ("agrees", "cannot say") and high >= DOUBTFUL:
@@ -343,23 +315,7 @@ class GpsReferee:
         return GpsVerdict(state, *_mean_offset(self._samples), doubt)
 
 
-def _offset(comparison: Comparison) -> NDArray[np.float64]:
-    """Meters east and north (2,)."""
-    assert comparison.off_along_m is not None and comparison.off_left_m is not None
-    offset: NDArray[np.float64] = np.array([comparison.off_along_m, comparison.off_left_m]) @ comparison.axes
-    return offset
-
-
 def _mean_offset(samples: Sequence[_Sample]) -> tuple[float, float]:
     """Meters east and north, by the newest."""
-    east_m, north_m = np.mean([_offset(one.comparison) for one in list(samples)[-NEWEST:]], axis=0)
+    east_m, north_m = np.mean([offset_m(one.comparison) for one in list(samples)[-NEWEST:]], axis=0)
     return float(east_m), float(north_m)
-
-
-def _meters_from(here: Comparison, there: Comparison | Anchor) -> NDArray[np.float64]:
-    """East and north (2,), from one place to another."""
-    return np.array(east_north_of(there.lat_deg, there.lon_deg, (here.lat_deg, here.lon_deg)))
-
-
-def _normal(value: float, sigma: float) -> float:
-    return math.exp(-((value / sigma) ** 2) / 2) / (sigma * math.sqrt(math.tau))

@@ -170,13 +170,13 @@ class PositionEstimator:
 
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
-        ignored = self._gps.is_ignored
-        bound = self._bound.bound
-        is_bound_by_gps = bound is not None and bound.by_gps
-        self._gps.use_verdict(follows_gps=self._own.gps_sigma_m is not None or is_bound_by_gps)
-        if self._gps.is_ignored and not ignored:
+        ignored, bound, unsettled_m = self._gps.is_ignored, self._bound.bound, self._gps.unsettled_m
+        is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
+        self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)
+        is_no_bound = is_lost and is_bound_by_gps and (self._gps.is_wrong or unsettled_m is not None)
+        if is_no_bound or (self._gps.is_ignored and not ignored):
             # What GPS has contradicted so far is not contradicted any more.
-            self._bind(CALLED_SIGMA_M)
+            self._bind(CALLED_SIGMA_M if unsettled_m is None else unsettled_m)
             self._bound.by_gps = self._bound.when_lost = None
 
     def _use_own(self, t_ns: int, own: Own) -> None:

@@ -60,6 +60,15 @@ def test_a_position_that_is_better_in_neither_direction_is_none() -> None:
     assert better_of(FIX, own(0.0, 0.0), barely_m, by_gps=True) is None
 
 
+@pytest.mark.parametrize(("axes_m", "is_kept"), [((3.0, 1.0), False), ((9.0, 1.0), True)])
+def test_nothing_is_kept_of_an_autopilot_that_a_certain_position_contradicts(
+    axes_m: tuple[float, float], is_kept: bool
+) -> None:
+    """20 m along, as after a GPS that was dragged and then jammed: what bounds it is wrong, in both directions."""
+    found = better_of(FIX, own(20.0, 0.0), axes_m, by_gps=True)
+    assert found is not None and found.keeps == (False, is_kept)
+
+
 def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
     """A hundred positions in a row that keep the autopilot's own across."""
     axes, drift = Axes(90.0, (3.0, 3.0), (0.0, 0.0)), 0.04

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from edge.localization import Break, GpsFix
 from edge.localization.gps_judge import FIRM, UNSEEN_M
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, Vehicle, gps_at, match, settings
-from tests.localization.route_course import SPACING_M
+from tests.localization.route_course import SPACING_M, Stretch
 
 FROM_M, FRAMES = 200.0, round(1.2 * UNSEEN_M / SPACING_M)
 """Where places are recognized up to, and how many frames follow that show none."""
@@ -144,6 +145,49 @@ def test_gps_that_was_called_wrong_stays_wrong_where_nothing_is_recognized(road:
     drive(one, [seen(at_m) for at_m in places(FROM_M, 240.0)], lambda at_m: gps_at(at_m, 200.0))
     assert one.drive.known.gps.state == "wrong"
     assert warned_m(one) is None and one.drive.known.gps.state == "wrong"
+
+
+def honest(north_m: float) -> GpsFix:
+    return gps_at(north_m)
+
+
+def bursts(north_m: float) -> GpsFix:
+    """Multipath: 10 m for 80 m of every 400, one of them where nothing is recognized."""
+    return gps_at(north_m, 10.0 if north_m % 400 > 320 else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("aside", "odometer", "gps", "state"),
+    [
+        pytest.param(0.125, 1.0, honest, "wrong", id="1 m/s at 8 m/s"),
+        pytest.param(0.25, 1.0, honest, "wrong", id="1 m/s at 4 m/s"),
+        pytest.param(0.25, 0.92, honest, "wrong", id="wheels 8 % wrong"),
+        pytest.param(0.0, 1.0, honest, "not recognized", id="a road that was rebuilt"),
+        pytest.param(0.0, 1.0, bursts, "not recognized", id="multipath"),
+        pytest.param(0.0, 0.88, honest, "not recognized", id="wheels that slip"),
+    ],
+)
+def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says_so(
+    tmp_path: Path, aside: float, odometer: float, gps: Callable[[float], GpsFix], state: str
+) -> None:
+    """It steers by a GPS that is dragged, which so stays on the lane; no place is recognized 16 m beside it.
+
+    aside: meters to the side for each that is driven, from 300 m on.
+    """
+    one, aside_m = Vehicle(Road(tmp_path, Stretch(0.0, 900.0))), 0.0
+    called_m = None
+    while one.north_m < 740.0 and called_m is None:
+        is_dragged = one.north_m >= 300.0
+        one.aside_m = aside * SPACING_M if is_dragged else 0.0
+        one.odometer = odometer if is_dragged or odometer > 0.9 else 1.0
+        aside_m += one.aside_m
+        one.move()
+        shown = seen(one.north_m) if aside_m < 16.0 and one.north_m < 560.0 else unseen(one.north_m)
+        found = one.show(shown, gps(one.north_m)).state
+        assert found in ("cannot say", "agrees", "doubtful", state)
+        called_m = aside_m if found == "wrong" else None
+    assert found == state
+    assert called_m is None or called_m < 35.0
 
 
 @pytest.mark.parametrize(("undated_s", "state"), [(0.0, "wrong"), (1.5, "agrees")])

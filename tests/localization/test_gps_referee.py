@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import GatesConfig, RigConfig
-from edge.localization import GpsVerdict
-from edge.localization.gps_referee import BURST_M, BURST_SHARE, OFFSETS_M, Comparison, evidence_of
+from edge.localization import Fix, GpsVerdict
+from edge.localization.gps_comparison import BURST_M, BURST_SHARE, OFFSETS_M, Comparison, evidence_of
 from edge.sequence import PlaceMatch
-from tests.localization.events_of import Road, Vehicle, gps_at, settings
+from tests.localization.events_of import Road, Vehicle, gps_at, left_m, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 ALONG_M, LEFT_M, MATCH_M = 5.8, 4.4, 4.5
@@ -306,3 +306,34 @@ def test_a_recording_that_is_25_m_off_in_part_makes_no_gps_wrong(mapped: MakeRoa
             states_of.append(one.show(road.match(one.north_m + share * error[1]), gps).state)
         found.append("wrong" in states_of)
     assert not any(found)
+
+
+@pytest.mark.parametrize(("share", "off_m"), [(0.12, 20.0), (0.12, 25.0), (0.25, 25.0), (0.06, 25.0)])
+@pytest.mark.parametrize("has_odometer", [True, False])
+def test_gps_that_is_dragged_and_jammed_before_it_is_called_bounds_nothing(
+    mapped: MakeRoad, share: float, off_m: float, has_odometer: bool
+) -> None:
+    """1 m/s at 8 and at 4 m/s, and 0.5 m/s. Positions come by the places. Own motion cannot tell of the slow one:
+    they come if the recording keeps its shape, and none comes if nobody knows that."""
+    one = Vehicle(mapped(replace(part(0, 1500), has_odometer=has_odometer)), SETTINGS)
+    while one.off_m < off_m:
+        one.off_m = share * max(0.0, one.north_m - 400.0)
+        one.go(2, gps=True)
+    assert one.drive.known.gps.state != "wrong"
+    answers = one.answers(240)
+    found = [answer for answer in answers if isinstance(answer, Fix)]
+    assert bool(found) == (has_odometer or share > 0.1)
+    for answer in found:
+        place = answer.place
+        assert place.lat_deg is not None and abs(left_m(place)) < 3 * place.sigma_across_m
+
+
+def test_a_street_beside_that_is_entered_without_gps_makes_no_gps_wrong(mapped: MakeRoad) -> None:
+    """Own motion goes there, and the places of the street that looks the same do not: GPS was right until then."""
+    one = Vehicle(mapped(replace(part(0, 1500), has_odometer=True)))
+    one.go(400, gps=True)
+    for frame in range(200):
+        one.aside_m = 0.5 if frame < 50 else 0.0
+        one.go(2)
+        assert one.drive.known.gps.state != "wrong"
+    assert not any(isinstance(answer, Fix) for answer in one.answers(100))
