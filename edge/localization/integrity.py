@@ -67,7 +67,8 @@ class Facts:
     moment. own: what the autopilot reports, without what is known to be wrong of it. position: the autopilot's own,
     None where it says nothing. uncertainty_m: its standard deviation, None if unbounded. bound_by_gps, bound_wrong:
     whether GPS bounded it last, and the probability that what did was wrong. reckoned: where the vehicle is at the
-    position's moment without any place, None if unknown. aside: see `ReckonedTrack`.
+    position's moment without any place, None if unknown. aside: see `ReckonedTrack`. is_blurred: whether the newest
+    frame's place is recognized, and no line shows where exactly.
     """
 
     now_ns: int
@@ -84,6 +85,7 @@ class Facts:
     reckoned: Reckoned | None
     claims: Claims
     aside: tuple[float, float] | None
+    is_blurred: bool
 
     @property
     def place(self) -> PlaceFix:
@@ -188,6 +190,21 @@ class Facts:
     def is_worse(self) -> bool:
         """Whether the position would make the autopilot's less accurate."""
         return self.best is None or (not self.own.is_aided and self.place.sigma_m > ACCURATE_M)
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the position is further from the autopilot's own than both are uncertain."""
+        return (self.distance_m or 0.0) > AGREE_SIGMAS * math.hypot(self.uncertainty_m or math.inf, self.place.sigma_m)
+
+    @property
+    def needs_m(self) -> tuple[float, float]:
+        """Standard deviation of the position along the way, and from which on it would be better than the autopilot's.
+
+        Of one that is better in a direction, but whose velocity nothing measures: in all.
+        """
+        if self.best is not None:
+            return self.place.sigma_m, ACCURATE_M
+        return self.place.sigma_along_m, _most_m(self.uncertainty_m or 0.0, 1.0 if self.bound_by_gps else GROWS)
 
     def observe(self) -> None:
         """Keep what the position shows of the places, whether or not it may be published now."""

@@ -76,6 +76,7 @@ class PositionEstimator:
         self._own = Own()
         self._moved: Displacement | None = None
         self._exposed: Displacement | None = None  # at the newest exposure with a position
+        self._is_recognized = False
 
     def update(self, t_ns: int, event: Event) -> None:
         """Use what happened; t_ns: when that was known, CLOCK_MONOTONIC."""
@@ -91,6 +92,7 @@ class PositionEstimator:
             case Break(kind="reboot"):
                 self._bound.restart()
             case Break():
+                self._is_recognized = False
                 if self._filter is not None:
                     self._filter.reset()
                 self._gps.reset()
@@ -146,6 +148,7 @@ class PositionEstimator:
 
     def _use_frame(self, t_ns: int, frame: Frame) -> None:
         assert self._filter is not None
+        self._is_recognized = frame.match is not None and frame.match.accepted
         believed, undated_m = self._gps.believed(self._own), frame.undated_s * (self._own.speed_mps or 0.0)
         self._filter.update(
             frame.match, frame.stamp_ns, frame.motion, frame.missed, in_line=frame.in_line, undated_m=undated_m
@@ -255,6 +258,7 @@ class PositionEstimator:
             reckoned=reckoned,
             claims=self._claims,
             aside=None if self._filter is None else self._filter.aside,
+            is_blurred=self._is_recognized and self._filter is not None and self._filter.at_exposure() is None,
         )
 
 

@@ -20,6 +20,7 @@ from edge.localization.integrity import Facts
 class Rule(NamedTuple):
     """A reason as the journal and the pilot have it; when it holds; what would happen without it; the test that fails
     without it; its predicate. detail: what else is said of it. is_certain: whether the place is certain enough by then.
+    lacks: for people, what is missing, in figures that change with every frame.
     """
 
     reason: str
@@ -29,12 +30,12 @@ class Rule(NamedTuple):
     holds: Callable[[Facts], bool]
     detail: Callable[[Facts], str] = lambda facts: ""
     is_certain: bool = False
+    lacks: Callable[[Facts], str] = lambda facts: ""
 
 
 GPS_HEALTHY = "GPS is healthy"
 NO_PLACES = "the places do not agree yet"
 STANDING = "standing"
-TOO_FAR = "impossibly far"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
     Rule(
@@ -58,6 +59,14 @@ RULES = (
         "test_situations_in_which_nothing_is_published",
         lambda now: bool(now.limits.unable),
         lambda now: now.limits.unable,
+    ),
+    Rule(
+        "recognized, but not exactly",
+        "the newest place is recognized, and no line shows to a few meters where: its sharpness is below 5 %, another "
+        "place fits the newest frame better, or the vehicle goes another way",
+        "the vehicle is moved to somewhere on the road",
+        "test_a_line_that_is_not_sharp_is_not_used",
+        lambda now: now.fix is None and now.is_blurred,
     ),
     Rule(
         NO_PLACES,
@@ -110,11 +119,12 @@ RULES = (
         lambda now: now.place.disputed,
     ),
     Rule(
-        TOO_FAR,
+        "impossibly far",
         "over `max_move_m` from where GPS or a position bounded the autopilot",
         "a single error carries the vehicle away",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.move_m > now.gates.max_move_m,
+        lacks=lambda now: f"{now.move_m:.0f} m",
     ),
     Rule(
         "not confirmed by another place yet",
@@ -122,6 +132,7 @@ RULES = (
         "a wrong map, or a road that resembles it, moves the vehicle",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
         lambda now: not now.claim.observations or now.wrong > now.gates.risk,
+        lacks=lambda now: f"{now.distance_m:.0f} m from the autopilot" if now.is_contradicted else "",
     ),
     Rule(
         "its protection level is above the alert limit",
@@ -139,6 +150,7 @@ RULES = (
         "test_a_reset_never_makes_a_position_less_accurate",
         lambda now: now.is_worse,
         is_certain=True,
+        lacks=lambda now: "{:.1f} m, {:.1f} m needed".format(*now.needs_m),
     ),
 )
 """In the order in which they are checked."""
@@ -147,8 +159,8 @@ RULES = (
 class Refusal(Struct, frozen=True, tag=True):
     """Why a position is withheld.
 
-    detail: what else is known of the reason. fix: the position, None where there is none. distance_m: from the
-    autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
+    detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
+    distance_m: from the autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
     """
 
     reason: str
@@ -156,6 +168,12 @@ class Refusal(Struct, frozen=True, tag=True):
     fix: PlaceFix | None = None
     distance_m: float | None = None
     level: ProtectionLevel | None = None
+    lacks: str = ""
+
+    @property
+    def in_words(self) -> str:
+        """For people."""
+        return f"{self}, {self.lacks}" if self.lacks else str(self)
 
     def __str__(self) -> str:
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
@@ -167,4 +185,4 @@ def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:
     if rule is None:
         return None
     level = facts.level if rule.is_certain else None
-    return Refusal(rule.reason, rule.detail(facts), facts.fix, facts.distance_m, level)
+    return Refusal(rule.reason, rule.detail(facts), facts.fix, facts.distance_m, level, rule.lacks(facts))

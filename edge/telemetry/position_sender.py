@@ -17,7 +17,6 @@ from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     CORRELATION_M,
     NO_PLACES,
-    TOO_FAR,
     Drive,
     Fix,
     Limits,
@@ -43,6 +42,7 @@ from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS, SourceSele
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
+SAID_NS = 10_000_000_000  # after which the pilot reads the figures of why none is sent anew
 LATE_S = 10.0  # resets that improve on the autopilot come up to so far apart
 
 
@@ -69,6 +69,7 @@ class PositionSender:
         self.use = PositionUse(vehicle, drive, publisher)
         self._withheld: FixWithheld | None = None  # as recorded
         self._refused = Refusal(NO_PLACES)
+        self._said = ("", 0, "")  # why, since when, and what people read of it
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -142,11 +143,11 @@ class PositionSender:
             return "the autopilot refuses positions"
         if self._since_s(now_ns) < LATE_S:
             return ""
-        withheld = self._withheld  # whose distance does not change with every frame
-        if self._refused.fix is None or withheld is None:
-            return str(self._refused)
-        is_far = self._refused.reason == TOO_FAR and withheld.distance_m is not None
-        return f"{withheld.reason}, {withheld.distance_m:.0f} m" if is_far else withheld.reason
+        why, at_ns, words = self._said
+        if why != str(self._refused) or now_ns - at_ns >= SAID_NS:
+            words = self._refused.in_words
+            self._said = str(self._refused), now_ns, words
+        return words
 
     def _withhold(self, refused: Refusal) -> None:
         fix, before = refused.fix, self._withheld

@@ -118,6 +118,9 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | Refusal], ...]] = {
     "two autopilots have the same ids": (reported(is_doubled=True),),
     "the autopilot's clock is not known": (reported(is_clock_known=False),),
     "nothing is recognized now": (asked(unable="the picture is dark"),),
+    "recognized, but not exactly": (
+        lambda one: one.answers(24, lambda at_m: one.road.match(at_m, sharpness=0.04))[-1],
+    ),
     "the places do not agree yet": (
         lambda one: Vehicle(one.road).ask(),
         lambda one: one.answers(24, nothing)[-1],
@@ -168,6 +171,20 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     named = {rule.test for rule in RULES} | set(re.findall(r"`(test_\w+)`", argument))
     assert {name for name in named if f"def {name}(" not in tests} == set()
     assert as_table() in page, "write it anew: python -m tests.docs.refusals_table"
+
+
+def test_people_read_what_is_missing(long_road: Road) -> None:
+    """How accurate the position is and must be, and how far it is from an autopilot that contradicts it."""
+    worse, contradicted, one = just_after_gps(since_gps(long_road)), Vehicle(long_road, exact()), since_gps(long_road)
+    assert isinstance(worse, Refusal)
+    found = re.fullmatch(r"less accurate than the autopilot, ([\d.]+) m, ([\d.]+) m needed", worse.in_words)
+    assert found is not None and float(found[1]) > float(found[2]) >= 3.0
+    contradicted.go(80, gps=True)
+    contradicted.off_m = 60.0
+    answer = contradicted.answers(2)[-1]
+    assert isinstance(answer, Refusal) and answer.in_words == f"{UNCONFIRMED}, 60 m from the autopilot"
+    far = far_off(one)
+    assert isinstance(far, Refusal) and re.fullmatch(r"impossibly far, \d+ m", far.in_words)
 
 
 def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
