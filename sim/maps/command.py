@@ -174,7 +174,7 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         for feed in feeds:
             if driven_m(feed) is None:
                 print(f"{feed.path}: {every}")
-    keypoints, describe = None if args.no_keypoints else _new_key(args.output, feeds), None
+    keypoints, describe = None if args.no_keypoints else _new_key(feeds), None
     if args.cluster:
         settings = msgspec.structs.replace(config, descriptor=descriptor, camera=camera)
         work = Work(settings, feed_options(args), sampling, is_metric, keypoints is not None)
@@ -183,16 +183,15 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     made_by = args.output, descriptor, sampling
     header = build_map(feeds, *made_by, **options, network=network, keypoints=keypoints, describe=describe)
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
+    if keypoints is None and not args.no_keypoints:
+        print(f"{args.output}: without keypoints, since the field of view of the pictures is not known; {WHERE}")
     return 0
 
 
-def _new_key(output: Path, feeds: list[Feed]) -> KeyOf | None:
-    """Of a new map; None where the field of view is not known, which is said. MapError where there are several."""
+def _new_key(feeds: list[Feed]) -> KeyOf | None:
+    """Of a new map; None where the field of view is not known. MapError where there are several."""
     fov_deg = fov_of(feeds)
-    if fov_deg is None:
-        print(f"{output}: without keypoints, since the field of view of the pictures is not known; {WHERE}")
-        return None
-    return partial(keypoints_key, fov_deg=fov_deg)
+    return None if fov_deg is None else partial(keypoints_key, fov_deg=fov_deg)
 
 
 def _key_of(old: ReferenceMap, feeds: list[Feed]) -> KeyOf | None:

@@ -127,11 +127,11 @@ def test_an_hour_of_drives(
     scaled = medians[:, 1:] / [1e6, 1e6, 1, 1]
     journal = tmp_path / "events.jsonl"
     counts = [len(list(records_of(journal, kind))) for kind in (FrameUsed, PlaceFix, FixSent)]
-    rss, anonymous, descriptors, threads = (", ".join(f"{one:.0f}" for one in each) for each in scaled.T)
+    told = [", ".join(f"{one:.0f}" for one in each) for each in scaled.T]
     figures(
         f"{HOUR_S} s, {said} words to the service manager, the page answered {len(rows) - busy} of {len(rows)} times:"
-        f" {counts[0]} frames used, {counts[1]} places, {counts[2]} positions; at a tenth, half and all of it RSS {rss}"
-        f" MB, of which no file's {anonymous} MB; descriptors {descriptors}; threads {threads}"
+        f" {counts[0]} frames used, {counts[1]} places, {counts[2]} positions; at a tenth, half and all of it RSS"
+        f" {told[0]} MB, of which no file's {told[1]} MB; descriptors {told[2]}; threads {told[3]}"
     )
     assert code == 0, process.told()
     assert "Traceback" not in process.told()
