@@ -104,6 +104,8 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     fov_deg: FieldOfView | UnsetType = UNSET
 
     def __post_init__(self) -> None:
+        if self.kind in ("v4l2", "feed", "oak") and "://" in self.device:
+            raise ValueError(f'device: is an address, which needs kind = "stream"; it is "{self.kind}"')
         left, top, right, bottom = self.crop
         if max(left + right, top + bottom) > MOST_CROPPED:
             raise ValueError(f"crop: left and right together, and top and bottom, can be {MOST_CROPPED} at most")

@@ -193,5 +193,5 @@ def test_no_error_in_a_config_quotes_a_secret(
     if replaced == KEY.hex():
         (config.parent / "mavlink.key").write_text(KEY.hex() + "9")
     status = main([*command, str(config)])
-    assert status != 0
+    assert status != 0 or "--offline" in command  # which looks at no device
     assert search({"said": "".join(capfd.readouterr())}) == []
