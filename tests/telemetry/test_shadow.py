@@ -54,7 +54,7 @@ def test_a_position_a_second_beside_gps_and_why_there_is_none(road: Road) -> Non
     one = Shadowed(road)
     found = one.follow(300)
     assert len(found) == pytest.approx(300 / SPEED_MPS, abs=3)
-    assert found[0].withheld == "the places do not agree yet"
+    assert found[0].withheld == "recognized, but not exactly"
     assert not any(record.withheld for record in found[-5:])
     newest = found[-1]
     assert (newest.gps_sigma_m, newest.gps_source, newest.direction) == (0.5, "rtk_fixed", "forward")

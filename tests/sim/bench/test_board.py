@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from sim.bench.board import HEADER, PLACES, Run, board_name, hottest_c, row, throttling
+from sim.bench.board import HEADER, Run, board_name, hottest_c, row, throttling
 
 DESK = "faiss,onnx,torch,panda3d,matplotlib,jinja2"
 WITHOUT = (
@@ -70,21 +69,3 @@ def test_times_that_grow_count_as_throttled() -> None:
 def test_a_board_names_itself(tmp_path: Path) -> None:
     (tmp_path / "model").write_bytes(b"Raspberry Pi 5 Model B Rev 1.0\0")
     assert board_name(tmp_path / "model").startswith("Raspberry Pi 5 Model B Rev 1.0: ")
-
-
-def test_the_least_times_of_the_page_follow_from_products_and_bytes() -> None:
-    """Rows of docs/boards.md whose first number is that of the multiply-accumulates of one core."""
-    pytest.importorskip("onnx")
-    from sim.research.bench.network_rows import FC6_BYTES, MACS
-
-    text = (Path(__file__).parents[3] / "docs" / "boards.md").read_text(encoding="utf-8")
-    number = r"([\d.]+)"
-    rows = re.findall(rf"\| {number} G/s \| {number} GB/s \| {number} ms \| {number} ms \|", text)
-    assert len(rows) == 2
-    read_bytes = FC6_BYTES + 2 * PLACES * 8192
-    for macs_per_ns, bytes_per_ns, least_ms, float_ms in ([float(cell) for cell in cells] for cells in rows):
-        reading_ms, multiplying_ms = read_bytes / bytes_per_ns / 1e6, 2 * MACS / macs_per_ns / 1e6
-        assert least_ms == round(reading_ms + multiplying_ms)
-        # Four times fewer products a cycle, and weights of four bytes.
-        reading_ms += 3 * FC6_BYTES / bytes_per_ns / 1e6
-        assert float_ms == pytest.approx(reading_ms + 4 * multiplying_ms, abs=0.6)
