@@ -110,10 +110,10 @@ benchmark: $(VENV)/.dev
 	$(BIN)/python -m sim.research.evaluation.tables benchmark build/benchmark/means.md docs/benchmark.md
 
 bench: $(VENV)/.dev
-	$(BIN)/python -m sim.research.bench -o docs/bench.md
+	$(BIN)/lookback dev bench --stages -o docs/bench.md
 
 bench-quick: $(VENV)/.dev
-	$(BIN)/python -m sim.research.bench --quick
+	$(BIN)/lookback dev bench --stages --quick
 
 # Drives on real autopilots once more, before anything that concerns positions is done; RECORDED: folders of them.
 RECORDED := ../shared/flights_386c0d62 ../shared/flights_eca2e43 ../shared/flights_b06f79e

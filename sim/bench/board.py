@@ -1,6 +1,7 @@
 """`lookback dev bench`: measure this board: a row for docs/boards.md with each network that is installed.
 
-It needs no package beyond those of `lookback run`, and measures with the code of `make bench`.
+It needs no package beyond those of `lookback run`. In a clone `--stages` measures each stage beside its rivals
+(`make bench`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -47,9 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--places", type=int, default=PLACES, metavar="N", help=f"places of the map (default {PLACES})")
     parser.add_argument("--folder", type=Path, help="where to put the map meanwhile, 80 MB (default: temporary files)")
     parser.set_defaults(run=_run)
+    if find_spec("sim.research"):  # by name, since it is in a clone only
+        about = "instead, each stage beside its floor and its rival: the page docs/bench.md"
+        parser.add_argument("--stages", action="store_true", help=about)
+        parser.add_argument("--quick", action="store_true", help="of --stages: smaller sizes, in about a minute")
+        parser.add_argument(
+            "-o", "--output", type=Path, metavar="FILE", help="of --stages: write the page there as well"
+        )
 
 
 def _run(args: argparse.Namespace) -> int:
+    if getattr(args, "stages", False):
+        return int(import_module("sim.research.bench.command").run(args))
     if not args.seconds > 0 or args.places < 100:
         raise ConfigError("bench: --seconds must be above 0 and --places at least 100")
     cv2.setNumThreads(1)

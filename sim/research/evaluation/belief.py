@@ -9,8 +9,6 @@ direction, and says so; each drive is driven with some such errors.
 The second table has what is believed off the map, on a drive over the next seed's road as if it lay beside the mapped
 one, crossed it or left it, with GPS now and 500 m after it was lost; and on the mapped road itself, as if it were a
 twin of it 25 m beside, where nothing but the reckoning can say that it is not.
-The third has how right a confidence is, with what is reckoned, on all these drives but those over a twin: frames on the
-map count as much as all frames off it.
 --page writes all of it between the marks of a page.
 """
 
@@ -27,7 +25,6 @@ from edge.config import AcceptanceConfig
 from edge.descriptor.network import Network
 from edge.sequence import Direction
 from sim.compare.scores import at_threshold, joined
-from sim.research.evaluation.reliability import TENTHS, Claims, rows_of
 from sim.research.evaluation.roads import (
     CUTS,
     FIRST_FRAME,
@@ -35,6 +32,7 @@ from sim.research.evaluation.roads import (
     SPACING_M,
     TOLERANCE_M,
     Case,
+    Cut,
     Described,
     Floats,
     Judged,
@@ -56,9 +54,8 @@ CAR_PARK_M = 15.0
 """Radius of the rounds that are driven on it."""
 FORK_RAD = 0.5
 OFF_MAP = slice(FIRST_FRAME, None)
-TWIN = "its twin, 25 m beside"
-LEAST_CLAIMED = 0.5
-"""From which confidence on it is looked at how right it is."""
+SHOWN: tuple[Cut, ...] = ("whole", "thirds")
+"""Parts of the road that have a column; the last column is of all."""
 Layout = Callable[[Floats, Described, Described], tuple[Described, slice]]
 """A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction
 of travel, a drive over it, and a drive over another road."""
@@ -114,7 +111,9 @@ LAYOUTS: dict[str, Sequence[Layout]] = {
     ),
     "a car park beside it": (_elsewhere(_parked),),
     "a fork": (_forked,),
-    TWIN: (lambda line_m, own, other: (replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)), OFF_MAP),),
+    "its twin, 25 m beside": (
+        lambda line_m, own, other: (replace(own, east_north_m=_along(line_m, own.driven_m, 25.0)), OFF_MAP),
+    ),
 }
 """Where the other road lies; those of one name share a row."""
 
@@ -131,10 +130,10 @@ def main() -> None:
 
 
 def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
-    """Of each network: parts of the roads mapped, then roads that are on no map, then how right a confidence is."""
-    yield f"| network, drive | {' | '.join(CUTS)} | lowest |"
-    yield "|---|" + "---|" * (len(CUTS) + 1)
-    wrong, answers = [], {}
+    """Of each network: parts of the roads mapped, then roads that are on no map."""
+    yield f"| network, drive | {' | '.join(SHOWN)} | lowest |"
+    yield "|---|" + "---|" * (len(SHOWN) + 1)
+    wrong = []
     for name, of_network in seen.items():
         judged: dict[Case, list[tuple[Judged, list[Judged]]]] = {}
         for road, drives in of_network:
@@ -142,33 +141,24 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
                 judged.setdefault(case, []).append((alone, drawn))
         yield from _rows(name, judged)
         found = [one for of_case in judged.values() for one in of_case]
-        of_votes, answers[name] = [alone for alone, _ in found], [one for _, drawn in found for one in drawn]
+        of_votes, answers = [alone for alone, _ in found], [one for _, drawn in found for one in drawn]
         words = " and ".join(
             f"{sum(map(wrong_frames, ones))} of {sum(len(one.belief.correct) for one in ones)} frames"
-            for ones in (of_votes, answers[name])
+            for ones in (of_votes, answers)
         )
         wrong.append(f"- {name}: {words} are believed and wrong, by the votes alone and with GPS before.")
-    yield from [
-        "",
-        *wrong,
-        "",
-        f"| network, a road that is not mapped | frames | the votes alone | {' | '.join(GPS)} |",
-    ]
-    yield "|---|---|---|" + "---|" * len(GPS)
-    claims, least = {}, AcceptanceConfig().confidence_from
-    for name, of_network in seen.items():
-        off_map = []
-        for where, layouts in LAYOUTS.items():
-            found_off = [_off_map(of_network, layouts, lost_m) for lost_m in GPS.values()]
-            cells = [
-                f"{(one >= least).sum()}, at most {one.max():.3f}"
-                for one in (found_off[0][0], *(both for _, both in found_off))
-            ]
-            yield f"| {name}, {where} | {len(found_off[0][0])} | {' | '.join(cells)} |"
-            off_map += [both for _, both in found_off] * (where != TWIN)
-        claims[name] = Claims.of(joined([one.belief for one in answers[name]]), np.concatenate(off_map))
-    head, rule, *of_tenths = rows_of(claims)
-    yield from ["", head, rule, *of_tenths[round(TENTHS * LEAST_CLAIMED) :]]
+    of_networks = [f"{name}: {', '.join(('the votes alone', *GPS))}" for name in seen]
+    yield from ["", *wrong, "", f"| a road that is not mapped | frames | {' | '.join(of_networks)} |"]
+    yield "|---|---|" + "---|" * len(seen)
+    least = AcceptanceConfig().confidence_from
+    for where, layouts in LAYOUTS.items():
+        cells, frames = [], 0
+        for of_network in seen.values():
+            off_map = [_off_map(of_network, layouts, lost_m) for lost_m in GPS.values()]
+            confidences, frames = [off_map[0][0], *(both for _, both in off_map)], len(off_map[0][0])
+            counts = ", ".join(str((one >= least).sum()) for one in confidences)
+            cells.append(f"{counts}; at most {max(one.max() for one in confidences):.3f}")
+        yield f"| {where} | {frames} | {' | '.join(cells)} |"
 
 
 def wrong_frames(judged: Judged) -> int:
@@ -183,7 +173,7 @@ def _rows(name: str, judged: dict[Case, list[tuple[Judged, list[Judged]]]]) -> I
         for cut in CUTS:
             found = [one for light in lights for one in judged[way, light, cut]]
             alone, drawn = [one for one, _ in found], [one for _, of_drive in found for one in of_drive]
-            cells.append(f"{_cell(alone)} -> {_cell(drawn)}")
+            cells += [f"{_cell(alone)} -> {_cell(drawn)}"] * (cut in SHOWN)
             lowest = min(lowest, *map(_recall, drawn))
         yield f"| {name}, {words} | {' | '.join(cells)} | {lowest:.2f} |"
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import msgspec
@@ -29,7 +30,8 @@ from sim.evaluation.metrics import Answers
 from sim.research.evaluation.roads import World, foreign_confidence, judge_world, worlds
 from sim.research.evaluation.tables import options, publish
 
-TENTHS = 10
+TENTHS, LEAST_SHOWN = 10, 5
+"""What is believed has more than the second; the picture shows all."""
 Floats = NDArray[np.float64]
 
 
@@ -102,10 +104,11 @@ def _elsewhere(runner: MethodRunner, pair: Pair, scene: str) -> Floats:
 
 
 def rows_of(claims: dict[str, Claims]) -> Iterator[str]:
-    """A Markdown table: of each set and each tenth of confidence, how many frames claim what, and what is right."""
+    """A Markdown table: of each set and upper tenth of confidence, how many frames claim what, and what is right."""
     yield f"| confidence | {' | '.join(f'{name}: frames, claimed, right' for name in claims)} |"
     yield "|" + "---|" * (len(claims) + 1)
-    for tenth, of_sets in enumerate(zip(*(one.tenths() for one in claims.values()), strict=True)):
+    rows = enumerate(zip(*(one.tenths() for one in claims.values()), strict=True))
+    for tenth, of_sets in islice(rows, LEAST_SHOWN, None):
         cells = [f"{count}, {claimed:.2f}, {right:.2f}" if count else "-" for count, claimed, right in of_sets]
         yield f"| {tenth / TENTHS:.1f} to {(tenth + 1) / TENTHS:.1f} | {' | '.join(cells)} |"
 

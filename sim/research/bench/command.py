@@ -1,0 +1,28 @@
+"""`lookback dev bench --stages`."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import cv2
+
+from sim.research.bench import drives, stages
+from sim.research.bench.table import page
+
+
+def run(args: argparse.Namespace) -> int:
+    """Of `lookback dev bench --stages`: measure, print the page, and write it to a file."""
+    cv2.setNumThreads(1)
+    began_s, rounds = time.monotonic(), 7 if args.quick else 21
+    rows = [*stages.measure(rounds, (1_000, 10_000) if args.quick else (1_000, 10_000, 100_000))]
+    with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
+        rows += drives.measure(Path(folder), rounds, quick=args.quick)
+    made = f"Made by `make bench{'-quick' if args.quick else ''}` in {time.monotonic() - began_s:.0f} s."
+    text = page(rows, made)
+    print(text, end="")
+    if args.output:
+        args.output.write_text(text, encoding="utf-8")
+    return 0

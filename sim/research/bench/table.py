@@ -1,0 +1,76 @@
+"""The rows of the bench, and the page of them in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sim.bench.machine import machine_name
+from sim.bench.timing import Clock, Times, digits, race, thread_ns
+
+Run = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One stage. floor: what takes as long as the bytes and products that no way saves. rival: another way.
+
+    most: how many times its floor it should take at most, or its rival where it has no floor.
+    """
+
+    stage: str
+    size: str
+    times: Times
+    floor: Times | None = None
+    rival: str = ""
+    rival_times: Times | None = None
+    most: float | None = None
+
+    @property
+    def is_missed(self) -> bool:
+        """It takes longer than it should."""
+        beside = self.floor or self.rival_times
+        return self.most is not None and beside is not None and self.times.ratio(beside) > self.most
+
+
+def raced(
+    stage: str,
+    size: str,
+    rounds: int,
+    ours: Run,
+    *,
+    floor: Run | None = None,
+    rival: tuple[str, Run] | None = None,
+    most: float | None = None,
+    clock: Clock = thread_ns,
+) -> Row:
+    """A row of all that run in turns."""
+    racers = {"ours": ours} | ({"floor": floor} if floor else {}) | ({"rival": rival[1]} if rival else {})
+    times = race(racers, rounds, clock)
+    return Row(stage, size, times["ours"], times.get("floor"), rival[0] if rival else "", times.get("rival"), most)
+
+
+def page(rows: Sequence[Row], how_run: str) -> str:
+    """The whole page; `how_run` is a sentence about the run."""
+    missed = sum(row.is_missed for row in rows)
+    lines = [
+        "# Bench",
+        "",
+        f"{how_run} Machine: {machine_name()}.",
+        "",
+        "Medians of one thread's CPU time. A floor is what the bytes of a stage take to be read, and its products to",
+        "be multiplied, on the same core. Ratios are medians over runs in turns: above 1, ours is slower. **Bold** is",
+        f"over what was aimed for, in brackets ({missed} of {sum(row.most is not None for row in rows)} rows).",
+        "",
+        "| stage | of | ms | of its floor | of its rival | rival |",
+        "|---|---|---|---|---|---|",
+    ]
+    return "\n".join([*lines, *map(_line, rows)]) + "\n"
+
+
+def _line(row: Row) -> str:
+    ratios = [f"{row.times.ratio(one):.2f}" if one else "" for one in (row.floor, row.rival_times)]
+    if row.most is not None:
+        at = 0 if row.floor else 1
+        ratios[at] = f"{f'**{ratios[at]}**' if row.is_missed else ratios[at]} ({row.most:g})"
+    return f"| {row.stage} | {row.size} | {digits(row.times.median_ms)} | {' | '.join([*ratios, row.rival])} |"
