@@ -25,8 +25,7 @@ from edge_plugins.mapping.builder import MapBuilder, Place
 from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
-from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, Weights
-from sim.research.alexnet import PAD_LEVEL, alexnet_info
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
@@ -247,51 +246,20 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
     return make
 
 
-Oracle = Callable[..., dict[str, NDArray[np.float64]]]
-
-
 @pytest.fixture
 def info() -> ModelInfo:
     """What a float network of random weights says of itself."""
-    return alexnet_info("random")
-
-
-@pytest.fixture(scope="session")
-def alexnet() -> Oracle:
-    """AlexNet in float64, layer by layer as the paper draws it; no code of the importer."""
-    return _alexnet
-
-
-def _alexnet(
-    weights: Weights, image_bgr: NDArray[np.uint8], pad_level: float | NDArray[np.float64] = PAD_LEVEL
-) -> dict[str, NDArray[np.float64]]:
-    """conv3 and fc6 of one image (224, 224, 3) BGR; conv1 sees `pad_level` (RGB) around it."""
-    padded = np.full((228, 228, 3), pad_level, dtype=np.float64)
-    padded[2:-2, 2:-2] = image_bgr[..., ::-1]
-    layers: dict[str, NDArray[np.float64]] = {}
-    x = ((padded / 255 - MEAN_RGB) / STD_RGB).transpose(2, 0, 1)
-    x = _pool(_conv(weights, "features.0", x, stride=4, pad=0))
-    x = _pool(_conv(weights, "features.3", x, stride=1, pad=2))
-    layers["conv3"] = x = _conv(weights, "features.6", x, stride=1, pad=1)
-    x = _conv(weights, "features.8", x, stride=1, pad=1)
-    x = _pool(_conv(weights, "features.10", x, stride=1, pad=1))
-    layers["fc6"] = x = np.maximum(_dense(weights, "classifier.1", x.ravel()), 0)
-    return layers
-
-
-def _conv(weights: Weights, layer: str, x: NDArray[np.float64], stride: int, pad: int) -> NDArray[np.float64]:
-    """Convolution and ReLU: every window times every kernel."""
-    kernels = weights[f"{layer}.weight"].astype(np.float64)
-    x = np.pad(x, ((0, 0), (pad, pad), (pad, pad)))
-    windows = np.lib.stride_tricks.sliding_window_view(x, kernels.shape[2:], axis=(1, 2))[:, ::stride, ::stride]
-    out = np.tensordot(kernels, windows, axes=((1, 2, 3), (0, 3, 4)))
-    return np.maximum(out + weights[f"{layer}.bias"][:, None, None], 0)
-
-
-def _pool(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    windows = np.lib.stride_tricks.sliding_window_view(x, (3, 3), axis=(1, 2))[:, ::2, ::2]
-    return np.asarray(windows.max(axis=(3, 4)))
-
-
-def _dense(weights: Weights, layer: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    return weights[f"{layer}.weight"].astype(np.float64) @ x + weights[f"{layer}.bias"]
+    return ModelInfo(
+        name="random",
+        tap="fc6",
+        dimensions=4096,
+        precision="float32",
+        input_size=224,
+        channel_order="BGR",
+        mean_rgb=MEAN_RGB,
+        std_rgb=STD_RGB,
+        license="not stated",
+        source="not stated",
+        weights_sha256="",
+        calibration="",
+    )

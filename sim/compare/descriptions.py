@@ -13,7 +13,7 @@ from edge.descriptor.network import Network, Regions, pictures_for, region_count
 from edge.errors import ConfigError, FrameError
 from edge.recognizer import model_key
 from edge.reference_map import ModelKey
-from sim.compare.networks import Tap, open_network
+from sim.compare.networks import open_network
 from sim.compare.plan import Plan
 from sim.compare.traverses import Traverse, open_pictures
 from sim.compare.truth import read_array
@@ -32,12 +32,11 @@ class Descriptions:
         self._opened: dict[str, Network] = {}
         self._raw: dict[tuple[object, ...], tuple[NDArray[np.intp], Raw, float]] = {}
 
-    def network(self, name: str, tap: Tap) -> Network:
-        """A layer of a network, opened once."""
-        key = name if tap == "fc6" else f"{name}, {tap}"
-        if key not in self._opened:
-            self._opened[key] = open_network(name, self._plan.networks[name], self._folder, tap)
-        return self._opened[key]
+    def network(self, name: str) -> Network:
+        """A network, opened once."""
+        if name not in self._opened:
+            self._opened[name] = open_network(name, self._plan.networks[name], self._folder)
+        return self._opened[name]
 
     def opened(self) -> dict[str, Network]:
         """Every network that was used, by its name in the plan."""
@@ -47,20 +46,20 @@ class Descriptions:
         """What a map keeps of a network, or of descriptors (n, R, dimensions) that were made elsewhere."""
         if self._plan.networks[name].descriptors:
             return ModelKey(name, "0" * 64, "file", dimensions)
-        return model_key(self.network(name, "fc6"))
+        return model_key(self.network(name))
 
-    def raw(self, traverse: Traverse, name: str, tap: Tap, regions: Regions) -> Raw:
-        """Descriptors (n, R, D) float32 of a traverse as the layer gives them."""
-        return self._made(traverse, name, tap, regions)[0]
+    def raw(self, traverse: Traverse, name: str, regions: Regions) -> Raw:
+        """Descriptors (n, R, D) float32 of a traverse as the network gives them."""
+        return self._made(traverse, name, regions)[0]
 
-    def frame_ms(self, traverse: Traverse, name: str, tap: Tap, regions: Regions) -> float:
+    def frame_ms(self, traverse: Traverse, name: str, regions: Regions) -> float:
         """Milliseconds that a frame's description took, without reading its picture; NaN of files."""
-        return self._made(traverse, name, tap, regions)[1]
+        return self._made(traverse, name, regions)[1]
 
-    def _made(self, traverse: Traverse, name: str, tap: Tap, regions: Regions) -> tuple[Raw, float]:
+    def _made(self, traverse: Traverse, name: str, regions: Regions) -> tuple[Raw, float]:
         if self._plan.networks[name].descriptors:
             return self._read(traverse, name)
-        network = self.network(name, tap)
+        network = self.network(name)
         key = (name, network.info.sha256, regions, traverse.paths)
         # A traverse that ends earlier has the rows of the whole one.
         if key not in self._raw or not np.isin(traverse.rows, self._raw[key][0]).all():

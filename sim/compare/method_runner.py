@@ -156,7 +156,7 @@ class MethodRunner:
             return query.pixels_ms
         if method.layer == "matrix":
             return float("nan")
-        source = method.network, method.layer, method.regions
+        source = method.network, method.regions
         self.descriptions.raw(reference, *source)
         described_ms = self.descriptions.frame_ms(query, *source)
         if method.keypoints:
@@ -185,7 +185,7 @@ class MethodRunner:
             if len(reference.paths) > 1 or len(query.paths) > 1:
                 raise ConfigError(f"pair {pair.name!r}: SeqSLAM needs traverses of one feed")
             return match_seqslam(reference.pixels, query.pixels, length)
-        source = method.network, method.layer, method.regions
+        source = method.network, method.regions
         raw = self.descriptions.raw(reference, *source), self.descriptions.raw(query, *source)
         if method.recognizer:
             sequence, regions = SequenceConfig(length=length), raw[0].shape[1]

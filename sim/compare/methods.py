@@ -27,7 +27,7 @@ Raw = NDArray[np.float32]
 class Method:
     """One row of the table.
 
-    layer: of the network, of which "fc6" stands for its own descriptor; or "pixels" (SeqSLAM); or "matrix", of
+    layer: "fc6" stands for the network's own descriptor; or "pixels" (SeqSLAM); or "matrix", of
     similarities that were made elsewhere. single: the best match of each frame alone, without a sequence.
     nsd: whether descriptors are normalized: the map over its whole set (eq. 1) and the query online (section III-B).
     recognizer: the row is what `lookback run` does, with its own matcher: the places that it believes with their
@@ -38,7 +38,7 @@ class Method:
 
     name: str
     description: str
-    layer: Literal["conv3", "fc6", "pixels", "matrix"] = "fc6"
+    layer: Literal["fc6", "pixels", "matrix"] = "fc6"
     regions: Regions = "whole"
     nsd: bool = True
     recognizer: Literal["", "belief", "uniqueness"] = ""
@@ -54,8 +54,6 @@ def _rows() -> Iterator[Method]:
     for name, most in (("Keypoints", MOST), ("Keypoints-300", 300), ("Keypoints-200", 200)):
         about = f"the ten best places of NSD-single, by the inliers of {most} keypoints"
         yield Method(name, about, single=True, keypoints=most)
-    yield Method("Raw-conv3", "conv3 of the whole image, not normalized", "conv3", nsd=False)
-    yield Method("NSD-conv3", "conv3, normalized (reference over its set, query online)", "conv3")
     yield Method("Raw-fc6", "fc6 of the whole image, not normalized", nsd=False)
     yield Method("NSD-fc6", "fc6, normalized (reference over its set, query online)")
     yield Method("Raw-CR", "fc6 of left and right regions, not normalized", regions="left-right", nsd=False)

@@ -60,12 +60,11 @@ class NetworkPlan(Struct, frozen=True, forbid_unknown_fields=True):
 
     model: "grid" or "fc6"; a file or folder of `lookback model import`; or any other ONNX file that makes a descriptor
     of an RGB image. size: height and width of its images, where the file leaves them open; mean, std: of RGB images
-    from 0 to 1. conv3: the file of an AlexNet's layer. descriptors: a .npy file for each traverse, (n, D) or (n, R, D)
-    of R regions, a row for each frame that the sampling chooses.
+    from 0 to 1. descriptors: a .npy file for each traverse, (n, D) or (n, R, D) of R regions, a row for each frame that
+    the sampling chooses.
     """
 
     model: str = ""
-    conv3: str = ""
     size: tuple[Pixels, Pixels] | None = None
     mean: tuple[float, float, float] = (0.485, 0.456, 0.406)
     std: tuple[Positive, Positive, Positive] = (0.229, 0.224, 0.225)

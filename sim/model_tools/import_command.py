@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import NETWORK_FILE, ModelFile, ModelInfo, read_model_file
+from edge.descriptor.model_file import NETWORK_FILE, ModelFile, ModelInfo, hash_file, read_model_file
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.errors import ConfigError, ModelError
@@ -239,9 +239,12 @@ def network_file(output: Path, name: str) -> Path:
 
 
 def write(model: onnx.ModelProto, file: Path) -> str:
-    """Write a network in one step, read it back, and return its sha256."""
-    with refusing(ModelError, f"{file}: cannot write it"), replacing(file) as stream:
-        stream.write(model.SerializeToString(deterministic=True))
+    """Write a network, and the file of its sha256, which a vehicle asks for; read it back, and return that."""
+    data = model.SerializeToString(deterministic=True)
+    line = f"{hashlib.sha256(data).hexdigest()}  {file.name}\n"
+    for path, content in ((file, data), (hash_file(file), line.encode())):
+        with refusing(ModelError, f"{path}: cannot write it"), replacing(path) as stream:
+            stream.write(content)
     info = read_model_file(file).info
     print(f"{file}: {info.output}, {info.precision}, {file.stat().st_size / 1e6:.1f} MB, sha256 {info.sha256}")
     return info.sha256

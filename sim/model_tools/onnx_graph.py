@@ -59,12 +59,6 @@ class GraphBuilder:
         weight = self.constant(f"{layer}.weight", weights[f"{layer}.weight"].T)
         return self.add("Gemm", [self.last, weight, self.constant(f"{layer}.bias", weights[f"{layer}.bias"])], layer)
 
-    def finish(self, given: str, shape: list[int], dtype: type[np.generic], info: ModelInfo) -> onnx.ModelProto:
-        """The model with one input and, as its one output, the tensor that was added last; with its metadata."""
-        model = self.model("alexnet", [(given, dtype, shape)], info.dimensions)
-        set_info(model, info)
-        return model
-
     def model(
         self, name: str, inputs: list[tuple[str, type[np.generic], list[int]]], dimensions: int
     ) -> onnx.ModelProto:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import OPERATORS, output_name
+from edge.descriptor.model_file import output_name
 from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
@@ -32,6 +32,14 @@ if TYPE_CHECKING:
 DIMENSIONS = (64, 32_768)
 """Least and greatest number of dimensions of a descriptor."""
 OLDEST_OPSET = 13  # from which on a scale per channel can be written
+_INT8 = "DequantizeLinear QuantizeLinear"
+_ACTIVATIONS = "Clip Elu Erf Gelu HardSigmoid HardSwish LeakyRelu PRelu Relu Sigmoid Softmax Sqrt Tanh"
+_LAYERS = "AveragePool Conv Flatten Gemm GlobalAveragePool GlobalMaxPool MatMul MaxPool"
+_NORMALIZATIONS = "BatchNormalization InstanceNormalization LRN LayerNormalization LpNormalization"
+_ARITHMETIC = "Abs Add Div Exp Max Min Mul Neg Pow Reciprocal ReduceL2 ReduceMean ReduceSum Sub"
+_SHAPES = "Cast Concat Expand Gather Pad Reshape Resize Slice Split Squeeze Transpose Unsqueeze"
+OPERATORS = frozenset(" ".join((_INT8, _ACTIVATIONS, _LAYERS, _NORMALIZATIONS, _ARITHMETIC, _SHAPES)).split())
+"""What a network for images needs, and none that makes tensors of nothing: a vehicle does not look again."""
 INPUT = "input"
 DEFAULT_SIZE = 224
 Layout = Literal["nchw", "nhwc"]

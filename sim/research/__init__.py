@@ -2,6 +2,5 @@
 
 evaluation  the place belief on other roads, and how reliable it is
 trial       `lookback dev flights` and `ablate`: recorded drives anew, and without each rule
-alexnet     the graph of fc6 in float, with which the shipped one is compared
 bench       `make bench`: what each stage costs, beside a floor and a rival
 """

@@ -26,6 +26,7 @@ from edge.reference_map.store import HEADER, encode_header, open_map, read_heade
 from sim.datasets import open_dataset
 from sim.datasets.found import find_kind
 from sim.maps.keys import make_key, sign_map
+from sim.model_tools.import_command import write
 
 ROOT = Path(__file__).parents[2]
 OUT = ["../secret", "/etc/passwd", "frames/../../secret", "./../secret", "a\0b", "frames/..", "..", ""]
@@ -232,7 +233,7 @@ def test_another_model_is_refused_by_its_checksum(
     config = write_config(descriptor={"model": shipped.name})
     model = onnx.load(tmp_path / shipped.name)
     model.doc_string = "a remark"
-    onnx.save(model, tmp_path / shipped.name)
+    write(model, tmp_path / shipped.name)
     why = refused(config, capsys)
     assert f"made with model {network.info.name} ({network.info.sha256[:12]}" in why
     assert "but the model here is" in why

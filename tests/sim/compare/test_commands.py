@@ -63,7 +63,6 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     [
         ('feed = "here"', 'feed = "gone"', "gone: no such feed"),
         ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-fc7"', "'Raw-fc7': no such row"),
-        ('"Raw-fc6", "NSD-CR", "Lookback"', '"Raw-conv3"', "[networks.grid]: has no conv3"),
         ("length = 4", "length = 40", "no frame with a known true place ends a sequence of 40"),
     ],
 )

@@ -128,8 +128,8 @@ def test_a_traverse_that_ends_earlier_is_not_described_again(tmp_path: Path, wri
     )
     runner = open_runner(plan, Folders(tmp_path, tmp_path, tmp_path, tmp_path))
     whole, part = (runner.traverse(name) for name in ("whole", "part"))
-    raw = runner.descriptions.raw(whole, "grid", "fc6", "left-right")
-    again = runner.descriptions.raw(part, "grid", "fc6", "left-right")
+    raw = runner.descriptions.raw(whole, "grid", "left-right")
+    again = runner.descriptions.raw(part, "grid", "left-right")
     assert np.array_equal(again, raw[:7])
-    took_ms = [runner.descriptions.frame_ms(one, "grid", "fc6", "left-right") for one in (whole, part)]
+    took_ms = [runner.descriptions.frame_ms(one, "grid", "left-right") for one in (whole, part)]
     assert took_ms[0] == took_ms[1]

@@ -270,7 +270,8 @@ def test_from_the_file_to_recognized_places(
     model = tmp_path / "model"
     options = ["--tap", "flat72", "--calibrate", str(feed), "--license", "CC0", "--float"]
     assert main(["model", "import", str(file), "-o", str(model), *options]) == 0
-    assert sorted(one.name for one in model.iterdir()) == ["network_float32.onnx", "network_int8.onnx"]
+    names = [f"network_{kind}.onnx{end}" for kind in ("float32", "int8") for end in ("", ".sha256")]
+    assert sorted(one.name for one in model.iterdir()) == names
     assert "int8 with 0 layers in float: cosine to float after NSD " in capsys.readouterr().out
     opened = Network.load(model)
     assert (opened.info.name, opened.info.output, opened.info.precision) == ("small", "flat72", "int8")
