@@ -4,7 +4,8 @@
 `place_fix` makes positions of matches; `sighting` puts a match on the ground, `look` what one picture says of it, and
 `region_lines` what its two regions say by themselves; `route_filter` follows the vehicle with them, by one `track`, and
 `route_estimate` is the Kalman filter of each; `gps_judge` says what follows from the places for GPS, by the test of
-`gps_referee`; `dead_reckoning` integrates the vehicle's motion, and `own_motion` what no filter has touched of it.
+`gps_referee`; `dead_reckoning` integrates the vehicle's motion, `own_motion` what no filter has touched of it, and
+`odometer` says what GPS has shown of the wheels.
 `integrity` is what is known when a position may be published, by what was observed (`claims`), and `refusals` the
 rules; `protection_level` says how far off a position may be, also by what `bound`s it without places.
 """
@@ -31,6 +32,7 @@ from edge.localization.events import (
 )
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
+from edge.localization.odometer import Scale, ShownScale
 from edge.localization.own_motion import OwnMotion
 from edge.localization.position_estimator import Drive, Entry, Known, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal
@@ -69,6 +71,8 @@ __all__ = [
     "PositionEstimator",
     "ProtectionLevel",
     "Refusal",
+    "Scale",
+    "ShownScale",
     "Used",
     "distance_from",
     "offset_m",

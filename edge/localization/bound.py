@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeAlias
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
@@ -23,6 +25,7 @@ LONGEST_NS = 600_000_000_000  # without a word of the autopilot, after which it 
 SAME_BOOT_NS = 2_000_000_000  # by which two times of one boot differ by delays of the link
 CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
 FASTER = 1.5  # than the speeds before and after: what may have been driven in between
+Matrix: TypeAlias = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 
@@ -30,47 +33,81 @@ log = logging.getLogger(__name__)
 class Bound:
     """GPS or a position of ours bounded the autopilot's: to one standard deviation, after so many meters driven.
 
-    wrong: probability that it was wrong. by_gps: whether GPS did. axes: in each of two directions by itself.
+    wrong: probability that it was wrong. by_gps: whether GPS did. errors: in each direction by itself.
     """
 
     sigma_m: float
     driven_m: float
     wrong: float
     by_gps: bool
-    axes: Axes
+    errors: Errors
 
 
-class Axes(NamedTuple):
-    """Of a position, along a heading and across it: one standard deviation each, after so many meters driven.
+class Drift(NamedTuple):
+    """One standard deviation of a velocity's scale, of its heading in radians, and of what else a way adds as a share.
 
-    What a position of ours left as it was goes on from before: its error grows with the distance, not with its root.
+    Where nothing was shown of scale and heading, the last one stands for all.
     """
 
-    heading_deg: float
-    sigmas_m: tuple[float, float]
-    driven_m: tuple[float, float]
+    scale: float
+    heading_rad: float
+    way: float
 
-    def at(self, heading_deg: float, driven_m: float, drift: float) -> tuple[float, float]:
-        """Standard deviations along another heading and across it, after so many meters."""
-        along_m, across_m = (
-            math.hypot(sigma_m, drift * max(0.0, driven_m - before_m))
-            for sigma_m, before_m in zip(self.sigmas_m, self.driven_m, strict=True)
-        )
-        turned_rad = math.radians(heading_deg - self.heading_deg)
-        cos, sin = math.cos(turned_rad), math.sin(turned_rad)
-        return math.hypot(cos * along_m, sin * across_m), math.hypot(sin * along_m, cos * across_m)
+    @property
+    def most(self) -> float:
+        """Of the meters driven, in any direction."""
+        return math.hypot(max(self.scale, self.heading_rad), self.way)
 
-    def bound_by(self, fix: Fix, driven_m: float, drift: float) -> Axes:
-        """After the autopilot has used a position of ours."""
-        place, before = fix.place, self.sigmas_m
+
+@dataclass(frozen=True)
+class Errors:
+    """Of a position east and north, each (2, 2): the covariance when it was bound; and what has become of it since.
+
+    by_velocity: meters for each of the velocity's scale, and for each radian of its heading. by_way: for each share of
+    the meters driven. An error of scale or heading adds up over a way, and is gone where a position has measured it.
+    """
+
+    covariance: Matrix
+    by_velocity: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
+    by_way: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
+
+    def moved(self, east_m: float, north_m: float, driven_m: float, unknown_m: float) -> Errors:
+        """After so many meters more; unknown_m: one standard deviation of those while the velocity was unknown."""
+        by_velocity = self.by_velocity + np.array([[east_m, north_m], [north_m, -east_m]])
+        covariance = self.covariance + unknown_m**2 * np.eye(2)
+        return Errors(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
+
+    def bound_by(self, fix: Fix, drift: Drift) -> Errors:
+        """After the autopilot has used a position of ours: only what that kept goes on from before."""
+        place = fix.place
         assert place.heading_deg is not None
-        sigmas_m, driven = [place.sigma_along_m, place.sigma_across_m], [driven_m, driven_m]
-        for axis, now_m in enumerate(self.at(place.heading_deg, driven_m, drift)):
-            if fix.keeps[axis]:
-                sigmas_m[axis] = min(*before, now_m)
-                grown_m = math.sqrt(now_m**2 - sigmas_m[axis] ** 2)
-                driven[axis] = driven_m - grown_m / drift if drift else driven_m
-        return Axes(place.heading_deg, (sigmas_m[0], sigmas_m[1]), (driven[0], driven[1]))
+        axes = _axes(place.heading_deg)
+        keeps, sigmas_m = np.array(fix.keeps), np.array([place.sigma_along_m, place.sigma_across_m])
+        set_by = axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
+        kept, before = axes[keeps].T @ axes[keeps], self
+        if not drift.scale and drift.way:
+            # Nobody knows how the velocity is wrong: what it is off by goes on growing with the way, not with its root.
+            least = np.linalg.eigvalsh(self.covariance)[0] * np.eye(2)
+            grown_m = np.sqrt(np.maximum(0.0, np.diag(axes @ (self._covariance(drift) - least) @ axes.T)))
+            before = Errors(least, by_way=axes.T @ np.diag(grown_m / drift.way) @ axes)
+        return Errors(kept @ before.covariance @ kept + set_by, kept @ before.by_velocity, kept @ before.by_way)
+
+    def _covariance(self, drift: Drift) -> Matrix:
+        by_velocity, by_way = self.by_velocity * (drift.scale, drift.heading_rad), drift.way * self.by_way
+        covariance: Matrix = self.covariance + by_velocity @ by_velocity.T + by_way @ by_way.T
+        return covariance
+
+    def along_and_across_m(self, heading_deg: float, drift: Drift) -> tuple[float, float]:
+        """One standard deviation along a heading, and across it."""
+        axes = _axes(heading_deg)
+        along_m, across_m = np.sqrt((axes @ self._covariance(drift) @ axes.T).diagonal())
+        return float(along_m), float(across_m)
+
+
+def _axes(heading_deg: float) -> Matrix:
+    """Unit vectors along a heading and to its right, (2, 2)."""
+    sin, cos = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
+    return np.array([[sin, cos], [cos, -sin]])
 
 
 @dataclass(frozen=True)
@@ -160,7 +197,9 @@ class OwnPosition:
 
     def __init__(self, drift: float) -> None:
         """drift: of the meters driven, where nothing else is known of the velocity."""
-        self._drift = drift
+        self.drift = Drift(0.0, 0.0, drift)
+        """By what is known of it now."""
+        self._at: Own | None = None
         self.bound: Bound | None = None
         """What bounded it since its boot, None where nothing did."""
         self._has_run_away = False  # since then: nothing measured its velocity for a while
@@ -187,8 +226,8 @@ class OwnPosition:
     def bind(self, sigma_m: float, own: Own, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            axes = Axes(0.0, (sigma_m, sigma_m), (own.driven_m, own.driven_m))
-            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps, axes), False
+            errors = Errors(sigma_m**2 * np.eye(2))
+            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps, errors), False
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: Own) -> None:
         """It has used a position, and is so far from it now."""
@@ -197,8 +236,19 @@ class OwnPosition:
         if own.driven_m is None or left_m > place.sigma_m or place.heading_deg is None:
             return
         assert self.bound is not None
-        axes = (before or self.bound).axes.bound_by(fix, own.driven_m, max(self._drift, place.velocity_error))
-        self.bound = replace(self.bound, axes=axes)
+        self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix, self.drift))
+
+    def move(self, own: Own) -> None:
+        """The vehicle has moved on."""
+        before, self._at = self._at, own
+        if before is None or before.driven_m is None or own.driven_m is None or self.bound is None:
+            return
+        motions = before.motion, own.motion
+        moved_m, unknown_m = (0.0, 0.0), 0.0
+        if motions[0] is not None and motions[1] is not None:
+            moved_m, unknown_m = motions[1].since(motions[0]), motions[1].unknown_sigma_since(motions[0])
+        errors = self.bound.errors.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
+        self.bound = replace(self.bound, errors=errors)
 
     def watch_aid(self, own: Own) -> None:
         """One whose velocity nothing measures runs away, until it is bound anew."""
@@ -224,7 +274,7 @@ class OwnPosition:
         if sigma_m is not None:
             self._kept = now
             return None
-        since_m = None if before is None else before.since(now, self._drift)
+        since_m = None if before is None else before.since(now, self.drift.most)
         if before is not None and since_m is not None:
             self.rests_on_fixes |= before.by_fixes
         return since_m
@@ -260,21 +310,21 @@ class OwnPosition:
         elif own.gps_sigma_m is not None and self.by_gps is not None and not self.rests_on_fixes:
             self._trusted = self.by_gps, self._by_gps_m
 
-    def reckoning(self, motion: Displacement | None, own: Own, velocity_error: float) -> Reckoning | None:
+    def reckoning(self, motion: Displacement | None, own: Own) -> Reckoning | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
         if self._trusted is None or motion is None or own.driven_m is None:
             return None
         anchor, at_m = self._trusted
         where = moved(anchor.lat_deg, anchor.lon_deg, *motion.since(anchor.displacement))
-        drift_m = max(self._drift, velocity_error) * max(0.0, own.driven_m - at_m)
+        drift_m = self.drift.most * max(0.0, own.driven_m - at_m)
         return Reckoning(*where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement)))
 
-    def sigma_m(self, own: Own, velocity_error: float = 0.0, least_m: float = 0.0) -> float | None:
-        """One standard deviation, None where nothing bounds it; velocity_error: as a share."""
+    def sigma_m(self, own: Own, least_m: float = 0.0) -> float | None:
+        """One standard deviation, None where nothing bounds it."""
         if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
         driven_m = max(0.0, own.driven_m - self.bound.driven_m)
-        return max(math.hypot(self.bound.sigma_m, max(self._drift, velocity_error) * driven_m), least_m)
+        return max(math.hypot(self.bound.sigma_m, self.drift.most * driven_m), least_m)
 
     def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
         """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
@@ -282,12 +332,11 @@ class OwnPosition:
         if is_unknown or own.driven_m is None or fix.heading_deg is None:
             return None
         assert self.bound is not None
-        axes_m = self.bound.axes.at(fix.heading_deg, own.driven_m, max(self._drift, fix.velocity_error))
+        axes_m = self.bound.errors.along_and_across_m(fix.heading_deg, self.drift)
         return max(axes_m[0], least_m), max(axes_m[1], least_m)
 
     def reckoned(self, fix: PlaceFix, motion: Displacement | None, own: Own) -> Reckoned | None:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None
-        drift = max(self._drift, fix.velocity_error)
-        return self.by_gps.reckoned(fix, motion, drift, max(0.0, own.driven_m - self._by_gps_m))
+        return self.by_gps.reckoned(fix, motion, self.drift.most, max(0.0, own.driven_m - self._by_gps_m))

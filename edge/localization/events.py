@@ -16,6 +16,7 @@ from msgspec import Struct
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.odometer import Scale
 from edge.reference_map import Mapped
 from edge.sequence import PlaceMatch
 
@@ -61,10 +62,12 @@ class Own(Struct, frozen=True, tag=True):
     """What the autopilot reports of itself; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
-    velocity at the position's moment; without_gps: see `Frame`. accuracy_m: of the position, by its own word. driven_m:
-    in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is known that
-    nothing does. is_doubled: whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot
-    clock is that of before. system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
+    velocity at the position's moment; without_gps: see `Frame`. scale: what GPS has shown of the odometer by which the
+    autopilot moves without it, see `ShownScale`. accuracy_m: of the position, by its own word. driven_m: in all.
+    is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is known that nothing
+    does. drives_itself: whether it steers the vehicle by that position, None where its mode is not known. is_doubled:
+    whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is that of before.
+    system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
@@ -73,11 +76,13 @@ class Own(Struct, frozen=True, tag=True):
     position: VehiclePosition | None = None
     motion: Displacement | None = None
     without_gps: Displacement | None = None
+    scale: Scale | None = None
     accuracy_m: float | None = None
     speed_mps: float | None = None
     driven_m: float | None = None
     is_aided: bool = True
     runs_away: bool = False
+    drives_itself: bool | None = None
     is_doubled: bool = False
     is_clock_known: bool = True
     system_id: int | None = None

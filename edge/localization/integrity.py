@@ -246,16 +246,17 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
     return east_m - position.east_mps * apart_s, north_m - position.north_mps * apart_s
 
 
-def better_of(fix: PlaceFix, position: VehiclePosition, axes_m: tuple[float, float], *, by_gps: bool) -> Best | None:
+def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float], *, by_gps: bool) -> Best | None:
     """Along the way and across it, the better of a fix and the autopilot's own position.
 
     axes_m: standard deviations of the latter; by_gps: whether GPS bounded it last. None where the fix is better in
     neither. Where they contradict each other, the fix: it is published only where its place is certain.
     """
+    assert own.position is not None
     assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
     heading_rad = math.radians(fix.heading_deg)
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-    east_m, north_m = offset_m(position, fix)
+    east_m, north_m = offset_m(own.position, fix)
     off_m, sigmas_m = (
         (east_m * sin + north_m * cos, east_m * cos - north_m * sin),
         (fix.sigma_along_m, fix.sigma_across_m),
@@ -267,7 +268,9 @@ def better_of(fix: PlaceFix, position: VehiclePosition, axes_m: tuple[float, flo
     own_along_m, own_across_m = axes_m
     grows = 1.0 if by_gps else GROWS
     keeps_along = fix.sigma_along_m > _most_m(own_along_m, grows)
-    keeps_across = fix.sigma_across_m > _most_m(own_across_m, grows) or (fix.by_lane and own_across_m <= BESIDE_M)
+    # One that steers itself by its own position has that on the lane, wherever the vehicle is.
+    is_beside = own.drives_itself or own_across_m <= BESIDE_M
+    keeps_across = fix.sigma_across_m > _most_m(own_across_m, grows) or (fix.by_lane and is_beside)
     if keeps_along and keeps_across:
         return None
     if not keeps_along and not keeps_across:

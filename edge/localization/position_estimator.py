@@ -25,13 +25,14 @@ from msgspec import Struct
 from edge.config import Config
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
-from edge.localization.bound import OwnPosition
+from edge.localization.bound import Drift, OwnPosition
 from edge.localization.claims import Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import ONE_MORE, Best, Facts, better_of
+from edge.localization.odometer import CHANGES
 from edge.localization.refusals import RULES, Refusal, Rule, refusal
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
@@ -72,7 +73,6 @@ class PositionEstimator:
         self._gps = GpsJudge(config)
         self._claims = Claims(config.gates)
         self._bound = OwnPosition(config.gates.drift_percent / 100)
-        self._velocity_error = 0.0  # of the autopilot, as a share, by the newest position
         self._own = Own()
         self._moved: Displacement | None = None
         self._exposed: Displacement | None = None  # at the newest exposure with a position
@@ -123,7 +123,7 @@ class PositionEstimator:
         """What the events so far show."""
         bound = self._bound
         position = None if self._filter is None else self._filter.at_exposure()
-        own_sigma_m = bound.sigma_m(self._own, self._velocity_error, self._own.accuracy_m or 0.0)
+        own_sigma_m = bound.sigma_m(self._own, self._own.accuracy_m or 0.0)
         return Known(
             position,
             self._gps.published,
@@ -135,7 +135,7 @@ class PositionEstimator:
 
     def reckoned(self, motion: Displacement | None) -> Reckoning | None:
         """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""
-        return self._bound.reckoning(motion, self._gps.believed(self._own), self._velocity_error)
+        return self._bound.reckoning(motion, self._gps.believed(self._own))
 
     def _use_maps(self, event: Maps) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
@@ -159,15 +159,26 @@ class PositionEstimator:
         own, sigma_m = believed.position, believed.gps_sigma_m
         if own is not None and sigma_m is not None and not self._gps.is_doubted:
             self._filter.bind(own, sigma_m)
+        elif self._own.gps == "not healthy":  # else its filter may still go by GPS
+            self._filter.lose_gps(None if self._gps.is_doubted else self._own.scale)
         fix = self._filter.at_exposure()
+        self._bound.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
             self._observe(t_ns, fix, frame.motion, is_evidence=_is_by_votes(frame.match))
         if frame.in_line:
             self._judge_gps()
 
+    def _drift(self, fix: PlaceFix | None) -> Drift:
+        """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
+        shown = None if self._filter is None else self._filter.velocity_errors
+        if shown is not None:
+            return Drift(*shown, CHANGES)
+        found = self._bound.drift.way if fix is None else fix.velocity_error
+        return Drift(0.0, 0.0, max(self._config.gates.drift_percent / 100, found))
+
     def _observe(self, t_ns: int, fix: PlaceFix, motion: Displacement | None, *, is_evidence: bool = True) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
-        self._velocity_error, self._exposed = fix.velocity_error, motion
+        self._exposed = motion
         if is_evidence:
             self._facts(t_ns, fix, motion, Limits()).observe()
 
@@ -185,6 +196,7 @@ class PositionEstimator:
     def _use_own(self, t_ns: int, own: Own) -> None:
         self._own = own
         believed = self._gps.believed(own)
+        self._bound.move(own)
         self._bound.watch_aid(believed)
         if believed.gps_sigma_m is not None:
             self._bind(believed.gps_sigma_m, by_gps=True)
@@ -230,14 +242,14 @@ class PositionEstimator:
         axes_m = self._bound.axes_m(own, fix, own.accuracy_m or 0.0) if limits.is_reset else None
         if axes_m is None or bound is None or own.position is None or not fix.is_position:
             return Best(fix)
-        return better_of(fix, own.position, axes_m, by_gps=bound.by_gps)
+        return better_of(fix, own, axes_m, by_gps=bound.by_gps)
 
     def _facts(self, t_ns: int, fix: PlaceFix | None, motion: Displacement | None, limits: Limits) -> Facts:
         own, bound = self._gps.believed(self._own), self._bound
         position: VehiclePosition | None = own.position
         best = None if fix is None else self._best(fix, own, limits)
         reckoned = None if fix is None else bound.reckoned(fix if best is None else best.place, motion, own)
-        sigma_m = bound.sigma_m(own, self._velocity_error, own.accuracy_m or 0.0)
+        sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
         is_by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
         if not own.is_aided:  # its own position has run away, or is ours
             position = None

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.localization.look import SHARED_M, STANDS_M, Look
+from edge.localization.odometer import Scale
 from edge.localization.region_lines import SIDES, Passed, RegionLine, RegionLines, Vector
 
 CORRELATION_M = 60.0
@@ -65,8 +66,9 @@ WANDER = 0.03
 
 OF_ROAD = 0.0, 0.0, 0.0, 0.0
 """How much of the errors of matches a measurement across the road has: nothing."""
-DOUBT, MATCH, LEFT, RIGHT = 4, 5, 7, 8
-"""In the state: the share of what is doubtful, the first error of matches, and those of the regions' lines alone."""
+HEADING, SCALE, DOUBT, MATCH, LEFT, RIGHT = 2, 3, 4, 5, 7, 8
+"""In the state: errors of heading and scale, the share of what is doubtful, the first error of matches, and those of
+the regions' lines alone."""
 
 
 @dataclass(frozen=True)
@@ -150,12 +152,12 @@ class RouteEstimate:
     @property
     def scale(self) -> float:
         """Share by which the autopilot's velocity is found to be too low."""
-        return float(self.mean[3])
+        return float(self.mean[SCALE])
 
     @property
     def scale_sigma(self) -> float:
         """Standard deviation of the scale error."""
-        return float(np.sqrt(self.covariance[3, 3]))
+        return float(np.sqrt(self.covariance[SCALE, SCALE]))
 
     @property
     def doubt_sigma(self) -> float:
@@ -163,14 +165,21 @@ class RouteEstimate:
         return float(np.sqrt(self.covariance[DOUBT, DOUBT]))
 
     @property
+    def velocity_errors(self) -> tuple[float, float]:
+        """What scale and heading, in radians, are expected to be wrong by: by their means and variances."""
+        means, variances = self.mean[[SCALE, HEADING]], self.covariance.diagonal()[[SCALE, HEADING]]
+        scale, heading_rad = np.sqrt(means**2 + variances)
+        return float(scale), float(heading_rad)
+
+    @property
     def velocity_error(self) -> float:
         """What the autopilot's velocity is found to be wrong by, as a share of it."""
-        return float(np.hypot(self.mean[2], self.mean[3]))
+        return float(np.hypot(self.mean[HEADING], self.mean[SCALE]))
 
     def truly(self, displacement_m: Vector) -> Vector:
         """Meters (..., 2) of displacements (..., 4) without the errors that were found."""
         moved_m = displacement_m[..., :2] + float(self.mean[DOUBT]) * displacement_m[..., 2:]
-        return (1 + float(self.mean[3])) * _turned(moved_m, float(self.mean[2]))
+        return (1 + float(self.mean[SCALE])) * _turned(moved_m, float(self.mean[HEADING]))
 
     def predict(self, displacement_m: Vector) -> None:
         """Move on by a displacement (4,)."""
@@ -189,6 +198,18 @@ class RouteEstimate:
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
         self.covariance += np.diag([*wander, *(self._variances * (1 - kept**2))])
+
+    def expect(self, scale: Scale) -> None:
+        """That is known of the velocity's scale now; it fades within SCALE_M, as wheels come to another surface."""
+        self.covariance[SCALE, :] = self.covariance[:, SCALE] = 0.0
+        self.mean[SCALE], self.covariance[SCALE, SCALE] = scale.mean, scale.later**2
+
+    def doubt_scale(self) -> None:
+        """Of the velocity's scale nothing was known: all that the state owes to it becomes as uncertain as it is."""
+        found, assumed = float(self.covariance[SCALE, SCALE]), float(self._variances[SCALE - 2])
+        if found > 0:
+            by_scale = self.covariance[:, SCALE] / found
+            self.covariance += max(0.0, assumed - found) * np.outer(by_scale, by_scale)
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
@@ -333,8 +354,8 @@ class RouteEstimate:
 
     def _slopes(self, displacement_m: Vector) -> NDArray[np.float64]:
         """Of `truly` against heading error, scale error and the share of what is doubtful, (2, 3)."""
-        scale, doubtful_m = 1 + self.mean[3], _turned(displacement_m[2:], self.mean[2])
-        turned = _turned(displacement_m[:2], self.mean[2]) + self.mean[DOUBT] * doubtful_m
+        scale, doubtful_m = 1 + self.mean[SCALE], _turned(displacement_m[2:], self.mean[HEADING])
+        turned = _turned(displacement_m[:2], self.mean[HEADING]) + self.mean[DOUBT] * doubtful_m
         return np.column_stack([scale * np.array([turned[1], -turned[0]]), turned, scale * doubtful_m])
 
     def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:

@@ -23,6 +23,7 @@ from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.look import FIRST, OUTVOTES, SAME_PLACE_M, Look, RecentLooks
+from edge.localization.odometer import Scale
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
@@ -37,6 +38,8 @@ Without it, vehicles that reversed for long or were ferried were up to 5 and 501
 instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
+UNEXPECTED_SIGMAS = 2.0
+"""How far a match may be from where it is expected, before the velocity's scale is not what GPS has shown any more."""
 DISAGREE = 3
 """Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
 
@@ -46,6 +49,7 @@ class RouteFilter:
 
     def __init__(self, route: Route, config: Config) -> None:
         self._config, self._rig = config.tracking, config.rig
+        self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self._sightings = Sightings(route, config)
         self._innovations = RecentInnovations()
         self.reset()
@@ -64,6 +68,7 @@ class RouteFilter:
 
     def bind(self, position: VehiclePosition, sigma_m: float) -> None:
         """The autopilot's position is bounded by GPS: the newest frame was there, to one standard deviation."""
+        self._is_bound = True
         if self._at is None:
             return
         apart_s = (self._last_ns - position.stamp_ns) / 1e9
@@ -78,8 +83,44 @@ class RouteFilter:
             one.aside = None
         self._choose_origin()
 
+    def lose_gps(self, shown: Scale | None) -> None:
+        """GPS is lost. shown: what it has shown of the velocity that counts from now on."""
+        if self._is_bound and shown is not None:
+            assumed = Scale(0.0, self._config.scale_error_percent / 100)
+            known = assumed.and_also(shown)
+            self._is_shown = known.later < assumed.later
+            for estimate in self._estimates() if self._is_shown else []:
+                estimate.expect(known)
+        self._is_bound = False
+
+    @property
+    def velocity_errors(self) -> tuple[float, float] | None:
+        """See `RouteEstimate`; None where GPS has shown nothing of them, or does not any more."""
+        estimates = self._estimates() if self._is_shown and not self._is_bound else []
+        return estimates[0].velocity_errors if estimates else None
+
+    def _doubt_scale(self) -> None:
+        """The velocity's scale is not what GPS has shown."""
+        if self._is_shown:
+            self._is_shown = False
+            for estimate in self._estimates():
+                estimate.doubt_scale()
+
+    def _contradicts_scale(self, sighting: Sighting, stamp_ns: int) -> bool:
+        """Whether a match is not where it is expected, and would be if GPS had shown nothing of the scale."""
+        track = self._track
+        for estimate in self._estimates() if track is None else [track.estimate]:
+            doubted = estimate.copy()
+            doubted.doubt_scale()
+            newest = sighting if track is None else track.newest
+            off, off_then = (abs(Track(one, newest, stamp_ns).innovation(sighting)) for one in (estimate, doubted))
+            if off > UNEXPECTED_SIGMAS >= off_then:
+                return True
+        return False
+
     def reject_gps(self) -> None:
         """GPS was wrong when it bounded the estimates: only places count from now on."""
+        self._is_shown = False
         self._exposure = self._track = self._since_gps = self._since_lost = None
 
     def _estimates(self) -> list[RouteEstimate]:
@@ -183,6 +224,8 @@ class RouteFilter:
                 self._track.move(moved_m)
             for one in self._reckoned:
                 one.estimate.predict(moved_m)
+            if moved_m[2:].any():  # wheels that spin or lock
+                self._doubt_scale()
         self._at = displacement
 
     def _agree(self, look: Look) -> int:
@@ -195,6 +238,8 @@ class RouteFilter:
         return track.away_m(look) <= SAME_PLACE_M and self._agree(look) >= max(OUTVOTES, agree + 1)
 
     def _use(self, sighting: Sighting, stamp_ns: int) -> None:
+        if self._is_shown and self._contradicts_scale(sighting, stamp_ns):
+            self._doubt_scale()
         for one in self._reckoned:
             one.compare_across(sighting, sighting.across_sigma_m(self._rig.sigma_across_m))
         track, look = self._track, sighting.look

@@ -130,6 +130,11 @@ class Receiver:
             self.alternation.notice(now_ns)
         self._fix_ns = now_ns
 
+    @property
+    def is_good(self) -> bool:
+        """Whether its newest message has a good fix."""
+        return self._fix.good_ns is not None
+
     def is_silent(self, now_ns: int) -> bool:
         """Whether it has not been heard for three seconds, or never."""
         return self.heard_ns is None or now_ns - self.heard_ns > FRESH_NS

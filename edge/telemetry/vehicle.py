@@ -178,11 +178,13 @@ class Vehicle:
             position=position,
             motion=None if position is None else motion.displacement(position.stamp_ns),
             without_gps=None if position is None else self.velocity.without_gps.displacement(position.stamp_ns),
+            scale=self.velocity.shown.scale,
             accuracy_m=self.accuracy_m(now_ns),
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
             is_aided=self.velocity.is_aided,
             runs_away=self.velocity.runs_away,
+            drives_itself=self.drives_itself,
             is_doubled=self.is_doubled,
             is_clock_known=self.session.clock.is_known and self._read_ns - self._heard_ns <= SILENT_NS,
             system_id=self.system_id,
@@ -338,7 +340,11 @@ class Vehicle:
             self.session.parameters[str(message.param_id).rstrip("\0")] = value
 
     def _read_gps(self, message: Message, now_ns: int) -> None:
-        self.session.gps.receivers[message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW].read(message, now_ns)
+        receivers, is_second = self.session.gps.receivers, message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW
+        receivers[is_second].read(message, now_ns)
+        first = receivers[0]
+        if not is_second and first.is_good and first.state(now_ns) == "healthy":
+            self.velocity.shown.add_fix(now_ns, first.at)
 
     def _read_filter(self, message: Message, now_ns: int) -> None:
         self.session.gps.read_filter(message.flags, self.session.autopilot, now_ns)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Integral, OwnMotion
+from edge.localization import DeadReckoning, Integral, OwnMotion, ShownScale
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
@@ -38,6 +38,8 @@ class VehicleVelocity:
         self.without_gps = OwnMotion()
         """The displacement by what GPS has no part in: gyros, with wheels, odometry or our camera, or the autopilot
         without GPS."""
+        self.shown = ShownScale()
+        """What GPS has shown of the wheels."""
         self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
         """Gets what GPS has no part in, stamped: meters by WHEELS, m/s by ODOMETRY or CAMERA; None: a session ended."""
         self.is_by_gps = True
@@ -64,6 +66,7 @@ class VehicleVelocity:
         for motion in (self._motion, self.without_gps):
             motion.end_leg(is_same_vehicle=is_same_vehicle)
         self.listen(0, 0.0, None)
+        self.shown = ShownScale() if not is_same_vehicle else self.shown
         self._wheels = self._own = self._aside = None
         self._speeds.clear()
         self.is_aided, self.runs_away = True, False
@@ -157,6 +160,7 @@ class VehicleVelocity:
     def turn_wheels(self, stamp_ns: int, driven_m: float) -> None:
         """Meters that the wheels have turned since some moment."""
         self.listen(stamp_ns, driven_m, WHEELS)
+        self.shown.add_meters(stamp_ns, driven_m, self._motion.total_m)
         before, self._wheels = self._wheels, (stamp_ns, driven_m)
         if before is not None and 0 < stamp_ns - before[0] <= WHEELS_APART_NS:
             speed_mps = (driven_m - before[1]) / (stamp_ns - before[0]) * 1e9

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
 from edge.telemetry.link import Link
@@ -42,6 +43,10 @@ class Silent:
         """Nothing to close."""
 
 
+STEERS = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+"""Mode of an autopilot that drives its vehicle."""
+
+
 class Simulation:
     """The vehicle, its autopilot and its cameras, moved on by whoever waits for a frame: the daemon's `Frames`."""
 
@@ -60,7 +65,7 @@ class Simulation:
         self._frame_due_s = self._epoch_s - UP_S
         self.driver = Driver(draft.way, draft.legs, np.random.default_rng([seed, 10]))
         self.autopilot = self._autopilot(link, lambda: self.driver.pose)
-        self.driver.belief = self.autopilot.estimate
+        self.driver.belief, self.autopilot.base_mode = self.autopilot.estimate, STEERS
         self.rows: list[tuple[float, ...]] = []
 
     def _autopilot(self, link: Link, pose: Callable[[], Pose], **others: Any) -> SimulatedAutopilot:

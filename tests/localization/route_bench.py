@@ -34,6 +34,7 @@ from edge.localization import (
     PlaceFix,
     PositionEstimator,
     ProtectionLevel,
+    ShownScale,
     Used,
 )
 from edge.localization.events import Frame
@@ -122,7 +123,7 @@ class Bench:
         self.events: list[tuple[int, Entry]] = []
         self.drive = Drive(PositionEstimator(self.config), lambda t_ns, entry: self.events.append((t_ns, entry)))
         self.drive.update(0, Maps(maps))
-        self.motion = DeadReckoning()
+        self.motion, self.shown = DeadReckoning(), ShownScale()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
         self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
@@ -259,6 +260,9 @@ class Bench:
         """What the autopilot reports, where it is something new; its position."""
         east_mps, north_mps = velocity.tolist()
         place, motion = moved(*HOME, float(self.own[0]), float(self.own[1])), self.motion
+        self.shown.add_meters(now_ns, motion.total_m or 0.0, motion.total_m)
+        if gps:
+            self.shown.add_fix(now_ns, place)
         position = VehiclePosition(now_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
         own = Own(
             gps="healthy" if gps else "not healthy",
@@ -266,6 +270,7 @@ class Bench:
             position=position,
             motion=motion.displacement(now_ns),
             without_gps=motion.displacement(now_ns),
+            scale=self.shown.scale,
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
             system_id=1,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization import Fix, ProtectionLevel
-from edge.localization.bound import Axes
+from edge.localization import Fix, Own, ProtectionLevel
+from edge.localization.bound import Drift, Errors
 from edge.localization.integrity import BESIDE_M, GROWS, better_of
 from tests.localization.events_of import Road, S, Vehicle
 from tests.localization.route_course import HOME, Stretch
@@ -21,9 +22,9 @@ FIX = PlaceFix(
 )
 
 
-def own(east_m: float, north_m: float) -> VehiclePosition:
+def own(east_m: float, north_m: float, *, drives_itself: bool | None = None) -> Own:
     lat_deg, lon_deg = moved(*HOME, east_m, north_m)
-    return VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0)
+    return Own(position=VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0), drives_itself=drives_itself)
 
 
 def placed(place: PlaceFix) -> tuple[float, float]:
@@ -53,6 +54,14 @@ def test_in_each_direction_the_better_of_both_is_sent(
     assert sigmas_m == pytest.approx(expected_m, abs=0.01)
 
 
+def test_an_autopilot_that_steers_itself_keeps_its_own_across_where_only_the_lane_says_otherwise() -> None:
+    """Its own position is on the lane anyway; where regions have measured, or a person steers, the position counts."""
+    far_m = 9.0, 3.0 * BESIDE_M
+    for by_lane, drives_itself, keeps in [(True, True, True), (False, True, False), (True, False, False)]:
+        found = better_of(replace(FIX, by_lane=by_lane), own(7.0, 5.0, drives_itself=drives_itself), far_m, by_gps=True)
+        assert found is not None and found.keeps == (False, keeps)
+
+
 def test_a_position_that_is_better_in_neither_direction_is_none() -> None:
     """One after another may be less certain by a fifth; one after GPS may not."""
     barely_m = 4.0 / (0.99 * GROWS), 3.0 / (0.99 * GROWS)
@@ -70,13 +79,25 @@ def test_nothing_is_kept_of_an_autopilot_that_a_certain_position_contradicts(
 
 
 def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
-    """A hundred positions in a row that keep the autopilot's own across."""
-    axes, drift = Axes(90.0, (3.0, 3.0), (0.0, 0.0)), 0.04
-    for driven_m in range(8, 801, 8):
-        fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
-        axes = axes.bound_by(fix, float(driven_m), drift)
-    assert axes.at(90.0, 800.0, drift) == pytest.approx((4.0, math.hypot(3.0, drift * 800.0)))
-    assert axes.at(0.0, 800.0, drift) == pytest.approx((math.hypot(3.0, drift * 800.0), 4.0)), "after a bend"
+    """A hundred positions in a row that keep the autopilot's own across, on the way to the east."""
+    fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
+    for drift, share in ((Drift(0.0, 0.0, 0.04), 0.04), (Drift(0.01, 0.02, 0.0), 0.02)):
+        errors = Errors(9.0 * np.eye(2))
+        for _ in range(100):
+            errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix, drift)
+        across_m = math.hypot(3.0, share * 800.0)
+        assert errors.along_and_across_m(90.0, drift) == pytest.approx((4.0, across_m))
+        assert errors.along_and_across_m(0.0, drift) == pytest.approx((across_m, 4.0)), "after a bend"
+
+
+def test_an_error_of_the_scale_is_along_the_way_and_one_of_the_heading_across() -> None:
+    """To the east, and then to the north as far."""
+    errors, shown = Errors(np.zeros((2, 2))), Drift(0.03, 0.01, 0.0)
+    errors = errors.moved(100.0, 0.0, 100.0, 0.0)
+    assert errors.along_and_across_m(90.0, shown) == pytest.approx((3.0, 1.0))
+    errors = errors.moved(0.0, 100.0, 100.0, 0.0)
+    assert errors.along_and_across_m(45.0, shown) == pytest.approx((3.0 * math.sqrt(2), math.sqrt(2)))
+    assert errors.moved(-100.0, -100.0, 141.4, 0.0).along_and_across_m(0.0, shown) == pytest.approx((0.0, 0.0))
 
 
 def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_sent(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
-from edge.localization import Break, Fix, Known, Maps
+from edge.localization import Break, Fix, Known, Maps, Scale
+from edge.localization.odometer import CHANGES
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import LENGTH, Road, S, Vehicle, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
@@ -39,6 +40,40 @@ def test_it_grows_by_what_the_velocity_was_found_wrong_by(road: Road) -> None:
     one.go(240)
     assert one.place is not None and one.place.velocity_error > 0.07
     assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, one.place.velocity_error * 216.0), abs=0.01)
+
+
+def shown(road: Road, **changes: Any) -> tuple[Vehicle, float]:
+    """A vehicle that has lost GPS 100 m ago, which had shown its odometer; and the uncertainty of its position."""
+    one = Vehicle(road)
+    one.go(60, gps=True)
+    one.reports = {"scale": Scale(0.0, 0.02), **changes}
+    one.go(100, lambda _: None)
+    own_sigma_m = one.drive.known.own_sigma_m
+    assert own_sigma_m is not None
+    return one, own_sigma_m
+
+
+def test_the_uncertainty_grows_by_what_gps_has_shown_of_the_odometer(road: Road) -> None:
+    """By the heading's two degrees then, and two percent; and only where GPS is lost, not where it has just gone."""
+    expected_m = math.hypot(3.0, math.hypot(math.radians(2.0), CHANGES) * 100.0)
+    assert shown(road)[1] == pytest.approx(expected_m, rel=0.1)
+    assert shown(road, scale=None)[1] == shown(road, gps="unknown")[1] == pytest.approx(math.hypot(3.0, 5.0))
+
+
+def test_a_wheel_that_spins_takes_back_what_was_shown(road: Road) -> None:
+    one, _ = shown(road)
+    one.motion = replace(one.motion, doubtful_north_m=1.0)
+    one.go(2, lambda _: None)
+    assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 102.0))
+
+
+@pytest.mark.parametrize(("further_m", "holds"), [(2.0, True), (11.0, False)])
+def test_places_elsewhere_than_expected_take_back_what_was_shown(further_m: float, holds: bool, road: Road) -> None:
+    """11 m after 160 m: too many for an odometer as it was shown."""
+    one, _ = shown(road)
+    one.go(60, lambda at_m: one.road.match(at_m + further_m))
+    assert one.drive.known.own_sigma_m is not None
+    assert (one.drive.known.own_sigma_m < math.hypot(3.0, 0.05 * 160.0)) == holds
 
 
 def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it(road: Road) -> None:

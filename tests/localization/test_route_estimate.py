@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.localization.odometer import Scale
 from edge.localization.region_lines import Passed, RegionLine, RegionLines, Vector
 from edge.localization.route_estimate import (
     CORRELATION_M,
@@ -224,3 +225,27 @@ def test_what_is_doubtful_was_driven_or_not_and_only_what_was_passed_since_it_be
         estimate.correct(Passed(np.array([0.0, passed_m]), np.array([0.0, 1.0]), np.array(since_m)), 0.5)
         assert at_m[0] <= estimate.position_m[1] <= at_m[1]
         assert sigma_m[0] <= np.sqrt(estimate.covariance[1, 1]) <= sigma_m[1]
+
+
+def test_a_scale_that_was_expected_too_surely_is_as_uncertain_again_as_if_it_never_was() -> None:
+    """All that the state owes to it too, on a winding road."""
+    _, points = winding(120)
+    sure, unsure = (RouteEstimate(points[0], np.eye(2), ERRORS) for _ in range(2))
+    sure.expect(Scale(0.03, 0.02))
+    unsure.expect(Scale(0.03, SCALE))
+    for estimate in (sure, unsure):
+        for at in range(30):
+            estimate.predict(np.array([*(points[at + 1] - points[at]), 0.0, 0.0]))
+    before_m = np.sqrt(np.diag(sure.covariance)[:2])
+    sure.doubt_scale()
+    sigmas, wanted = (np.sqrt(np.diag(estimate.covariance)[:4]) for estimate in (sure, unsure))
+    assert sigmas == pytest.approx(wanted, rel=0.25) and (before_m < 0.75 * wanted[:2]).any()
+    assert sure.position_m == pytest.approx(unsure.position_m), "what was driven so far was by what was expected"
+
+
+def test_what_gps_has_shown_of_the_scale_fades() -> None:
+    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
+    estimate.expect(Scale(0.03, 0.01))
+    for _ in range(1000):
+        estimate.predict(np.array([0.0, 2.0, 0.0, 0.0]))
+    assert estimate.scale == pytest.approx(0.0, abs=0.002) and estimate.scale_sigma == pytest.approx(SCALE, rel=0.02)

@@ -114,3 +114,48 @@ def test_other_odometry_is_none(component: tuple[int, int], sent: Any) -> None:
     one = Driven(PX4)
     one.drive(beside=Speaker(*component), sent=sent)
     assert one.displacement is None
+
+
+UNUSED = "alt", "epv", "vel", "cog", "satellites_visible"
+
+
+def with_gps(seconds: int, wheels: float, lost_s: float = math.inf, **fix: Any) -> Vehicle:
+    """To the north with a receiver four times a second, 0.2 s late, and wheels once a second; lost_s: no fix then."""
+    vehicle, speaker = Vehicle(), Speaker()
+    for now_s in range(1, 3):
+        vehicle.handle(speaker.heartbeat(ARDUPILOT), now_s * S)
+    at = {
+        "fix_type": 3,
+        "lon": 1_530_000_000,
+        "alt": 0,
+        "eph": 80,
+        "epv": 0,
+        "vel": 0,
+        "cog": 0,
+        "satellites_visible": 9,
+    }
+    for step in range(4 * seconds):
+        now_ns = 3 * S + step * S // 4
+        if step % 4 == 0:
+            driven_m = [wheels * SPEED_MPS * step / 4] * 2 + [0.0] * 14
+            message = mavlink.MAVLink_wheel_distance_message(now_ns // 1000, 2, driven_m)
+            vehicle.handle(speaker.say(message), now_ns)
+        lat = round(-270_000_000 + SPEED_MPS * (step / 4 - 0.2) / 0.011057)
+        fix |= {"fix_type": 1} if step / 4 >= lost_s else {}
+        message = mavlink.MAVLink_gps_raw_int_message(now_ns // 1000, **{**at, "lat": lat, **fix})
+        vehicle.handle(speaker.say(message), now_ns + 1000)
+    return vehicle
+
+
+@pytest.mark.parametrize("lost_s", [math.inf, 10.0])
+@pytest.mark.parametrize("wheels", [0.92, 1.0, 1.03])
+def test_a_receiver_shows_by_what_the_wheels_are_wrong(wheels: float, lost_s: float) -> None:
+    """A receiver that has lost its fix stays where it was."""
+    scale = with_gps(12, wheels, lost_s).own(15 * S).scale
+    assert scale is not None
+    assert abs(scale.mean - (1 / wheels - 1)) < scale.sigma < 0.035
+
+
+@pytest.mark.parametrize("fix", [{"fix_type": 2}, {"eph": 9999}])
+def test_one_without_a_good_fix_shows_nothing_of_the_wheels(fix: dict[str, Any]) -> None:
+    assert with_gps(20, 1.03, **fix).own(23 * S).scale is None

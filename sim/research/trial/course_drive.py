@@ -68,7 +68,7 @@ class CourseSimulation(Simulation):
         shown_m = draft.shown_m if draft.motion != "off" or draft.late_s or draft.keypoints else None
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
         if not draft.steers:
-            self.driver.belief = None
+            self.driver.belief, self.autopilot.base_mode = None, 0
         self.autopilot.loses = self._loses
         self.autopilot.has_script = draft.doubted_gps == "send"
         self.autopilot.timesync_off_s = draft.clock_off_s
