@@ -17,8 +17,8 @@ from edge.errors import ConfigError
 from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
-from sim.research.trial.courses.maps import on_keypoints, on_layers
-from sim.research.trial.table import HEADER, CourseScore, in_short, layers_in_short, line, looks_table, put_between
+from sim.research.trial.courses.maps import on_keypoints
+from sim.research.trial.table import HEADER, CourseScore, in_short, line, looks_table, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -27,12 +27,11 @@ LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
 class Planned(NamedTuple):
-    """A drive of a course; world: seed of its road. layers, keypoints: of its map, see `on_layers`, `on_keypoints`."""
+    """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`."""
 
     course: str
     seed: int
     world: int
-    layers: bool = False
     keypoints: bool = False
 
 
@@ -55,8 +54,6 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
     odometer = "by which the wheels are wrong, for courses that do not say so themselves (default 3)"
     parser.add_argument("--odometer", type=float, metavar="PERCENT", help=odometer)
-    layers = "drive each on a map of eight layers as well, and compare the cases"
-    parser.add_argument("--layers", action="store_true", help=layers)
     keypoints = "drive each on a map with keypoints as well, and compare both with the lane that was taught"
     parser.add_argument("--keypoints", action="store_true", help=keypoints)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
@@ -75,7 +72,7 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     runs = drive_all(plan(args), args)
-    scores = compare(runs) if args.layers else compare_looks(runs) if args.keypoints else judge(runs)
+    scores = compare_looks(runs) if args.keypoints else judge(runs)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
     if args.keypoints:
         print("\n" + looks_table(scores))
@@ -85,10 +82,9 @@ def _run(args: argparse.Namespace) -> int:
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
         what += "" if args.odometer is None else f" --odometer {args.odometer:g}"
-        what += " --layers" * args.layers + " --keypoints" * args.keypoints
-        table = layers_in_short(scores) if args.layers else looks_table(scores) if args.keypoints else in_short(scores)
-        of_layers = f"layers {'cases' if args.case else driven}" if args.layers else "results"
-        name = "keypoints" if args.keypoints else of_layers
+        what += " --keypoints" * args.keypoints
+        table = looks_table(scores) if args.keypoints else in_short(scores)
+        name = "keypoints" if args.keypoints else "results"
         put_between(name, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
@@ -101,9 +97,9 @@ def plan(args: argparse.Namespace) -> list[Planned]:
     else:
         names = list(COURSES) if args.course == "all" else args.course.split(",")
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
-    maps = [(False, False), *[(True, False)] * args.layers, *[(False, True)] * args.keypoints]
+    maps = (False, True) if args.keypoints else (False,)
     return [
-        Planned(name, seed, args.worlds[turn % len(args.worlds)], *one) for name, seed, turn in drives for one in maps
+        Planned(name, seed, args.worlds[turn % len(args.worlds)], one) for name, seed, turn in drives for one in maps
     ]
 
 
@@ -127,32 +123,6 @@ def judge(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
             scores.append(CourseScore(f"**{case}: {about}**", tuple(run for one in of_courses for run in one.runs)))
         scores += of_courses
     return scores
-
-
-def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
-    """All drives, each case, and each course that fails on layers; or each road of one course: one map, and layers."""
-    pairs = {one: one._replace(layers=True) for one in runs if one._replace(layers=True) in runs and not one.layers}
-    named = {"**all**": list(pairs)}
-    if len({one.course for one in pairs}) == 1:
-        roads = sorted({one.world for one in pairs})
-        named |= {f"road {road}": [one for one in pairs if one.world == road] for road in roads}
-    else:
-        named |= {
-            f"**{case}: {about}**": [one for one in pairs if COURSES[one.course].case == case]
-            for case, about in CASES.items()
-        }
-        failed = dict.fromkeys(one.course for one, layered in pairs.items() if runs[layered].failures)
-        named |= {
-            name: [one for one in pairs if one.course == name]
-            for name in failed
-            if len(courses_of(COURSES[name].case)) > 1
-        }
-    return [
-        CourseScore(f"{name}, {what}", tuple(runs[pairs[one] if layers else one] for one in ones))
-        for name, ones in named.items()
-        if ones
-        for layers, what in ((False, "one map"), (True, "eight layers"))
-    ]
 
 
 def compare_looks(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
@@ -191,10 +161,9 @@ def drive_part(
         for one in planned:
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
-            course = on_layers(COURSES[one.course]) if one.layers else COURSES[one.course]
-            course = on_keypoints(course) if one.keypoints else course
+            course = on_keypoints(COURSES[one.course]) if one.keypoints else COURSES[one.course]
             runs[one] = drive(course, one.seed, length_m, one.world, journals, library, odometer)
-            which = ", eight layers" * one.layers + ", keypoints" * one.keypoints
+            which = ", keypoints" * one.keypoints
             print(line(f"{one.course}{which}", runs[one]), flush=True)
     finally:
         library.save()
@@ -215,8 +184,6 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError(f"--case: {args.case!r} is not one of {', '.join(CASES)} and all")
     if args.runs < 1:
         raise ConfigError("--runs: at least 1")
-    if args.keypoints and args.layers:
-        raise ConfigError("--keypoints: not with --layers")
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
     if args.odometer is not None and not 0 <= args.odometer <= 50:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,11 +57,8 @@ class CourseScore:
     @property
     def failures(self) -> list[str]:
         """What is not as required, of single drives and of all together, each with how often."""
-        counted: dict[str, list[str]] = {}
-        for run in self.runs:
-            for failure in run.failures:
-                counted.setdefault(failure.rule, []).append(f"{run.world}")
-        found = [f"{rule} ({len(worlds)}, road {', '.join(dict.fromkeys(worlds))})" for rule, worlds in counted.items()]
+        counted = Counter(failure.rule for run in self.runs for failure in run.failures)
+        found = [f"{rule} ({count})" for rule, count in counted.items()]
         if self.beyond > BEYOND_SHARE:
             found.append(f"{1000 * self.beyond:.0f} in 1,000 beyond 3 sigma")
         if self.odd_rms:
@@ -113,7 +111,7 @@ class CourseScore:
 
 
 def in_short(scores: Sequence[CourseScore]) -> str:
-    """A table of cases and of courses that did not pass; a list of those of which one drive failed; how many passed."""
+    """A table of cases and of courses that did not pass; those of which one drive failed; how many passed."""
     passed = [one for one in scores if one.passes and not one.is_several]
     once = [one for one in scores if one.fails_once and not one.is_several]
     odd = ", ".join(f"`{one.name}` ({one.odd_rms})" for one in passed if one.odd_rms)
@@ -121,33 +119,8 @@ def in_short(scores: Sequence[CourseScore]) -> str:
     among = f", {odd} among them" if odd else ""
     lines = [_short(HEADER), *map(_short, rows), ""]
     if once:
-        lines += ["One drive fails of", "", *(f"- `{one.name}`: {'; '.join(one.failures)}" for one in once), ""]
+        lines += [f"One drive fails of {', '.join(f'`{one.name}`' for one in once)}.", ""]
     return "\n".join([*lines, f"All drives of {len(passed)} more courses pass{among}."])
-
-
-def layers_in_short(scores: Sequence[CourseScore]) -> str:
-    """The rows of all drives; and lists of what is worse on layers, and of what fails on them and is not worse.
-
-    scores: pairs, of one map and of layers; first those of all drives.
-    """
-    every, *pairs = zip(scores[::2], scores[1::2], strict=True)
-    worse = [
-        f"- {_name(alone)}: {layered.passed} of {len(layered.runs)} pass, on one map {alone.passed};"
-        f" {'; '.join(layered.failures)}"
-        for alone, layered in pairs
-        if _is_worse(alone, layered)
-    ]
-    others = [_name(alone) for alone, layered in pairs if layered.failures and not _is_worse(alone, layered)]
-    table = [_short(HEADER), *(_short(one.row()) for one in every)]
-    return "\n".join(
-        [
-            *table,
-            "",
-            *(["Worse on layers:", "", *worse] if worse else ["Worse on layers: none."]),
-            "",
-            f"Fails on both, and no less on one map: {'; '.join(others) or 'none'}.",
-        ]
-    )
 
 
 def looks_table(scores: Sequence[CourseScore]) -> str:
@@ -181,17 +154,6 @@ def _short(rows: str) -> str:
     """Rows without the autopilot's error, which says little over several courses, and the share sent."""
     cells = (row.split("|") for row in rows.splitlines())
     return "\n".join("|".join([*one[:6], one[7], *one[9:]]) for one in cells)
-
-
-def _name(score: CourseScore) -> str:
-    """What was driven, without the map."""
-    return score.name.rpartition(",")[0]
-
-
-def _is_worse(alone: CourseScore, layered: CourseScore) -> bool:
-    """Whether drives on layers fail that pass on one map, or their positions are as wrong as none on it may be."""
-    beyond = layered.beyond > BEYOND_SHARE >= alone.beyond
-    return layered.passed < alone.passed or beyond or bool(layered.odd_rms and not alone.odd_rms)
 
 
 def put_between(name: str, page: Path, text: str) -> None:

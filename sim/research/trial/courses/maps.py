@@ -164,17 +164,6 @@ def _two_laps(draft: CourseDraft) -> None:
     draft.has_gps, draft.steers = False, False
 
 
-def on_layers(one: Course) -> Course:
-    """The course on DRIVES over what it has mapped: the first is as wrong as its map, the others are right."""
-
-    def lay(draft: CourseDraft) -> None:
-        one.lay(draft)
-        if not draft.maps_live:
-            _as_layers(draft)
-
-    return replace(one, lay=lay)
-
-
 def on_keypoints(one: Course) -> Course:
     """The course on a map with keypoints, its camera's pictures rendered; where it maps live, that map has them too."""
 
@@ -185,17 +174,13 @@ def on_keypoints(one: Course) -> Course:
     return replace(one, lay=lay)
 
 
-def _as_layers(draft: CourseDraft) -> None:
+@course("K", "layers-8")
+def _layers(draft: CourseDraft) -> None:
+    """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
     right = [replace(stretch, off_m=(0.0, 0.0), recording="") for stretch in draft.map]
     further = [replace(stretch, camera=camera) for camera in DRIVES[1:] for stretch in right]
     draft.map = [*(replace(stretch, camera=DRIVES[0]) for stretch in draft.map), *further]
     draft.layers = True
-
-
-@course("K", "layers-8")
-def _layers(draft: CourseDraft) -> None:
-    """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
-    _as_layers(draft)
 
 
 @course("K", "layers-8-shifted")
