@@ -30,6 +30,7 @@ from edge.localization import (
 )
 from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.firmware import GPS_SET
 from edge.telemetry.kept_bound import KeptBound
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
@@ -37,7 +38,6 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
-from edge.telemetry.source_selection import GPS_SET
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed

@@ -152,10 +152,13 @@ def parameter_request(system_id: int, name: str) -> Message:
     return mavlink.MAVLink_param_request_read_message(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1)
 
 
-def source_set(system_id: int, number: int, *, is_px4: bool = False) -> Message:
-    """COMMAND_LONG 42007: which of ArduPilot's sets of sources (1 to 3) is used; 43006: whether PX4 fuses GPS, at 1."""
-    if is_px4:
-        return _command(system_id, SENSOR_ENABLE, SENSOR_GPS, 0, number == 1)
+def gps_fusion(system_id: int, *, is_on: bool) -> Message:
+    """COMMAND_LONG 43006: whether a filter fuses GPS."""
+    return _command(system_id, SENSOR_ENABLE, SENSOR_GPS, 0, is_on)
+
+
+def source_set(system_id: int, number: int) -> Message:
+    """COMMAND_LONG 42007: which of the filter's sets of sources (1 to 3) is used."""
     return _command(system_id, mavlink.MAV_CMD_SET_EKF_SOURCE_SET, number)
 
 

@@ -43,10 +43,6 @@ SOURCES: dict[int, PositionSource] = {
 }
 UNSTEADY = "its fix has just come or gone"
 TAKES_TURNS = "two senders report in turns"
-GLITCHES = {
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: 1 << 15,  # EKF_GPS_GLITCHING, in EKF_STATUS_REPORT
-    mavlink.MAV_AUTOPILOT_PX4: mavlink.ESTIMATOR_GPS_GLITCH,
-}
 
 
 class _Fix:
@@ -160,9 +156,9 @@ class Gps:
         """Whether the filter may use them: by its own report, else as was selected."""
         return is_selected if self.is_fusion_on is None else self.is_fusion_on
 
-    def read_filter(self, flags: int, autopilot: int | None, now_ns: int) -> None:
-        """The flags of EKF_STATUS_REPORT (ArduPilot) or ESTIMATOR_STATUS (PX4)."""
-        is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & GLITCHES.get(autopilot or 0, 0)
+    def read_filter(self, flags: int, glitch: int, now_ns: int) -> None:
+        """The flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS; glitch: that of a GPS which it rejects."""
+        is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & glitch
         is_used = is_absolute and self.is_fusion_on is not False  # PX4's position is absolute by ours as well
         self._flags_ns = now_ns
         if is_used and self._unused_ns and self._used_ns and now_ns - self._used_ns <= LOST_NS:

@@ -3,11 +3,7 @@
 Everything is requested again in the next session and after a silence, since the autopilot does not store requests.
 Streams are requested one by one, since an acknowledgement does not say which stream it is for.
 
-And what its parameters say of its velocity without GPS: what measures that, and whether the camera's is used. Read in
-the firmware: ArduPilot fuses a velocity alone only as VISION_POSITION_DELTA, which makes its filter aid itself as with
-wheel encoders (`readyToUseBodyOdm` in NavEKF3_core); VISION_SPEED_ESTIMATE and ODOMETRY need a position as well. PX4
-fuses ODOMETRY in the frame of the body, with its own gate (ev_vel_control.cpp). Both take nothing that is older than
-200 ms for a start, and go on alone as soon as nothing comes.
+And what measures its velocity without GPS.
 """
 
 from __future__ import annotations
@@ -22,8 +18,9 @@ from edge.config import TelemetryConfig
 from edge.telemetry import encoders
 from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.confirmation import Origin
+from edge.telemetry.firmware import AIRSPEED, NO_AID, VISION
 from edge.telemetry.people import Publisher
-from edge.telemetry.position_messages import USE_PARAMETERS
+from edge.telemetry.position_messages import POSITION_MESSAGES
 from edge.telemetry.vehicle import Session, Vehicle
 
 TIMESYNC_NS = 500_000_000
@@ -50,15 +47,7 @@ AGAIN_LAST_NS = 60_000_000_000
 PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
 """After so many a stream is requested no more: no firmware knows all of them. One may be an answer that came late."""
-ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
-AID_PARAMETERS: dict[int, tuple[str, ...]] = {
-    ARDUPILOT: ("EK3_SRC1_VELXY", "EK3_SRC2_VELXY", "WENC_TYPE", "FLOW_TYPE"),
-    PX4: ("EKF2_EV_CTRL", "EKF2_OF_CTRL", "EKF2_OF0_CTRL"),
-}
 ON_WINGS = {mavlink.MAV_TYPE_FIXED_WING, *range(mavlink.MAV_TYPE_VTOL_DUOROTOR, mavlink.MAV_TYPE_VTOL_RESERVED5 + 1)}
-AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
-NO_AID = "none"
-EV_VELOCITY = 1 << 2  # of EKF2_EV_CTRL
 CAMERA_SILENT_NS = 1_000_000_000
 """Without a message for so long, nothing measures the velocity: PX4 stops fusing after that time as well."""
 
@@ -137,12 +126,13 @@ class Requests:
 
     def __init__(self, config: TelemetryConfig, vehicle: Vehicle, *, asks_attitude: bool = False) -> None:
         self._vehicle, self.session = vehicle, vehicle.session
-        autopilot = self.session.autopilot or 0
+        firmware = self.session.firmware
         attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
-        fusion_hz = {FusionStatus.id: 2.0} if autopilot == PX4 else {}
+        fusion_hz = {FusionStatus.id: 2.0} if firmware.gps_switch == "fusion" else {}
         self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz | fusion_hz)
         # What aids the velocity, and whether positions are used, matters only where some are sent.
-        names = *AID_PARAMETERS.get(autopilot, ()), *USE_PARAMETERS.get(autopilot, ())
+        streams = [needed for name, needed in firmware.needs.items() if not POSITION_MESSAGES[name].acknowledged]
+        names = *firmware.aid_parameters, *(one.parameter for needed in streams for one in needed)
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
         self._origin = Origin(*config.origin) if config.origin else None
         self._origin_requested = False
@@ -211,10 +201,10 @@ class VelocityAid:
         Where none are sent the autopilot's parameters are not requested.
         """
         self.without_gps = velocity_aid(self._vehicle, source_set)
-        velocity, is_px4 = self._vehicle.velocity, self._vehicle.session.autopilot == PX4
+        velocity, drifts = self._vehicle.velocity, self._vehicle.session.firmware.camera_drifts
         velocity.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
         velocity.runs_away = not velocity.is_aided and self.without_gps is not None
-        velocity.is_aided_by_camera = is_px4 and not is_by_gps and self.sends and self.without_gps == VISION
+        velocity.is_aided_by_camera = drifts and not is_by_gps and self.sends and self.without_gps == VISION
 
     def warn_without(self, *, all_came: bool) -> None:
         """Once in a session, where none is known. all_came: whether no further parameter will."""
@@ -234,33 +224,7 @@ def velocity_aid(vehicle: Vehicle, source_set: int) -> str | None:
     and a position that we send comes back as its velocity: the two agree with each other and not with the truth. The
     estimator's flags do not show it, since they return while our position is fused.
     """
-    if vehicle.session.kind in ON_WINGS:
+    session = vehicle.session
+    if session.kind in ON_WINGS:
         return AIRSPEED
-    if vehicle.session.autopilot == ARDUPILOT:
-        return _ardupilot(vehicle, source_set)
-    return _px4(vehicle) if vehicle.session.autopilot == PX4 else None
-
-
-def _ardupilot(vehicle: Vehicle, source_set: int) -> str | None:
-    source = vehicle.session.parameters.get(f"EK3_SRC{source_set}_VELXY")
-    if source is None:
-        return None
-    sensors = {5: ("FLOW_TYPE", FLOW), 7: ("WENC_TYPE", WHEELS)}
-    if round(source) not in sensors:
-        return {4: BEACONS, 6: VISION}.get(round(source), NO_AID)
-    parameter, aid = sensors[round(source)]
-    kind = vehicle.session.parameters.get(parameter)
-    return None if kind is None else aid if kind else NO_AID
-
-
-def _px4(vehicle: Vehicle) -> str | None:
-    """Flow is enabled by default, with or without a sensor, so that it has to be heard."""
-    vision = vehicle.session.parameters.get("EKF2_EV_CTRL")
-    if vision is None:
-        return None
-    if round(vision) & EV_VELOCITY:
-        return VISION
-    if vehicle.session.heard_ns.get(mavlink.MAVLINK_MSG_ID_OPTICAL_FLOW_RAD) is None:
-        return NO_AID
-    controls = [vehicle.session.parameters.get(name) for name in ("EKF2_OF_CTRL", "EKF2_OF0_CTRL")]
-    return FLOW if any(controls) else None if controls == [None, None] else NO_AID
+    return session.firmware.aid(session.parameters, session.heard_ns, source_set)

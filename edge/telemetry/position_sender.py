@@ -30,15 +30,10 @@ from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import PositionUse, Sent
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
+from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
-from edge.telemetry.position_messages import (
-    NAMES,
-    POSITION_MESSAGES,
-    PositionMessage,
-    suitable_message,
-    unused_because,
-)
-from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS, SourceSelection
+from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
+from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
@@ -80,10 +75,10 @@ class PositionSender:
     def _choose(self) -> None:
         """Choose the message; recorded when the choice changes."""
         emit = self._telemetry.emit
+        name, why = str(emit), f"[telemetry] emit = {emit}"
         if emit == "auto":
-            message, why = suitable_message(self._vehicle.session.autopilot, self._vehicle.session.version)
-        else:
-            message, why = POSITION_MESSAGES.get(emit), f"[telemetry] emit = {emit}"
+            name, why = self._vehicle.session.firmware.suitable(self._vehicle.session.version)
+        message = POSITION_MESSAGES.get(name)
         if (message, why) != (self.message, self.why):
             self.message, self.why = message, why
             self._publisher.record(PositionMessageChosen(message.name if message else "report", why))
@@ -169,7 +164,7 @@ class PositionSender:
         sent = Sent(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
-            unused = unused_because(session.autopilot, session.parameters, message.name, sensor_id)
+            unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
         self._drive.update(now_ns, Used(fix))
         vehicle.velocity.has_our_position = True
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
@@ -230,7 +225,7 @@ class PositionSender:
         """
         known = self._drive.known
         if known.ignores_gps:
-            if self.selects_sources and self._vehicle.session.autopilot in NAMES:
+            if self.selects_sources and self._vehicle.session.firmware.gps_switch:
                 self.sources.wanted = SET_WITHOUT_GPS
         elif works and known.gps.state == "agrees":
             self.sources.wanted = GPS_SET

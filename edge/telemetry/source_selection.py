@@ -19,10 +19,10 @@ from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import NO_ANSWER, Command, result_name
 from edge.telemetry.codec import Message
+from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
-GPS_SET, SET_WITHOUT_GPS = 1, 2
 AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
 DONE, NOT_READ_BACK = "ACCEPTED", "NOT_READ_BACK"
 
@@ -44,12 +44,13 @@ class SourceSelection:
         self._command = Command(AGAIN_NS)
         self._asked: int | None = None  # which set was asked for last
         self._selected: int | None = None
-        self._is_accepted = False  # by a PX4 that has not reported it yet
+        self._is_accepted = False  # but not reported yet
         self._published = ""
 
     @property
-    def _is_px4(self) -> bool:
-        return bool(self._vehicle.session.autopilot == mavlink.MAV_AUTOPILOT_PX4)
+    def _is_reported(self) -> bool:
+        """Whether GPS itself is switched, which the autopilot reports."""
+        return self._vehicle.session.firmware.gps_switch == "fusion"
 
     def due(self, now_ns: int) -> list[Message]:
         """The command, if the wanted set is not selected yet and none is waiting for its answer."""
@@ -60,7 +61,7 @@ class SourceSelection:
         wanted = self.wanted
         if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
             return []
-        if self._is_px4 and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
+        if self._is_reported and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
             self._command.give_up()
             self._done(wanted)
         if wanted == self._selected or not self._command.allows(now_ns):
@@ -76,7 +77,7 @@ class SourceSelection:
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The COMMAND_ACK of the command that was addressed to us."""
         was_asked = self._command.is_waiting
-        if was_asked and self._is_px4 and result == mavlink.MAV_RESULT_ACCEPTED:
+        if was_asked and self._is_reported and result == mavlink.MAV_RESULT_ACCEPTED:
             self._is_accepted = True
             self._command.give_up()
             self._command.failed(now_ns)  # unless it is reported within the pause
@@ -98,7 +99,10 @@ class SourceSelection:
         self._asked, self._is_accepted = number, False
         self._command.sent(now_ns)
         self._remember(max(self.in_use, number))
-        return [encoders.source_set(self._vehicle.target_id, number, is_px4=self._is_px4)]
+        system_id = self._vehicle.target_id
+        if self._is_reported:
+            return [encoders.gps_fusion(system_id, is_on=number == GPS_SET)]
+        return [encoders.source_set(system_id, number)]
 
     def _done(self, number: int) -> None:
         """It is selected: by us, or by somebody else, whose choice set 2 then is."""
@@ -120,12 +124,12 @@ class SourceSelection:
             return
         self._published = f"{number} {result}"
         self._publisher.record(SourceSetAnswered(number, result))
-        what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_px4 else f"source set {number}"
+        what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_reported else f"source set {number}"
         self._publisher.warn(f"Lookback: {what} {result}")
         if number == SET_WITHOUT_GPS and result != DONE:
             self.warn_that_gps_stays()
 
     def warn_that_gps_stays(self) -> None:
-        """A PX4 that uses GPS ignores positions far from it."""
-        if self._is_px4:
-            self._publisher.warn("Lookback: PX4 uses GPS, may ignore positions")
+        """An autopilot whose GPS is switched ignores positions far from it."""
+        if self._is_reported:
+            self._publisher.warn(f"Lookback: {self._vehicle.session.firmware.name} uses GPS, may ignore positions")

@@ -18,9 +18,9 @@ from edge.localization import DeadReckoning, GpsFix, Own
 from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.confirmation import Modes, Origin, Origins
+from edge.telemetry.firmware import Firmware, firmware_of
 from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
-from edge.telemetry.position_messages import autopilot_name
 from edge.telemetry.vehicle_velocity import HUD, LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
 
 LINK_TIMEOUT_NS = 5_000_000_000
@@ -39,7 +39,7 @@ GROUND_STATION = 255
 """The system of ground stations, and of programs that use a library's default."""
 TILT_FRESH_NS, MOST_PITCH_RAD = 2_000_000_000, math.radians(80)
 """How long roll and pitch hold, and beyond which pitch a heading is none."""
-PX4_INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
+INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
 
@@ -66,6 +66,11 @@ class Session:
     position: VehiclePosition | None = None
     accuracy: tuple[int, float] | None = None
     tilt: tuple[int, float, float] | None = None
+
+    @property
+    def firmware(self) -> Firmware:
+        """What the autopilot can do."""
+        return firmware_of(self.autopilot)
 
 
 class Vehicle:
@@ -203,7 +208,7 @@ class Vehicle:
             self.session.autopilot, self.session.kind = message.autopilot, message.type
             self._modes = Modes()
             self._start_session(is_same_vehicle=is_same_vehicle)
-            log.info("link up: system %d, %s", sender, autopilot_name(message.autopilot))
+            log.info("link up: system %d, %s", sender, self.session.firmware.name)
         if self.connected:
             self._modes.add(message.base_mode, now_ns)
         return self.connected
@@ -294,13 +299,13 @@ class Vehicle:
             return
         self.velocity.turn(stamp_ns, message.pitchspeed, message.yawspeed)
         self.session.tilt = now_ns, message.roll, message.pitch
-        if self.session.autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        if not self.session.firmware.rates_follow_gps:
             self._turn_heading(stamp_ns, now_ns, message.pitchspeed, message.yawspeed)
 
     def _read_gyros(self, message: Message, now_ns: int) -> None:
-        """Of ArduPilot, thousandths of a radian per second: in its ATTITUDE, the bias follows GPS that is dragged."""
+        """Thousandths of a radian per second."""
         stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
-        if stamp_ns is not None and self.session.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+        if stamp_ns is not None and self.session.firmware.rates_follow_gps:
             self._turn_heading(stamp_ns, now_ns, message.ygyro / 1000, message.zgyro / 1000)
 
     def _turn_heading(self, stamp_ns: int, now_ns: int, nose_up_radps: float, right_radps: float) -> None:
@@ -332,9 +337,8 @@ class Vehicle:
         self.session.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
     def _read_parameter(self, message: Message, now_ns: int) -> None:
-        value, layout = float(message.param_value), PX4_INTEGERS.get(message.param_type)
-        if self.session.autopilot == mavlink.MAV_AUTOPILOT_PX4 and layout:
-            # PX4 puts the bytes of an integer where the float goes; ArduPilot converts.
+        value, layout = float(message.param_value), INTEGERS.get(message.param_type)
+        if self.session.firmware.integers_as_bytes and layout:
             value = float(struct.unpack(layout, struct.pack("<f", value))[0])
         if math.isfinite(value):
             self.session.parameters[str(message.param_id).rstrip("\0")] = value
@@ -347,7 +351,7 @@ class Vehicle:
             self.velocity.shown.add_fix(now_ns, first.at)
 
     def _read_filter(self, message: Message, now_ns: int) -> None:
-        self.session.gps.read_filter(message.flags, self.session.autopilot, now_ns)
+        self.session.gps.read_filter(message.flags, self.session.firmware.gps_glitch, now_ns)
 
     def _read_fusion(self, message: Message, now_ns: int) -> None:
         self.session.gps.is_fusion_on = bool(message.intended[0])

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import dataclass
 
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,98 +16,57 @@ from edge.config import TelemetryConfig
 from edge.errors import LookbackError
 from edge.localization import TWO_AUTOPILOTS
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.link_protocol import AID_PARAMETERS, NO_AID, VISION, velocity_aid
-from edge.telemetry.position_messages import CONTROL, FUSES_POSITION, ID, autopilot_name, suitable_message
-from edge.telemetry.source_selection import GPS_SET, SET_WITHOUT_GPS
+from edge.telemetry.firmware import (
+    GPS_MODE,
+    GPS_SET,
+    NO_AID,
+    NO_AID_TIMEOUT,
+    SET_WITHOUT_GPS,
+    VISION,
+    WHEEL_PARAMETERS,
+    Requirement,
+)
+from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import NO_SPEED
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
 TURN_S = 0.01
-ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
 SERIAL = (
     "check the wires, the baud rate, and that the port speaks MAVLink 2 (ArduPilot: SERIALn_PROTOCOL 2); with signing,"
     " both ends need the same key"
 )
-AIDS = {
-    ARDUPILOT: "fit wheel encoders (EK3_SRC1_VELXY 7) or optical flow (5), see firmware_config/, or set [motion]",
-    PX4: "fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]",
-}
-CAMERA_AIDS = {
-    ARDUPILOT: "load firmware_config/ardupilot_camera_velocity.param",
-    PX4: "load firmware_config/px4_velocity_aid.params",
-}
 NETWORK = (
     "check that a program sends MAVLink 2 to this address (mavlink-router, or MAVProxy with --out), that its computer"
     " is running, and that no firewall is between; with signing, both ends need the same key"
 )
-GPS_MODE = "EKF2_GPS_MODE"
-NO_AID_TIMEOUT = "EKF2_NOAID_TOUT"
 MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param"
-WHEEL_PARAMETERS = ("WENC_TYPE", "WENC_POS_Y", "WENC_RADIUS", "WENC_CPR")
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """What a parameter must be: with `bits` set, not 0, or one of `values`."""
-
-    parameter: str
-    why: str
-    remedy: str
-    values: tuple[int, ...] = ()
-    bits: int = 0
-
-    def is_met(self, value: float) -> bool:
-        """Whether the parameter may have this value."""
-        if self.bits:
-            return round(value) & self.bits == self.bits
-        return round(value) in self.values if self.values else value != 0
-
-    def judge(self, vehicle: Vehicle) -> Found:
-        """What is found of the vehicle's parameter."""
-        value = vehicle.session.parameters.get(self.parameter)
-        if value is None:
-            return note(f"{self.parameter}: no answer", "this firmware may not have it; see firmware_config/")
-        words = f"{self.parameter} = {value:g}"
-        return good(words) if self.is_met(value) else bad(f"{words}: {self.why}", self.remedy)
-
-
-DCM = "else a rover or plane without GPS falls back to DCM: it answers ACCEPTED, and its position does not move"
-REQUIREMENTS = {
-    (ARDUPILOT, "external_position"): (
-        Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
-        Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
-    ),
-    (PX4, "global_position_sensor"): (
-        Requirement(CONTROL, "else message 296 is not fused", "set its bits 1", bits=FUSES_POSITION),
-    ),
-}
-"""Parameters that a position message needs, by autopilot and message."""
 
 
 def requirements(config: TelemetryConfig, vehicle: Vehicle) -> tuple[Requirement, ...]:
     """The parameters that the configured position message needs on that firmware."""
-    name: str = config.emit
-    if name == "auto":
-        suitable, _ = suitable_message(vehicle.session.autopilot, vehicle.session.version)
-        name = suitable.name if suitable else "report"
-    needed = REQUIREMENTS.get((vehicle.session.autopilot or 0, name), ())
-    if (vehicle.session.autopilot, name) != (PX4, "global_position_sensor"):
-        return needed
-    why, own = "it must equal [telemetry] sensor_id", config.sensor_id
-    return (*needed, Requirement(ID, why, f"set it to {own}", (own,)))
+    firmware, name = vehicle.session.firmware, str(config.emit)
+    return firmware.needs.get(firmware.suitable(vehicle.session.version)[0] if name == "auto" else name, ())
+
+
+def _judged(one: Requirement, vehicle: Vehicle, sensor_id: int = 0) -> Found:
+    """What is found of the vehicle's parameter."""
+    value = vehicle.session.parameters.get(one.parameter)
+    if value is None:
+        return note(f"{one.parameter}: no answer", "this firmware may not have it; see firmware_config/")
+    words = f"{one.parameter} = {value:g}"
+    if one.is_met(value, sensor_id):
+        return good(words)
+    return bad(f"{words}: {one.why}", f"set it to {sensor_id}" if one.is_sensor_id else one.remedy)
 
 
 def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
     """The names of all parameters that are judged for the configured message on that firmware."""
     if config.emit == "report" or vehicle.session.version is None:
         return set()
-    others = {ARDUPILOT: ("EK3_SRC1_POSXY", *WHEEL_PARAMETERS), PX4: (GPS_MODE, NO_AID_TIMEOUT)}.get(
-        vehicle.session.autopilot or 0, ()
-    )
-    names = {one.parameter for one in requirements(config, vehicle)}
-    return {*names, *others, *AID_PARAMETERS.get(vehicle.session.autopilot or 0, ())}
+    firmware, needed = vehicle.session.firmware, requirements(config, vehicle)
+    return {*(one.parameter for one in needed), *firmware.examined, *firmware.aid_parameters}
 
 
 def check_autopilot(examined: Examined) -> Iterator[Found]:
@@ -147,16 +105,15 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         return
     examined.autopilot = vehicle
     version = "{}.{}".format(*vehicle.session.version) if vehicle.session.version else "(version not reported)"
-    yield good(
-        f"{config.connection}: {autopilot_name(vehicle.session.autopilot)} {version}, system {vehicle.system_id}"
-    )
+    firmware = vehicle.session.firmware
+    yield good(f"{config.connection}: {firmware.name} {version}, system {vehicle.system_id}")
     yield good(
         f"ground stations: texts are shown as of system {vehicle.system_id}; the values (NAMED_VALUE_FLOAT) by Mission"
         " Planner and MAVProxy, not by QGroundControl"
     )
     if config.emit == "auto":
-        suitable, why = suitable_message(vehicle.session.autopilot, vehicle.session.version)
-        yield good(f"emit = auto: {suitable.name}, {why}") if suitable else note(f"emit = auto: report, {why}")
+        suitable, why = firmware.suitable(vehicle.session.version)
+        yield good(f"emit = auto: {suitable}, {why}") if suitable else note(f"emit = auto: report, {why}")
     if status.speed_mps is None:
         yield note("it reports no speed", "without one no place is recognized on a map with distances")
     if status.lat_deg is None:
@@ -183,7 +140,7 @@ def _judge_witness(examined: Examined, witness: str, missing: str) -> Found:
 
 def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
     """What measures velocity without GPS; without it, nothing replaces a GPS that the places contradict."""
-    doubted_gps, remedy = examined.settings.gates.doubted_gps, AIDS.get(vehicle.session.autopilot or 0)
+    doubted_gps, firmware = examined.settings.gates.doubted_gps, vehicle.session.firmware
     aid = velocity_aid(vehicle, GPS_SET)
     aid_of_doubted = velocity_aid(vehicle, SET_WITHOUT_GPS) if doubted_gps == "switch" else aid
     if aid is None:
@@ -191,15 +148,15 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
         yield note(words, "see firmware_config/")
     elif aid == NO_AID:
         words = "no velocity aid: without GPS the autopilot cannot hold its position between fixes"
-        yield bad(words, remedy or "")
+        yield bad(words, firmware.aid_remedy)
     else:
         yield good(f"velocity without GPS: {aid}")
     if examined.settings.of(MotionConfig).use == "send" and aid != VISION:
         words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
-        yield bad(words, CAMERA_AIDS.get(vehicle.session.autopilot or 0, 'use = "odometer"'))
+        yield bad(words, firmware.camera_remedy)
     if doubted_gps != "report" and aid_of_doubted in (None, NO_AID):
         words = f'[gates] doubted_gps = "{doubted_gps}" sends no position: only GPS is known to measure velocity'
-        yield bad(words, remedy or "")
+        yield bad(words, firmware.aid_remedy)
 
 
 def check_parameters(examined: Examined) -> Iterator[Found]:
@@ -207,22 +164,19 @@ def check_parameters(examined: Examined) -> Iterator[Found]:
     config, vehicle = examined.settings.telemetry, examined.autopilot
     if config.emit == "report" or vehicle is None:
         return
-    yield from (one.judge(vehicle) for one in requirements(config, vehicle))
+    yield from (_judged(one, vehicle, config.sensor_id) for one in requirements(config, vehicle))
     values = vehicle.session.parameters
-    if vehicle.session.autopilot == ARDUPILOT:
-        position = values.get("EK3_SRC1_POSXY")
-        if position == 0 and examined.has_receiver:
-            words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"
-            yield bad(
-                words, "set it to 3, as firmware_config/ardupilot_rover_gps.param or ardupilot_copter_gps.param does"
-            )
-        elif position is not None:
-            meaning = {0: ", no GPS", 3: ", GPS"}.get(round(position), "")
-            yield good(f"EK3_SRC1_POSXY = {position:g}{meaning}")
-        if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
-            for name in WHEEL_PARAMETERS:
-                yield Requirement(name, "wheel encoders give no speed with 0", MEASURED).judge(vehicle)
-    if vehicle.session.autopilot == PX4:
+    position = values.get("EK3_SRC1_POSXY")
+    if position == 0 and examined.has_receiver:
+        words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"
+        yield bad(words, "set it to 3, as firmware_config/ardupilot_rover_gps.param or ardupilot_copter_gps.param does")
+    elif position is not None:
+        meaning = {0: ", no GPS", 3: ", GPS"}.get(round(position), "")
+        yield good(f"EK3_SRC1_POSXY = {position:g}{meaning}")
+    if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
+        for name in WHEEL_PARAMETERS:
+            yield _judged(Requirement(name, "wheel encoders give no speed with 0", MEASURED), vehicle)
+    if vehicle.session.firmware.gps_switch == "fusion":
         yield from _judge_gps_of_px4(examined, vehicle)
         if vehicle.session.kind == mavlink.MAV_TYPE_GROUND_ROVER:
             yield _judge_modes_of_rover(vehicle)
@@ -239,7 +193,7 @@ def _judge_modes_of_rover(vehicle: Vehicle) -> Found:
 
 
 def _takes_gps_from_px4(examined: Examined, vehicle: Vehicle) -> bool:
-    return examined.settings.gates.doubted_gps == "switch" and bool(vehicle.session.autopilot == PX4)
+    return examined.settings.gates.doubted_gps == "switch" and vehicle.session.firmware.gps_switch == "fusion"
 
 
 def _judge_gps_of_px4(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:

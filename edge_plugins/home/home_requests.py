@@ -20,6 +20,7 @@ from edge.journal.records import Record, unit
 from edge.telemetry import encoders
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import Message
+from edge.telemetry.firmware import FIRMWARES
 from edge.telemetry.vehicle import Session
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.mission_transfer import MissionTransfer, Next
@@ -37,8 +38,6 @@ MISSION_MESSAGES = (
     mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
 )
-ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-AUTOPILOTS = (ARDUPILOT, mavlink.MAV_AUTOPILOT_PX4)
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
@@ -184,7 +183,7 @@ class HomeRequests:
     def _request(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
         """Request the way home, or the mission that it replaced: the first answer, and the first of the transfer."""
         words = ("restored", "not restored") if restore else ("uploaded", "no way home")
-        home_first = self._vehicle.session.autopilot == ARDUPILOT
+        home_first = self._vehicle.session.firmware.home_is_item_0
         try:
             self._check_request()
             items, what = self._kept_items() if restore else self._way_items(now_ns, home_first=home_first)
@@ -211,8 +210,9 @@ class HomeRequests:
         why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
         if why:
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
-        if self._vehicle.session.autopilot not in AUTOPILOTS:
-            raise Rejected(mavlink.MAV_RESULT_DENIED, "the autopilot is neither ArduPilot nor PX4")
+        if not self._vehicle.session.firmware.is_known:
+            names = " nor ".join(one.name for one in FIRMWARES.values())
+            raise Rejected(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
 
     def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
         items = self._replaced.items(self._vehicle.target_id)

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.journal.records import Record, unit
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import Message
-from edge.telemetry.link_protocol import ARDUPILOT, PX4, VISION
+from edge.telemetry.firmware import VISION
 from edge_plugins.motion.camera_motion import CameraSpeed
 
 SLIDES, LEAST_SIDEWAYS_MPS = 0.03, 0.2
@@ -54,12 +54,11 @@ class VelocitySender:
             link.record(VelocityChanged(is_sent=not why, why=why))
         if not why:
             link.velocity_aid.sent_ns = now_ns
-            encode = body_odometry if link.vehicle.session.autopilot == PX4 else position_delta
-            link.send([encode(speed)])
+            link.send([ENCODERS[link.vehicle.session.firmware.camera_velocity](speed)])
 
     def _refusal(self, speed: CameraSpeed, now_ns: int) -> str:
         vehicle = self._link.vehicle
-        if vehicle.session.autopilot not in (ARDUPILOT, PX4) or vehicle.is_doubled:
+        if not vehicle.session.firmware.camera_velocity or vehicle.is_doubled:
             return "no autopilot that uses it"
         if self._link.velocity_aid.without_gps != VISION:
             return "the autopilot's parameters do not use it"
@@ -105,3 +104,7 @@ def position_delta(speed: CameraSpeed) -> Message:
     moved, turned = (seconds * speed.speed_mps, 0.0, 0.0), (0.0, 0.0, seconds * speed.turn_radps)
     confidence = 100 * min(max(share, 0.0), 1.0)
     return mavlink.MAVLink_vision_position_delta_message(speed.stamp_ns // 1000, DELTA_US, turned, moved, confidence)
+
+
+ENCODERS = {"ODOMETRY": body_odometry, "VISION_POSITION_DELTA": position_delta}
+"""By `Firmware.camera_velocity`."""

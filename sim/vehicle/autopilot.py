@@ -99,7 +99,7 @@ class SimulatedAutopilot:
         self._errors = errors or OdometryErrors(scale=1.0 + drift_percent / 100)
         self.parameters = parameters_of(self._firmware, self._errors.source)
         """Value and MAV_PARAM_TYPE of those that it answers PARAM_REQUEST_READ with; of others it says nothing."""
-        self.mission = MissionStore(is_ardupilot=self._firmware.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+        self.mission = MissionStore(is_ardupilot=self._firmware.can.home_is_item_0)
         self._codec = codec or MavlinkCodec(system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         now_s = clock_ns() / 1e9
         self._pose = pose_at(now_s)

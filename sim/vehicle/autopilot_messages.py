@@ -104,7 +104,7 @@ def _attitude(state: Snapshot) -> Message:
 
 def _raw_imu(state: Snapshot) -> Message | None:
     """Of ArduPilot, in thousandths of a radian per second, and of g."""
-    if state.firmware.autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+    if not state.firmware.can.rates_follow_gps:
         return None
     rates = [int(math.radians(rate) * 1000) for rate in state.attitude.rates_dps]
     return mavlink.MAVLink_raw_imu_message(state.boot_ns // 1000, 0, 0, -1000, *rates, 0, 0, 0)

@@ -9,7 +9,8 @@ from typing import Literal, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.encoders import SENSOR_ENABLE
-from edge.telemetry.position_messages import CONTROL, ID
+from edge.telemetry.firmware import CONTROL, EV_CONTROL, ID, firmware_of
+from edge.telemetry.firmware import Firmware as Abilities
 from sim.vehicle.estimator import FilterNoise, VelocitySource
 
 EKF3 = FilterNoise()
@@ -54,6 +55,11 @@ class Firmware:
     resets_softly: bool = False
     noise: FilterNoise = EKF3
 
+    @property
+    def can(self) -> Abilities:
+        """What the daemon knows of it."""
+        return firmware_of(self.autopilot)
+
 
 ARDUPILOT = Firmware(
     "ardupilot", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, (4, 6, 3), "aiding", oldest_fix_s=5.0, timesync_s=10.0,
@@ -88,9 +94,9 @@ FIRMWARES: dict[str, Firmware] = {
 def parameters_of(firmware: Firmware, source: VelocitySource) -> dict[str, tuple[float, int]]:
     """Value and MAV_PARAM_TYPE of its parameters for what measures its velocity, and for streams of positions."""
     kind, is_aided = mavlink.MAV_PARAM_TYPE_REAL32, source != "none"
-    if firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+    if EV_CONTROL in firmware.can.aid_parameters:
         return {
-            "EKF2_EV_CTRL": (4.0 * is_aided, kind),
+            EV_CONTROL: (4.0 * is_aided, kind),
             CONTROL: (float(firmware.fuses_sensor), kind),
             ID: (float(firmware.fuses_sensor), kind),
         }

@@ -108,10 +108,10 @@ class PositionInputs:
 
     def velocity(self, message: Message, moment: Moment) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives): of the body, gated."""
-        is_px4 = self._firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4
-        if not self.is_aided_by_camera or is_px4 != (message.get_msgId() == mavlink.MAVLINK_MSG_ID_ODOMETRY):
+        kind = message.get_type()
+        if not self.is_aided_by_camera or kind != self._firmware.can.camera_velocity:
             return
-        if is_px4:
+        if kind == "ODOMETRY":
             variances = message.velocity_covariance
             sigmas = max(variances[0], EV_NOISE_MPS**2) ** 0.5, max(variances[6], EV_NOISE_MPS**2) ** 0.5
             values = message.vx, *sigmas, message.time_usec / 1e6

@@ -10,7 +10,7 @@ from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, FixWithheld, GpsJudged, SourceSetAnswered
 from edge.localization import GpsVerdict
 from edge.telemetry.encoders import SENSOR_ENABLE
-from edge.telemetry.source_selection import GPS_SET
+from edge.telemetry.firmware import GPS_SET
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.positions import AGREES, OFF_M, WRONG, offer_for, spoofed
 from tests.telemetry.rig import OpenRig, Rig

@@ -15,7 +15,7 @@ from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.confirmation import Origin
 from edge.telemetry.encoders import Sending
-from edge.telemetry.position_messages import suitable_message
+from edge.telemetry.firmware import firmware_of
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
 SENDING = Sending(5, 12345.678, 0.42, 3)
@@ -124,7 +124,7 @@ def test_origin_source_set_and_requests() -> None:
     assert origin.altitude == 20_000
     chosen = carried(encoders.source_set(5, 2))
     assert (chosen.command, chosen.param1, chosen.target_component) == (42007, 2, 1)
-    off = carried(encoders.source_set(5, 2, is_px4=True))
+    off = carried(encoders.gps_fusion(5, is_on=False))
     assert (off.command, off.param1, off.param2, off.param3, off.target_component) == (43006, 0, 0, 0, 1)
     asked = carried(encoders.message_request(5, 148))
     assert (asked.command, asked.param1) == (512, 148)
@@ -173,5 +173,5 @@ def test_messages_that_the_dialect_does_not_know_are_left_out() -> None:
 def test_lines_about_the_message_of_a_firmware_are_one_status_text() -> None:
     for autopilot in (3, 12, 8):
         for version in (None, (1, 14), (1, 18), (4, 4), (4, 10)):
-            _, why = suitable_message(autopilot, version)
+            _, why = firmware_of(autopilot).suitable(version)
             assert len(encoders.status_text(f"Lookback: {why}", mavlink.MAV_SEVERITY_WARNING)) == 1, why

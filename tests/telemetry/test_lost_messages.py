@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE
-from edge.telemetry.source_selection import GPS_SET
+from edge.telemetry.firmware import GPS_SET
 from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
 from tests.files_written import wait_for_files

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
-from edge.telemetry.position_messages import CONTROL, ID
+from edge.telemetry.firmware import CONTROL, ID
 from tests.telemetry.positions import OFTEN, offer_for
 from tests.telemetry.rig import OpenRig
 

@@ -12,8 +12,9 @@ from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
 from edge.localization import Drive, Fix, PositionEstimator, ProtectionLevel
 from edge.telemetry.acknowledgements import ANSWER_NS, PositionUse, Sent
+from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
-from edge.telemetry.source_selection import SET_WITHOUT_GPS, SourceSelection
+from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.link_protocol import NO_AID, VISION
+from edge.telemetry.firmware import NO_AID, VISION
 from edge_plugins.motion.camera_motion import CameraSpeed
 from edge_plugins.motion.velocity_sender import VelocityChanged, VelocitySender, body_odometry, position_delta
 from sim.journal import records_of
