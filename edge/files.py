@@ -10,6 +10,7 @@ import ctypes
 import errno
 import fcntl
 import glob
+import hashlib
 import logging
 import os
 import shutil
@@ -18,9 +19,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timezone
+from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, Generic, TypeVar
 
 import msgspec
 
@@ -30,15 +32,18 @@ BEHIND = "files"
 """The name of threads that write."""
 KEY_BYTES = 32
 """Of MAVLink's signing, and of Ed25519."""
+MOST_KEPT_BYTES = 16_000_000
+"""Of what a run keeps for the next: many times what the largest of networks needs."""
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(path: Path, *, is_flushed: bool = True) -> Iterator[BinaryIO]:
     """A stream for the new content of the file `path`, which is put in place by one rename when the block ends.
 
-    Both the file and its folder are flushed to the disk. An exception in the block, or an OSError of the disk, leaves
+    is_flushed: both the file and its folder, to the disk. An exception in the block, or an OSError of the disk, leaves
     the old file as it was and is raised.
     """
     new = path.with_name(f"{path.name}.new")
@@ -46,24 +51,15 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with new.open("wb") as stream:
             yield stream
             stream.flush()
-            os.fsync(stream.fileno())
+            if is_flushed:
+                os.fsync(stream.fileno())
         new.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             new.unlink(missing_ok=True)
         raise
-    flush_to_disk(path.parent)
-
-
-def read_kept(path: Path, kind: type[T], lost: str) -> T | None:
-    """What a file of JSON keeps; None where there is none, and, with a line that says what is lost, a damaged one."""
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except FileNotFoundError:
-        return None
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        log.warning("%s: %s: %s", path, lost, reason(error))
-        return None
+    if is_flushed:
+        flush_to_disk(path.parent)
 
 
 def flush_to_disk(path: Path) -> None:
@@ -119,6 +115,58 @@ def wait_for_writes(seconds: float = 2.0) -> None:
     for thread in threading.enumerate():
         if thread.name == BEHIND:
             thread.join(max(0.0, end_s - time.monotonic()))
+
+
+class KeptFile(Generic[T]):
+    """One record that outlives this program, in a file of JSON after its SHA-256: the store for what a next run needs.
+
+    A disk that is full or hangs, and a file that is damaged, cost only that. Version 0.3.0 wrote some without SHA-256.
+    """
+
+    def __init__(self, path: Path | None, kind: type[T], lost: str, *, is_flushed: bool = True) -> None:
+        """path: None keeps nothing. lost: what it costs, for people. is_flushed: it outlives a power cut as well."""
+        self._path, self._kind, self._lost, self._is_flushed = path, kind, lost, is_flushed
+        self._behind, self._logged = Behind(), ""
+
+    def read(self) -> T | None:
+        """What an earlier run has kept; None for nothing, with a line in the log where it cannot be used."""
+        try:
+            if self._path is None or not self._path.exists():
+                return None
+            if self._path.stat().st_size > MOST_KEPT_BYTES:
+                raise ValueError("too large")
+            data = self._path.read_bytes()
+            digest, _, body = data.partition(b"\n")
+            if data[:1] != b"{" and hashlib.sha256(body).hexdigest().encode() != digest:
+                raise ValueError("damaged, or of another version")
+            return msgspec.json.decode(data if data[:1] == b"{" else body, type=self._kind)
+        except (OSError, ValueError) as error:  # msgspec's errors are ValueErrors
+            log.warning("%s: ignored: %s; %s", self._path, reason(error), self._lost)
+            return None
+
+    def write(self, record: T | None) -> str:
+        """Replace the file, or remove it for None; why that failed, "" where it did not: logged once."""
+        path, why = self._path, ""
+        if path is None:
+            return why
+        try:
+            if record is None:
+                path.unlink(missing_ok=True)
+            else:
+                body = msgspec.json.encode(record)
+                with replacing(path, is_flushed=self._is_flushed) as stream:
+                    stream.write(hashlib.sha256(body).hexdigest().encode() + b"\n" + body)
+        except OSError as error:
+            why = reason(error)
+        if why not in ("", self._logged):
+            log.warning("%s: cannot write it: %s; %s", path, why, self._lost)
+        self._logged = why
+        return why
+
+    def write_behind(self, record: T | None) -> None:
+        """The same in a thread of its own; see `wait_for_writes`."""
+        if self._path is not None:
+            self._behind.start(partial(self.write, record))
 
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)

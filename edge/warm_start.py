@@ -1,16 +1,13 @@
 """What the daemon keeps from one run to the next: the normalization's statistics.
 
-One file beside the journal: a record in MessagePack after its SHA-256. It is replaced by one rename, so that after a
-crash there is the old one or the new one. A file that is damaged, too old, or made with another model, other regions or
-another map is ignored with one line in the log, and the run starts without statistics.
+A file that is damaged, too old, or made with another model, other regions or another map is ignored with one line in
+the log, and the run starts without statistics.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -18,13 +15,9 @@ import numpy as np
 
 from edge.config import Config
 from edge.descriptor import RunningStatistics
-from edge.errors import reason
-from edge.files import Behind, replacing
+from edge.files import BOOT_ID, KeptFile
 from edge.recognizer import PlaceRecognizer
 
-MOST_OTHER_BYTES = 4096
-"""Of the file, besides the statistics: ten times what they take."""
-DIGEST_BYTES = hashlib.sha256().digest_size
 WRITTEN_EACH_S = 60.0
 COUNTS_AS_MOST = 300
 """How many frames the statistics of another run count as, at most.
@@ -55,7 +48,7 @@ class Moment(msgspec.Struct, frozen=True):
     @classmethod
     def now(cls) -> Moment:
         """This moment."""
-        boot_id = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        boot_id = BOOT_ID.read_text(encoding="ascii").strip()
         return cls(time.time(), boot_id, time.clock_gettime(time.CLOCK_BOOTTIME))
 
     def since(self, earlier: Moment) -> float:
@@ -63,8 +56,8 @@ class Moment(msgspec.Struct, frozen=True):
         return self.boot_s - earlier.boot_s if self.boot_id == earlier.boot_id else self.unix_s - earlier.unix_s
 
 
-class _Stored(msgspec.Struct, frozen=True):
-    """statistics: mean and deviation (2, R, D) float64, little-endian; shape: R and D."""
+class Stored(msgspec.Struct, frozen=True):
+    """The file. statistics: mean and deviation (2, R, D) float64, little-endian; shape: R and D."""
 
     key: StateKey
     moment: Moment
@@ -76,30 +69,22 @@ class _Stored(msgspec.Struct, frozen=True):
 class StateFile:
     """The file of one daemon."""
 
-    def __init__(self, path: Path, key: StateKey, shape: tuple[int, int]) -> None:
-        """shape: regions and dimensions of a descriptor."""
+    def __init__(self, path: Path | None, key: StateKey, shape: tuple[int, int]) -> None:
+        """shape: regions and dimensions of a descriptor. path: None keeps nothing."""
         self._path, self._key, self._shape = path, key, shape
-        self._logged = False
+        self._file = KeptFile(path, Stored, "starting without statistics")
 
     def read(self, now: Moment, max_age_s: float) -> RunningStatistics | None:
         """What was kept; None, and one line in the log that says why, when it is not there to be used."""
-        if not self._path.exists():
-            return None
+        stored = self._file.read()
         try:
-            return self._read(now, max_age_s)
-        except (OSError, ValueError) as error:  # msgspec's errors are ValueErrors
-            log.warning("%s: ignored: %s", self._path, reason(error))
+            return None if stored is None else self._usable(stored, now, max_age_s)
+        except ValueError as error:
+            log.warning("%s: ignored: %s", self._path, error)
             return None
 
-    def _read(self, now: Moment, max_age_s: float) -> RunningStatistics:
+    def _usable(self, stored: Stored, now: Moment, max_age_s: float) -> RunningStatistics:
         size = 2 * self._shape[0] * self._shape[1] * 8
-        if self._path.stat().st_size > MOST_OTHER_BYTES + size:
-            raise ValueError("too large")
-        data = self._path.read_bytes()
-        body = data[DIGEST_BYTES:]
-        if hashlib.sha256(body).digest() != data[:DIGEST_BYTES]:
-            raise ValueError("damaged, or of another version")
-        stored = msgspec.msgpack.decode(body, type=_Stored)
         if stored.key != self._key or stored.shape != self._shape or len(stored.statistics) != size:
             raise ValueError("made with another model, other regions or another map")
         mean, deviation = np.frombuffer(stored.statistics, "<f8").reshape(2, *self._shape)
@@ -111,61 +96,42 @@ class StateFile:
         log.info("starting with the statistics of the run that ended %.0f s ago", age_s)
         return RunningStatistics.of_another_run(stored.count, mean, deviation, at_most=COUNTS_AS_MOST)
 
-    def encoded(self, kept: RunningStatistics, now: Moment) -> bytes:
-        """The content of the file."""
+    def write(self, kept: RunningStatistics, now: Moment, *, is_behind: bool = False) -> None:
+        """Replace the file. is_behind: in a thread of its own, see `wait_for_writes`."""
         statistics = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
-        body = msgspec.msgpack.encode(_Stored(self._key, now, self._shape, kept.count, statistics))
-        return hashlib.sha256(body).digest() + body
-
-    def put(self, data: bytes) -> None:
-        """Replace the file; where the disk refuses it, that is logged once, and the next run starts without it."""
-        try:
-            with replacing(self._path) as stream:
-                stream.write(data)
-            self._logged = False
-        except OSError as error:
-            if not self._logged:
-                log.warning("%s: cannot save the state: %s", self._path, error.strerror)
-            self._logged = True
+        stored = Stored(self._key, now, self._shape, kept.count, statistics)
+        (self._file.write_behind if is_behind else self._file.write)(stored)
 
 
 FEWEST = 40  # of which the map's own statistics count as 20
 
 
 class WarmStart:
-    """The state file of a daemon, beside its journal; none without a journal or with keep_statistics_min = 0."""
+    """The statistics of a daemon, beside its journal; none without a journal or with keep_statistics_min = 0."""
 
     def __init__(self, config: Config, recognizer: PlaceRecognizer) -> None:
         """Read what the last run has kept, and start the recognizer with it."""
         self._recognizer = recognizer
-        self._file: StateFile | None = None
-        self._written_ns, self._behind = 0, Behind()
+        self._written_ns = 0
         map_set = recognizer.map_set
         descriptor, header, model = config.descriptor, map_set.headers[0], map_set.headers[0].model
-        minutes = descriptor.keep_statistics_min
-        if not (minutes and config.telemetry.journal and descriptor.normalization == "online"):
-            return
+        is_kept = descriptor.keep_statistics_min and config.telemetry.journal and descriptor.normalization == "online"
+        path = Path(config.telemetry.journal).with_suffix(".state") if is_kept else None
         key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, map_set.sha256)
-        path = Path(config.telemetry.journal).with_suffix(".state")
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
-        kept = self._file.read(Moment.now(), 60 * minutes)
+        kept = self._file.read(Moment.now(), 60 * descriptor.keep_statistics_min)
         if kept is not None:
             recognizer.matcher.begin_with(kept)
 
     def keep_if_due(self, now_ns: int) -> None:
         """Write the file, once a minute."""
         if now_ns - self._written_ns >= WRITTEN_EACH_S * 1e9:
-            kept = self._kept() if self._written_ns else None
-            if self._file is not None and kept is not None:
-                self._behind.start(partial(self._file.put, self._file.encoded(kept, Moment.now())))
+            if self._written_ns:
+                self.keep()
             self._written_ns = now_ns
 
     def keep(self) -> None:
-        """Begin to write the file before the program ends, unless there are too few frames; see `wait_for_writes`."""
-        kept = self._kept()
-        if self._file is not None and kept is not None:
-            self._behind.start(partial(self._file.put, self._file.encoded(kept, Moment.now())))
-
-    def _kept(self) -> RunningStatistics | None:
+        """Begin to write the file, unless there are too few frames; see `wait_for_writes`."""
         statistics = self._recognizer.matcher.statistics
-        return statistics if statistics is not None and statistics.count >= FEWEST else None
+        if statistics is not None and statistics.count >= FEWEST:
+            self._file.write(statistics, Moment.now(), is_behind=True)

@@ -48,8 +48,8 @@ USED_FRAME_FILES_MOST = 46
 """A file counts once, if any function of it is called. Eight keep the evidence and decide by it: telemetry, which asked
 for a decision itself, hid those before; and a network says which regions of a picture it needs. Two
 believe a place with where the vehicle is reckoned to be, one moves it by its gyros, and one looks at keypoints."""
-TURN_FILES_MOST = 60
-"""Of a turn that reads a local position as well."""
+TURN_FILES_MOST = 61
+"""Of a turn that reads a local position as well. One of them is the table of what each autopilot can do."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 18
 """How many classes may have more attributes than that; records are not counted."""
 

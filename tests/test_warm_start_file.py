@@ -24,7 +24,7 @@ def later(seconds: float, boot: str = "boot-a", unix_s: float | None = None) -> 
 
 
 def write(file: StateFile) -> None:
-    file.put(file.encoded(KEPT, NOW))
+    file.write(KEPT, NOW)
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_a_disk_that_takes_nothing_costs_the_state_and_is_told_once(
     write(state)
     write(state)
     (record,) = caplog.records
-    assert "cannot save the state: No such file" in record.getMessage()
+    assert "cannot write it: No such file" in record.getMessage()
 
 
 def test_this_moment_can_be_told() -> None:

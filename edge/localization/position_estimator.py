@@ -77,9 +77,11 @@ class PositionEstimator:
         self._moved: Displacement | None = None
         self._exposed: Displacement | None = None  # at the newest exposure with a position
         self._is_recognized = False
+        self._known: Known | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
         """Use what happened; t_ns: when that was known, CLOCK_MONOTONIC."""
+        self._known = None
         match event:
             case Frame():
                 self._use_frame(t_ns, event)
@@ -116,22 +118,19 @@ class PositionEstimator:
 
     def restore(self, kept: bytes) -> None:
         """Go on with a snapshot of before a restart of this program, if the autopilot has not rebooted since."""
+        self._known = None
         self._bound.restore(kept)
 
     @property
     def known(self) -> Known:
         """What the events so far show."""
-        bound = self._bound
-        position = None if self._filter is None else self._filter.at_exposure()
-        own_sigma_m = bound.sigma_m(self._own, self._own.accuracy_m or 0.0)
-        return Known(
-            position,
-            self._gps.published,
-            self._gps.is_ignored,
-            own_sigma_m,
-            bound.bound is not None,
-            bound.rests_on_fixes,
-        )
+        if self._known is None:
+            bound, gps, own = self._bound, self._gps, self._own
+            position = None if self._filter is None else self._filter.at_exposure()
+            own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
+            is_bounded = bound.bound is not None
+            self._known = Known(position, gps.published, gps.is_ignored, own_sigma_m, is_bounded, bound.rests_on_fixes)
+        return self._known
 
     def reckoned(self, motion: Displacement | None) -> Reckoning | None:
         """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""

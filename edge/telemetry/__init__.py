@@ -5,10 +5,10 @@ again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilo
 `vehicle_velocity` for how it moves, and `confirmation` for what a single message may not change. What it knows of one
 autopilot is a `Session`, which another one replaces. `position_history` has its position at an exposure.
 
-Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the velocity
-without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says what an
-answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its filter
-uses GPS. `kept_bound` keeps over a restart what bounds the autopilot's own position. `people` is for people, and
+Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the
+velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says
+what an answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its
+filter uses GPS. `kept_bound` keeps over a restart what bounds the autopilot's own position. `people` is for people, and
 `encoders` writes all that is sent. `autopilot` joins all into the one object that the daemon polls.
 """
 

@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.backoff import BackOff
+from edge.backoff import BackOff, Exchange
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
 from edge.localization import AGREE_SIGMAS, Drive, Fix, PlaceFix, Used, offset_m
@@ -28,7 +28,7 @@ Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 
 BACK_OFF_FIRST_NS = 1_000_000_000
 BACK_OFF_LAST_NS = 30_000_000_000
-ANSWER_NS = 1_000_000_000
+ANSWER_NS = 1_000_000_001  # more than a second
 NO_ANSWER = "NO_ANSWER"
 CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
 
@@ -59,59 +59,30 @@ def result_name(result: int, kind: str = "MAV_RESULT", prefix: str = "MAV_RESULT
     return entry.name.removeprefix(prefix) if entry else str(result)
 
 
-class Command:
+class Command(Exchange):
     """One command at a time, since an acknowledgement does not say which one it is for; and the pause after a failure.
 
     It is over when an answer has come, or when none has in time: what then follows is for its sender to say.
     """
 
     def __init__(self, longest_pause_ns: int = BACK_OFF_LAST_NS) -> None:
-        self._pause = BackOff(BACK_OFF_FIRST_NS, longest_pause_ns)
-        self._sent_ns: int | None = None
-        self.is_refused = False
-        """Whether for good."""
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether one was sent, and is not over."""
-        return self._sent_ns is not None
-
-    def allows(self, now_ns: int) -> bool:
-        """Whether another one may be sent."""
-        return not (self.is_refused or self.is_waiting) and self._pause.is_over(now_ns)
-
-    def sent(self, now_ns: int) -> None:
-        """It is sent."""
-        self._sent_ns = now_ns
-
-    def is_overdue(self, now_ns: int) -> bool:
-        """Whether its answer has not come in time."""
-        return self._sent_ns is not None and now_ns - self._sent_ns > ANSWER_NS
-
-    def give_up(self) -> None:
-        """Its answer is not awaited any more."""
-        self._sent_ns = None
-
-    def failed(self, now_ns: int) -> None:
-        """It did not do what it should: the next one comes after a pause."""
-        self._pause.failed(now_ns)
+        super().__init__(ANSWER_NS, BackOff(BACK_OFF_FIRST_NS, longest_pause_ns))
 
     def read(self, result: int, now_ns: int) -> Verdict:
         """What the answer means. Where none is awaited, it is a second answer to one, and it takes a refusal back.
 
         A stranger may have forged the first of two.
         """
-        verdict = VERDICTS.get(result, "not now")
+        verdict, was_waiting = VERDICTS.get(result, "not now"), self.is_waiting
         if verdict == "wait":
             return verdict
-        if self._sent_ns is None:
-            self.is_refused &= verdict == "never"
-            return verdict
-        self._sent_ns, self.is_refused = None, verdict == "never"
-        if verdict == "accepted":
-            self._pause.reset()
-        else:
-            self._pause.failed(now_ns)
+        self.answered()
+        if was_waiting or verdict != "never":
+            self.refusals = int(verdict == "never")
+        if was_waiting and verdict == "accepted":
+            self.pause.reset()
+        elif was_waiting:
+            self.pause.failed(now_ns)
         return verdict
 
 
@@ -185,7 +156,7 @@ class PositionUse:
         """
         before, self.newest = self.newest, sent
         if is_reset:
-            self.command.sent(sent.at_ns)
+            self.command.ask(sent.at_ns)
             # One that was accepted is followed to its end: the next position comes before that.
             if sent.own is not None and (self._followed is None or not self._followed[1]):
                 self._followed = sent, 0
@@ -235,7 +206,7 @@ class PositionUse:
 
     def give_up(self) -> None:
         """A position that is not answered is not sent again."""
-        self.command.give_up()
+        self.command.answered()
         self._drop_followed()
         if self.newest is not None:
             self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
@@ -260,7 +231,7 @@ class PositionUse:
         if moved:
             self._drive.update(now_ns, Used(sent.fix, remaining_m))
         else:
-            self.command.failed(now_ns)
+            self.command.pause.failed(now_ns)
 
     def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
         self._publisher.record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))

@@ -16,7 +16,6 @@ from edge.geodesy import PositionSource
 from edge.journal.records import LinkChanged, Record
 from edge.localization import (
     GPS_HEALTHY,
-    PERIOD_NS,
     TWO_AUTOPILOTS,
     Break,
     Drive,
@@ -94,9 +93,7 @@ class AutopilotConnection:
         self.drive = drive = drive or Drive(PositionEstimator(Config(gates=gates)))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
-        self._kept = KeptBound(Path(config.journal).with_suffix(".bound") if config.journal else None)
-        drive.restore(clock_ns(), self._kept.read())
-        self._keep_ns = 0
+        self._bound = KeptBound(config.journal, drive, clock_ns())
         self._own: Own | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
@@ -190,6 +187,7 @@ class AutopilotConnection:
         now_ns = self.clock_ns()
         if self._port.open_if_due(now_ns):
             self._update_state()
+            self.vehicle.velocity.has_our_position = self.drive.known.rests_on_fixes
             self._receive(now_ns)
             self._update_aid(now_ns)
         self._people.send_heartbeat(now_ns)
@@ -223,7 +221,6 @@ class AutopilotConnection:
         if own != self._own:
             self._own = own
             self.drive.update(now_ns, own)
-            self.vehicle.velocity.has_our_position = self.drive.known.rests_on_fixes
 
     def status_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
         """Queue a line for the pilot on every link; at most two a second are sent, and of many only the newest."""
@@ -315,8 +312,13 @@ class AutopilotConnection:
         gps, positions = self.vehicle.session.gps.state(now_ns), self.positions
         is_by_gps = gps == "healthy" and not self.drive.known.ignores_gps
         may_be_fused = self.vehicle.session.gps.may_be_fused(is_selected=positions.sources.in_use == GPS_SET)
-        self.vehicle.velocity.is_by_gps = gps != "not healthy" and may_be_fused
-        self.velocity_aid.update(positions.sources.in_use, now_ns, is_by_gps=is_by_gps, is_needed=positions.enabled)
+        self.vehicle.velocity.aid = self.velocity_aid.update(
+            positions.sources.in_use,
+            now_ns,
+            is_by_gps=is_by_gps,
+            may_be_gps=gps != "not healthy" and may_be_fused,
+            is_needed=positions.enabled,
+        )
 
     def _send_due(self, now_ns: int) -> None:
         if self._service:
@@ -339,9 +341,8 @@ class AutopilotConnection:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()
         self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.known.is_bounded)
-        if now_ns >= self._keep_ns:
-            self._keep_ns = now_ns + PERIOD_NS
-            self._kept.keep(self.drive.snapshot())
+        if now_ns >= self._bound.due_ns:
+            self._bound.keep(now_ns)
         self.send(self.positions.follow_up(now_ns))
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)

@@ -48,10 +48,6 @@ class Requirement:
         return round(value) in values if values else value != 0
 
 
-def _no_aid(parameters: Parameters, heard: Collection[int], source_set: int) -> str | None:
-    return None
-
-
 @dataclass(frozen=True)
 class Firmware:
     """One autopilot; the defaults are those of one that is not known.
@@ -72,7 +68,7 @@ class Firmware:
     takes: tuple[tuple[Version, str], ...] = ()
     needs: Mapping[str, tuple[Requirement, ...]] = field(default_factory=dict)
     aid_parameters: tuple[str, ...] = ()
-    aid: Callable[[Parameters, Collection[int], int], str | None] = _no_aid
+    aid: Callable[[Parameters, Collection[int], int], str | None] = lambda parameters, heard, source_set: None
     camera_velocity: Literal["", "ODOMETRY", "VISION_POSITION_DELTA"] = ""
     camera_drifts: bool = False
     gps_glitch: int = 0
@@ -84,18 +80,12 @@ class Firmware:
     aid_remedy: str = ""
     camera_remedy: str = 'use = "odometer"'
 
-    @property
-    def is_known(self) -> bool:
-        """Whether there is a row of it."""
-        return self in FIRMWARES.values()
-
     def suitable(self, version: Version | None) -> tuple[str, str]:
         """The message that `auto` chooses, and why; "" while the version is not known, or takes no position."""
         if version is None:
             return "", f"{self.name} has not reported its version"
-        spelled = f"{self.name} {version[0]}.{version[1]}"
         message = next((message for first, message in self.takes if version >= first), "")
-        return message, f"{spelled} takes {message or 'no position'}"
+        return message, f"{self.name} {version[0]}.{version[1]} takes {message or 'no position'}"
 
     def unused_because(self, parameters: Parameters, message: str, sensor_id: int) -> str:
         """Why it will use no position that comes in that message; "" where nothing is known against it."""

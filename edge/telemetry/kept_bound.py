@@ -1,50 +1,37 @@
-"""A file of what bounds the autopilot's position, which outlives this program: `PositionEstimator.snapshot`.
-
-It is replaced without a flush to the disk: it has to outlive this program, not this computer's power.
-"""
+"""What bounds the autopilot's position, over a restart of this program: `PositionEstimator.snapshot`."""
 
 from __future__ import annotations
 
-import contextlib
-from functools import partial
 from pathlib import Path
 
-from edge.files import Behind
+import msgspec
 
-BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+from edge.files import BOOT_ID, KeptFile
+from edge.localization import PERIOD_NS, Drive
+
+
+class Bound(msgspec.Struct, frozen=True):
+    """The file: a snapshot, and the boot of this computer that its times are of."""
+
+    boot: str
+    snapshot: bytes
 
 
 class KeptBound:
-    """The newest snapshot, beside the boot of this computer that its times are of."""
+    """The newest snapshot of a drive. It is not flushed: it has to outlive this program, not this computer's power."""
 
-    def __init__(self, path: Path | None) -> None:
-        """path: None keeps nothing."""
-        self._path, self._behind = path, Behind()
-        self._boot = BOOT_ID.read_bytes().strip()
-        self._kept = b""
+    def __init__(self, journal: str, drive: Drive, now_ns: int) -> None:
+        """Have the drive go on with what an earlier run has kept beside this journal in this boot; "" keeps nothing."""
+        path = Path(journal).with_suffix(".bound") if journal else None
+        self._file = KeptFile(path, Bound, "nothing bounds the autopilot's position yet", is_flushed=False)
+        self._drive, self.due_ns = drive, 0
+        self._kept = Bound(BOOT_ID.read_text(encoding="ascii").strip(), b"")
+        kept = self._file.read()
+        drive.restore(now_ns, kept.snapshot if kept and kept.boot == self._kept.boot else b"")
 
-    def read(self) -> bytes:
-        """What an earlier run has kept in this boot of the computer, else b""."""
-        data = b""
-        if self._path is not None:
-            with contextlib.suppress(OSError):
-                data = self._path.read_bytes()
-        boot, _, kept = data.partition(b"\n")
-        return kept if boot == self._boot else b""
-
-    def keep(self, snapshot: bytes) -> None:
-        """Replace what is kept, where it is another; b"" deletes it."""
-        if self._path is None or snapshot == self._kept:
-            return
-        self._kept = snapshot
-        self._behind.start(partial(_replace, self._path, self._boot + b"\n" + snapshot if snapshot else b""))
-
-
-def _replace(path: Path, data: bytes) -> None:
-    with contextlib.suppress(OSError):  # a full disk costs the memory, not the flight
-        if data:
-            new = path.with_name(f"{path.name}.new")
-            new.write_bytes(data)
-            new.replace(path)
-        else:
-            path.unlink(missing_ok=True)
+    def keep(self, now_ns: int) -> None:
+        """Where it is another one, at `due_ns`; nothing to keep removes the file."""
+        self.due_ns, snapshot = now_ns + PERIOD_NS, self._drive.snapshot()
+        if snapshot != self._kept.snapshot:
+            self._kept = Bound(self._kept.boot, snapshot)
+            self._file.write_behind(self._kept if snapshot else None)

@@ -8,12 +8,11 @@ And what measures its velocity without GPS.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.backoff import BackOff
+from edge.backoff import BackOff, Exchange
 from edge.config import TelemetryConfig
 from edge.telemetry import encoders
 from edge.telemetry.codec import FusionStatus, Message
@@ -22,6 +21,7 @@ from edge.telemetry.firmware import AIRSPEED, NO_AID, VISION
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES
 from edge.telemetry.vehicle import Session, Vehicle
+from edge.telemetry.vehicle_velocity import Aid
 
 TIMESYNC_NS = 500_000_000
 AGAIN_NS = 5_000_000_000
@@ -42,7 +42,7 @@ STREAMS_HZ = {
 """In the order in which they are requested."""
 ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
 SILENT_NS = 3_000_000_000
-ANSWER_NS = 500_000_000
+ANSWER_NS = 500_000_001  # more than half a second
 AGAIN_LAST_NS = 60_000_000_000
 PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
@@ -57,34 +57,32 @@ class StreamRequests:
 
     def __init__(self, session: Session, streams_hz: Mapping[int, float] = STREAMS_HZ) -> None:
         self._session, self._streams_hz = session, streams_hz
-        self._back_offs = {message_id: BackOff(AGAIN_NS, AGAIN_LAST_NS) for message_id in streams_hz}
-        self._requested: set[int] = set()
-        self._refusals: Counter[int] = Counter()
-        self._asked: tuple[int, int] | None = None  # which message, and when
+        self._all = {
+            message_id: Exchange(ANSWER_NS, BackOff(AGAIN_NS, AGAIN_LAST_NS), refusals_most=REFUSALS_MOST)
+            for message_id in streams_hz
+        }
+        self._newest = Exchange(ANSWER_NS)
 
     def due(self, system_id: int, now_ns: int) -> list[Message]:
         """The next request, unless one is waiting for its answer."""
-        if self._asked is not None and now_ns - self._asked[1] <= ANSWER_NS:
-            return []
-        for message_id, back_off in self._back_offs.items():
-            if self._is_due(message_id, back_off, self._session.heard_ns.get(message_id), now_ns):
-                self._asked = message_id, now_ns
-                self._requested.add(message_id)
-                back_off.failed(now_ns)
-                return [encoders.stream_request(system_id, message_id, self._streams_hz[message_id])]
+        if not self._newest.is_waiting or self._newest.is_overdue(now_ns):
+            for message_id, one in self._all.items():
+                heard_ns = self._session.heard_ns.get(message_id)
+                is_heard = heard_ns is not None and now_ns - heard_ns <= SILENT_NS
+                if is_heard:
+                    one.pause.reset()
+                if not one.times if is_heard else one.is_due(now_ns):
+                    self._newest = one
+                    one.ask(now_ns)
+                    one.pause.failed(now_ns)
+                    return [encoders.stream_request(system_id, message_id, self._streams_hz[message_id])]
         return []
-
-    def _is_due(self, message_id: int, back_off: BackOff, heard_ns: int | None, now_ns: int) -> bool:
-        if heard_ns is not None and now_ns - heard_ns <= SILENT_NS:
-            back_off.reset()
-            return message_id not in self._requested
-        return self._refusals[message_id] < REFUSALS_MOST and back_off.is_over(now_ns)
 
     def read_acknowledgement(self, result: int) -> None:
         """COMMAND_ACK of a stream request: any refusal counts, since firmware differs in how it refuses."""
-        if self._asked is not None:
-            self._refusals[self._asked[0]] += result != mavlink.MAV_RESULT_ACCEPTED
-            self._asked = None
+        if self._newest.is_waiting:
+            self._newest.refusals += result != mavlink.MAV_RESULT_ACCEPTED
+            self._newest.answered()
 
 
 class ParameterRequests:
@@ -92,33 +90,32 @@ class ParameterRequests:
 
     def __init__(self, session: Session, names: Iterable[str] = ()) -> None:
         self._session = session
-        self._tries = dict.fromkeys(names, 0)
-        self._last, self._due_ns = "", 0
+        self._all: dict[str, Exchange] = {}
+        self._newest = ""
+        self.add(names)
 
     def add(self, names: Iterable[str]) -> None:
         """Request these as well."""
         for name in names:
-            self._tries.setdefault(name, 0)
+            self._all.setdefault(name, Exchange(PARAMETER_NS, most=TRIES_MOST))
 
     def due(self, system_id: int, now_ns: int) -> list[Message]:
         """The next request, once the last is answered or overdue; none where all came or were requested too often."""
         missing = self._missing()
-        name = min(missing, key=missing.__getitem__, default="")
-        is_due = now_ns >= self._due_ns or self._last not in missing
-        if not name or missing[name] >= TRIES_MOST or not is_due:
+        name = min(missing, key=lambda name: missing[name].times, default="")
+        is_waiting = self._newest in missing and not missing[self._newest].is_overdue(now_ns)
+        if not name or is_waiting or not missing[name].is_due(now_ns):
             return []
-        self._tries[name] += 1
-        self._last, self._due_ns = name, now_ns + PARAMETER_NS
+        self._newest = name
+        missing[name].ask(now_ns)
         return [encoders.parameter_request(system_id, name)]
 
     def are_over(self, now_ns: int) -> bool:
         """Whether those that have not come have been requested too often, and the last answer would be here."""
-        tries = self._missing().values()
-        return min(tries, default=TRIES_MOST) >= TRIES_MOST and now_ns - self._due_ns > ANSWER_NS
+        return all(one.is_given_up and one.is_overdue(now_ns, ANSWER_NS) for one in self._missing().values())
 
-    def _missing(self) -> dict[str, int]:
-        """How often each that has not come was requested."""
-        return {name: tries for name, tries in self._tries.items() if name not in self._session.parameters}
+    def _missing(self) -> dict[str, Exchange]:
+        return {name: one for name, one in self._all.items() if name not in self._session.parameters}
 
 
 class Requests:
@@ -135,22 +132,27 @@ class Requests:
         names = *firmware.aid_parameters, *(one.parameter for needed in streams for one in needed)
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
         self._origin = Origin(*config.origin) if config.origin else None
-        self._origin_requested = False
-        self._due_ns = dict.fromkeys(("timesync", "version", "origin"), 0)
+        self._timesync, self._version, self._known_origin = map(Exchange, (TIMESYNC_NS, AGAIN_NS, AGAIN_NS))
 
     def due(self, now_ns: int) -> list[Message]:
         """The requests that are due."""
         session, system_id = self.session, self._vehicle.target_id
         messages: list[Message] = []
-        if self._is_due("timesync", now_ns, TIMESYNC_NS):
+        if self._timesync.is_due(now_ns):
+            self._timesync.ask(now_ns)
             session.clock.requested(now_ns)
             messages.append(encoders.timesync_request(now_ns))
         messages += self._streams.due(system_id, now_ns)
         messages += self.parameters.due(system_id, now_ns)
-        if session.version is None and self._is_due("version", now_ns, AGAIN_NS):
+        if session.version is None and self._version.is_due(now_ns):
+            self._version.ask(now_ns)
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
-        if session.origins.known is None and self._is_due("origin", now_ns, AGAIN_NS):
-            messages += self._request_origin(system_id)
+        if session.origins.known is None and self._known_origin.is_due(now_ns):
+            # Set ours only where the autopilot reports none: an origin cannot be moved in flight.
+            if self._known_origin.times and self._origin is not None:
+                messages.append(encoders.set_origin(system_id, self._origin))
+            self._known_origin.ask(now_ns)
+            messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
         return messages
 
     def answer(self, message: Message, now_ns: int) -> list[Message]:
@@ -162,20 +164,6 @@ class Requests:
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_TIMESYNC and message.tc1 == 0:
             return [encoders.timesync_answer(message, now_ns)]
         return []
-
-    def _request_origin(self, system_id: int) -> list[Message]:
-        """Request it first, and set ours only where the autopilot reports none: an origin cannot be moved in flight."""
-        requested, self._origin_requested = self._origin_requested, True
-        messages = [encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)]
-        if requested and self._origin is not None:
-            messages.insert(0, encoders.set_origin(system_id, self._origin))
-        return messages
-
-    def _is_due(self, what: str, now_ns: int, period_ns: int) -> bool:
-        if now_ns < self._due_ns[what]:
-            return False
-        self._due_ns[what] = now_ns + period_ns
-        return True
 
 
 class VelocityAid:
@@ -195,16 +183,16 @@ class VelocityAid:
         is_silent = self.sends and (self.sent_ns is None or now_ns - self.sent_ns > CAMERA_SILENT_NS)
         return self.without_gps not in (None, NO_AID) and not (self.without_gps == VISION and is_silent)
 
-    def update(self, source_set: int, now_ns: int, *, is_by_gps: bool, is_needed: bool) -> None:
-        """What does now. is_by_gps: GPS does, and is not ignored. is_needed: positions are sent, which could come back.
+    def update(self, source_set: int, now_ns: int, *, is_by_gps: bool, may_be_gps: bool, is_needed: bool) -> Aid:
+        """What does now. is_by_gps: GPS does, and is not ignored; may_be_gps: it may have a part in it.
 
-        Where none are sent the autopilot's parameters are not requested.
+        is_needed: positions are sent, which could come back; where none are, parameters are not requested.
         """
         self.without_gps = velocity_aid(self._vehicle, source_set)
-        velocity, drifts = self._vehicle.velocity, self._vehicle.session.firmware.camera_drifts
-        velocity.is_aided = is_by_gps or not is_needed or self.is_known(now_ns)
-        velocity.runs_away = not velocity.is_aided and self.without_gps is not None
-        velocity.is_aided_by_camera = drifts and not is_by_gps and self.sends and self.without_gps == VISION
+        is_any = is_by_gps or not is_needed or self.is_known(now_ns)
+        is_camera = not is_by_gps and self.sends and self.without_gps == VISION
+        is_drifting_camera = is_camera and self._vehicle.session.firmware.camera_drifts
+        return Aid(is_any, not is_any and self.without_gps is not None, is_drifting_camera, may_be_gps)
 
     def warn_without(self, *, all_came: bool) -> None:
         """Once in a session, where none is known. all_came: whether no further parameter will."""

@@ -104,7 +104,7 @@ class PositionSender:
         overdue = use.overdue(now_ns)
         if overdue is not None:
             return replace(limits, again=overdue.fix)
-        return limits if use.command.allows(now_ns) and self._since_s(now_ns) >= self._period_s(message) else None
+        return limits if use.command.is_due(now_ns) and self._since_s(now_ns) >= self._period_s(message) else None
 
     def send(self, answer: Fix | Refusal, now_ns: int) -> list[Message]:
         """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
@@ -166,14 +166,13 @@ class PositionSender:
         if not message.acknowledged:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
         self._drive.update(now_ns, Used(fix))
-        vehicle.velocity.has_our_position = True
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
         sending = Sending(vehicle.target_id, boot_s, age_s=(now_ns - place.stamp_ns) / 1e9, sensor_id=sensor_id)
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
             values = encoders.protection_values(fix.level, round(1000 * boot_s))
-        if not (message.acknowledged or vehicle.velocity.is_aided):
+        if not (message.acknowledged or vehicle.velocity.aid.is_any):
             place = self._one_of_many(place, now_ns, self._period_s(message))
         return [message.encode(place, sending), *values]
 

@@ -19,7 +19,7 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError
-from edge.files import read_kept, read_key, replacing
+from edge.files import KeptFile, read_key
 from edge.telemetry.codec import Stream, Unsigned
 
 TICKS_PER_S = 100_000
@@ -47,11 +47,11 @@ class Signer(Unsigned):
     ) -> None:
         """link_id: 0 to 255, different for each link of one system."""
         self._key = key
-        self._file = timestamp_file
         self._link_id = link_id
         self._unix_time_s = unix_time_s
-        lost = "ignored, so replayed signed frames of the last minute may be accepted"
-        self._stored = read_kept(timestamp_file, SigningClock, lost) or SigningClock()
+        lost = "replayed signed frames of the last minute may be accepted"
+        self._file = KeptFile(timestamp_file, SigningClock, lost)
+        self._stored = self._file.read() or SigningClock()
         self._heard_stored = dict(self._stored.heard)
         self._heard: set[Stream] = set()  # since the start
         self._logged: set[object] = set()
@@ -97,11 +97,7 @@ class Signer(Unsigned):
         if stored == self._stored:
             return
         self._stored = stored
-        try:
-            with replacing(self._file) as stream:
-                stream.write(msgspec.json.encode(stored))
-        except OSError as error:
-            self._log_once("file", "%s: cannot store the signing timestamps: %s", self._file, error.strerror)
+        self._file.write(stored)
 
     def _log_once(self, key: object, words: str, *arguments: object) -> None:
         if key not in self._logged:

@@ -10,11 +10,11 @@ PX4        43006 sets GPS off or on, which it keeps when it reboots; done when F
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.files import KeptFile
 from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import NO_ANSWER, Command, result_name
@@ -32,7 +32,8 @@ class SourceSelection:
 
     def __init__(self, vehicle: Vehicle, publisher: Publisher, remembered: Path | None = None) -> None:
         """remembered: a file that exists while set 2 may be selected by us."""
-        self._vehicle, self._publisher, self._remembered = vehicle, publisher, remembered
+        self._vehicle, self._publisher = vehicle, publisher
+        self._file = KeptFile(remembered, int, "after a crash GPS may stay off", is_flushed=False)
         self.wanted: int | None = None
         """The set to select; None until there is a reason for one, and the pilot's choice stays."""
         self.in_use = SET_WITHOUT_GPS if remembered is not None and remembered.exists() else GPS_SET
@@ -55,16 +56,16 @@ class SourceSelection:
     def due(self, now_ns: int) -> list[Message]:
         """The command, if the wanted set is not selected yet and none is waiting for its answer."""
         if self._command.is_overdue(now_ns):
-            self._command.give_up()
-            self._command.failed(now_ns)
+            self._command.answered()
+            self._command.pause.failed(now_ns)
             self._publish(NO_ANSWER)
         wanted = self.wanted
         if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
             return []
         if self._is_reported and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
-            self._command.give_up()
+            self._command.answered()
             self._done(wanted)
-        if wanted == self._selected or not self._command.allows(now_ns):
+        if wanted == self._selected or not self._command.is_due(now_ns):
             return []
         if self._is_accepted:
             self._publish(NOT_READ_BACK)
@@ -79,8 +80,8 @@ class SourceSelection:
         was_asked = self._command.is_waiting
         if was_asked and self._is_reported and result == mavlink.MAV_RESULT_ACCEPTED:
             self._is_accepted = True
-            self._command.give_up()
-            self._command.failed(now_ns)  # unless it is reported within the pause
+            self._command.answered()
+            self._command.pause.failed(now_ns)  # unless it is reported within the pause
             return
         verdict = self._command.read(result, now_ns)
         if verdict == "wait":
@@ -97,7 +98,7 @@ class SourceSelection:
 
     def _select(self, number: int, now_ns: int) -> list[Message]:
         self._asked, self._is_accepted = number, False
-        self._command.sent(now_ns)
+        self._command.ask(now_ns)
         self._remember(max(self.in_use, number))
         system_id = self._vehicle.target_id
         if self._is_reported:
@@ -112,9 +113,8 @@ class SourceSelection:
             self._publish(DONE)
 
     def _remember(self, in_use: int) -> None:
-        if self._remembered is not None and in_use != self.in_use:
-            with contextlib.suppress(OSError):  # a full disk costs what a crash needs, not the flight
-                self._remembered.unlink(missing_ok=True) if in_use == GPS_SET else self._remembered.touch()
+        if in_use != self.in_use:
+            self._file.write(None if in_use == GPS_SET else in_use)
         self.in_use = in_use
 
     def _publish(self, result: str) -> None:

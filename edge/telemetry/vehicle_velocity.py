@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.localization import DeadReckoning, Integral, OwnMotion, ShownScale
@@ -29,6 +30,22 @@ ALIKE_MPS, ALIKE = 0.5, 0.1
 BACKWARDS_COS = -0.5  # of the angle between velocity and heading; a multirotor may fly to the side
 
 
+@dataclass(frozen=True)
+class Aid:
+    """What measures the autopilot's velocity now.
+
+    is_any: whether something besides our positions does. Where nothing does, the vehicle moves the way it heads at the
+    speed of its wheels, or at that which the camera measures. runs_away: whether it is known that nothing does.
+    is_drifting_camera: whether only our camera does, see `Firmware.camera_drifts`. may_be_gps: whether GPS may have a
+    part in it.
+    """
+
+    is_any: bool = True
+    runs_away: bool = False
+    is_drifting_camera: bool = False
+    may_be_gps: bool = True
+
+
 class VehicleVelocity:
     """What is known of the velocity in this session, and which of it counts for the motion."""
 
@@ -42,22 +59,14 @@ class VehicleVelocity:
         """What GPS has shown of the wheels."""
         self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
         """Gets what GPS has no part in, stamped: meters by WHEELS, m/s by ODOMETRY or CAMERA; None: a session ended."""
-        self.is_by_gps = True
-        """Whether GPS may have a part in the autopilot's velocity."""
+        self.aid = Aid()
+        """What measures the autopilot's velocity, by what arrived last."""
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
         self._aside: tuple[int, float] | None = None  # to the left, by odometry
         self._own: VehiclePosition | None = None
         self._reported_ns = 0
-        self.is_aided = True
-        """Whether something besides our positions measures the autopilot's velocity. Where nothing does, the vehicle
-        moves the way it heads at the speed of its wheels, or at that which the camera measures."""
-        self.runs_away = False
-        """Whether it is known that nothing does."""
-        self.is_aided_by_camera = False
-        """Whether that is only what our camera measures. PX4's filter adds errors of its own, which change in 200 m: on
-        five simulated roads, positions were up to 12 m and 4.9 standard deviations off by its velocity."""
         self.has_our_position = False
         """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
 
@@ -69,7 +78,7 @@ class VehicleVelocity:
         self.shown = ShownScale() if not is_same_vehicle else self.shown
         self._wheels = self._own = self._aside = None
         self._speeds.clear()
-        self.is_aided, self.runs_away = True, False
+        self.aid = replace(self.aid, is_any=True, runs_away=False)
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
@@ -115,7 +124,7 @@ class VehicleVelocity:
     def witness(self, now_ns: int) -> tuple[str, str]:
         """What measures its own motion, in which GPS has no part; and what is missing of that, "" where nothing is."""
         heard = [one for one, ns in FRESH_NS.items() if _newest(self._speeds.get(one), now_ns, ns) is not None]
-        speed = SPEEDS[heard[0]] if heard else "" if self.is_by_gps else "the autopilot's velocity"
+        speed = SPEEDS[heard[0]] if heard else "" if self.aid.may_be_gps else "the autopilot's velocity"
         missing = [] if self.without_gps.is_turned(now_ns) else [NO_RATES]
         missing += [] if speed else [NO_SPEED]
         return f"gyros and {speed}" if not missing else "", " and ".join(missing)
@@ -126,7 +135,7 @@ class VehicleVelocity:
         if speed_mps is not None:
             has_wheels = _newest(self._speeds.get(WHEELS), now_ns) is not None
             return speed_mps, 0.0 if has_wheels else _newest(self._aside, now_ns, CAMERA_FRESH_NS) or 0.0
-        if self.is_by_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
+        if self.aid.may_be_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
             return None
         sin, cos = math.sin(math.radians(own.heading_deg)), math.cos(math.radians(own.heading_deg))
         return own.east_mps * sin + own.north_mps * cos, own.north_mps * sin - own.east_mps * cos
@@ -169,7 +178,7 @@ class VehicleVelocity:
 
     def add_speed(self, stamp_ns: int, speed_mps: float, source: int) -> None:
         """A speed by the autopilot's estimate, which counts only where something aids that."""
-        if self.is_aided and not self.is_aided_by_camera:
+        if self.aid.is_any and not self.aid.is_drifting_camera:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
     def add_velocity(
@@ -182,7 +191,7 @@ class VehicleVelocity:
     ) -> None:
         """A velocity by the autopilot's estimate; where nothing aids that, its heading and the speed of the vehicle."""
         self._reported_ns = stamp_ns
-        is_reported = self.is_aided and not self.is_aided_by_camera
+        is_reported = self.aid.is_any and not self.aid.is_drifting_camera
         speed_mps, own_mps = self._own_speed(stamp_ns), None
         if speed_mps is not None and heading_deg is not None:
             heading_rad = math.radians(heading_deg)

@@ -210,7 +210,7 @@ class HomeRequests:
         why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
         if why:
             raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
-        if not self._vehicle.session.firmware.is_known:
+        if self._vehicle.session.autopilot not in FIRMWARES:
             names = " nor ".join(one.name for one in FIRMWARES.values())
             raise Rejected(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
 

@@ -21,6 +21,7 @@ from typing import Literal, TypeAlias, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.backoff import Exchange
 from edge.telemetry.acknowledgements import result_name
 from edge.telemetry.codec import Message
 from edge_plugins.home.replaced_mission import MISSION, is_same, item_message, mission_item
@@ -57,24 +58,16 @@ class Failed(Exception):
     """The transfer cannot succeed; carries the reason."""
 
 
-@dataclass
-class Exchange:
+class Request(Exchange):
     """Messages the last of which has to be answered, and how often they are sent again while it is not."""
 
-    messages: list[Message]
-    wait_ns: int = ANSWER_NS
-    repetitions: int = REPETITIONS
-    sent_ns: int = 0
-    times: int = 0
-
-    def send(self, now_ns: int) -> list[Message]:
-        """The messages, which are sent now."""
-        self.sent_ns, self.times = now_ns, self.times + 1
-        return self.messages
+    def __init__(self, messages: list[Message], wait_ns: int = ANSWER_NS, repetitions: int = REPETITIONS) -> None:
+        super().__init__(wait_ns, most=1 + repetitions)
+        self.messages = messages
 
 
 T = TypeVar("T")
-Steps: TypeAlias = Generator["Exchange | None", "Message | None", T]
+Steps: TypeAlias = Generator["Request | None", "Message | None", T]
 """Yields what is to be sent, or None to wait for a further message. It gets each message that comes, and None where no
 answer has come in time, not even to the last repetition."""
 
@@ -99,7 +92,7 @@ class MissionTransfer:
         self._phase: Literal["look", "upload", "verify", "begin", "clear"] = "look"
         self._began = False  # the autopilot may have changed its mission
         self._steps = self._whole()
-        self._exchange = Exchange([])
+        self._request = Request([])
         self._started_ns = 0
 
     def start(self, now_ns: int) -> list[Message]:
@@ -109,13 +102,14 @@ class MissionTransfer:
 
     def due(self, now_ns: int) -> list[Message]:
         """What has not been answered in time, again; a failure after the last repetition."""
-        exchange = self._exchange
+        request = self._request
         if self._phase != "clear" and now_ns - self._started_ns > LONGEST_NS:
             return self.cancel("the upload takes too long", now_ns)
-        if self.outcome is not None or now_ns - exchange.sent_ns < exchange.wait_ns:
+        if self.outcome is not None or not request.is_overdue(now_ns):
             return []
-        if exchange.times <= exchange.repetitions:
-            return exchange.send(now_ns)
+        if not request.is_given_up:
+            request.ask(now_ns)
+            return request.messages
         return self._advance(partial(self._steps.send, None), now_ns)
 
     def read(self, message: Message, now_ns: int) -> list[Message]:
@@ -144,17 +138,18 @@ class MissionTransfer:
         empty = [mavlink.MAVLink_mission_count_message(self._system_id, 1, 0, MISSION)] if is_stored else []
         return [self._ended(mavlink.MAV_MISSION_OPERATION_CANCELLED), *empty]
 
-    def _advance(self, step: Callable[[], Exchange | None], now_ns: int) -> list[Message]:
+    def _advance(self, step: Callable[[], Request | None], now_ns: int) -> list[Message]:
         """Go on to the next exchange, if there is one; the messages that it sends."""
         try:
-            exchange = step()
+            request = step()
         except StopIteration as end:
             self.outcome = end.value
             return []
-        if exchange is None:
+        if request is None:
             return []
-        self._exchange = exchange
-        return exchange.send(now_ns)
+        self._request = request
+        request.ask(now_ns)
+        return request.messages
 
     def _whole(self) -> Steps[Outcome]:
         """The transfer, and what follows where it fails: the autopilot may have a mission of old and new items."""
@@ -172,7 +167,7 @@ class MissionTransfer:
         present = yield from self._download(counted.count)
         decision = self._decide(present)
         if decision == "leave":
-            yield Exchange([self._ended()], wait_ns=0, repetitions=0)
+            yield Request([self._ended()], wait_ns=0, repetitions=0)
             return Outcome(verified=False, why="the mission is not one that was cut off")
         if decision == "clear":
             return (yield from self._clear(ACCEPTED, "a mission that was cut off is cleared"))
@@ -181,21 +176,21 @@ class MissionTransfer:
         # PX4 ignores the second while it waits for the first, so both are repeated. ArduPilot answers with the number
         # that it was sent, PX4 sends that once a second.
         begin = [self._ended(), mavlink.MAVLink_mission_set_current_message(self._system_id, 1, 0)]
-        yield from self._answer(Exchange(begin), lambda message: message.get_msgId() == CURRENT and message.seq == 0)
+        yield from self._answer(Request(begin), lambda message: message.get_msgId() == CURRENT and message.seq == 0)
         return Outcome(verified=True)
 
     def _upload(self) -> Steps[None]:
         """Send the items that are requested, until the autopilot has all of them as they were sent."""
         count = mavlink.MAVLink_mission_count_message(self._system_id, 1, len(self._items), MISSION)
-        exchange = Exchange([self._ended(), count])
+        request = Request([self._ended(), count])
         is_assumed = False  # complete: the last acknowledgement may be lost, which the download will show
         while True:
             self._phase = "upload"
-            message = yield exchange
+            message = yield request
             while message is not None and not self._is_upload_answer(message):
                 message = yield None
             if message is None:
-                if exchange.repetitions:
+                if request.most > 1:
                     raise Failed(self._unanswered())
                 is_assumed = True  # repeated, the item would be an error for ArduPilot
             if message is None or message.get_msgId() == ACK:
@@ -210,7 +205,7 @@ class MissionTransfer:
             if number > last:
                 raise Failed(f"the autopilot requests item {number} of {len(self._items)}")
             item = item_message(self._system_id, number, self._items[number])
-            exchange = Exchange([item], repetitions=0 if number == last and not is_assumed else REPETITIONS)
+            request = Request([item], repetitions=0 if number == last and not is_assumed else REPETITIONS)
         if message.count != len(self._items):
             raise Failed(f"the autopilot has {message.count} items of {len(self._items)}")
         yield from self._download(message.count, self._items)
@@ -220,7 +215,7 @@ class MissionTransfer:
         if message.get_msgId() != ACK:
             return message.get_msgId() in REQUESTS
         if message.type in BUSY and not self._began:
-            self._exchange.repetitions = CLEAR_REPETITIONS
+            self._request.most = 1 + CLEAR_REPETITIONS
         elif message.type != mavlink.MAV_MISSION_INVALID_SEQUENCE:  # of an item that was repeated
             _check(message.type)
             return self._began
@@ -231,7 +226,7 @@ class MissionTransfer:
         items: list[MissionItem] = []
         for number in range(count):
             request = mavlink.MAVLink_mission_request_int_message(self._system_id, 1, number, MISSION)
-            item = yield from self._answer(Exchange([request], ITEM_NS), partial(_is_item, number=number))
+            item = yield from self._answer(Request([request], ITEM_NS), partial(_is_item, number=number))
             items.append(mission_item(item))
             is_compared = sent is not None and not (self._first_is_home and number == 0)
             if sent is not None and is_compared and not is_same(items[-1], sent[number]):
@@ -242,20 +237,20 @@ class MissionTransfer:
         """Clear the mission, after the transfer has `ended` with a MAV_MISSION_RESULT."""
         self._phase = "clear"
         clear = mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)
-        exchange = Exchange([self._ended(ended), clear], repetitions=CLEAR_REPETITIONS)
+        request = Request([self._ended(ended), clear], repetitions=CLEAR_REPETITIONS)
         try:
-            yield from self._answer(exchange, lambda message: message.get_msgId() == ACK and message.type == ACCEPTED)
+            yield from self._answer(request, lambda message: message.get_msgId() == ACK and message.type == ACCEPTED)
         except Failed:
             why += "; do not start the autopilot's mission: it may be incomplete, and could not be cleared"
             return Outcome(verified=False, why=why, is_settled=False)
         return Outcome(verified=False, why=why)
 
-    def _answer(self, exchange: Exchange, is_answer: Callable[[Message], bool]) -> Steps[Message]:
+    def _answer(self, request: Request, is_answer: Callable[[Message], bool]) -> Steps[Message]:
         """Send, and wait for the answer; Failed where the autopilot refuses, or does not answer."""
-        message = yield exchange
+        message = yield request
         while message is not None and not is_answer(message):
             if message.get_msgId() == ACK and self._phase == "look" and message.type != ACCEPTED:
-                exchange.repetitions = CLEAR_REPETITIONS  # busy with an upload that was cut off, for 8 s
+                request.most = 1 + CLEAR_REPETITIONS  # busy with an upload that was cut off, for 8 s
             elif message.get_msgId() == ACK and self._phase != "clear":  # which is tried again after an error
                 _check(message.type)
             message = yield None
@@ -271,8 +266,8 @@ class MissionTransfer:
         doubt = "" if self._began or self._phase == "look" else "; look at the autopilot's mission before you start it"
         return f"the autopilot does not answer{doubt}"
 
-    def _list(self) -> Exchange:
-        return Exchange([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)])
+    def _list(self) -> Request:
+        return Request([mavlink.MAVLink_mission_request_list_message(self._system_id, 1, MISSION)])
 
     def _ended(self, result: int = ACCEPTED) -> Message:
         return mavlink.MAVLink_mission_ack_message(self._system_id, 1, result, MISSION)

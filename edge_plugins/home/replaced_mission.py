@@ -6,7 +6,6 @@ that the autopilot may have a mixture, by which items to recognize it, and what 
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,7 @@ import msgspec
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.errors import reason
-from edge.files import read_kept, replacing
+from edge.files import KeptFile
 from edge.telemetry.codec import Message
 from edge_plugins.home.way_home import MissionItem
 
@@ -26,7 +24,6 @@ SAME_PARAM = 1e-3
 SAME_FRAMES = {mavlink.MAV_FRAME_GLOBAL_INT: 0, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: 3}
 """Frames of integers, which firmware may answer with instead of the others."""
 MISSION = mavlink.MAV_MISSION_TYPE_MISSION
-log = logging.getLogger(__name__)
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -47,8 +44,8 @@ class ReplacedMission:
 
     def __init__(self, path: Path | None) -> None:
         """path: None keeps it in memory only."""
-        lost = "ignored, so the mission that was replaced is not known"
-        self._path, self.kept = path, (path and read_kept(path, Kept, lost)) or Kept()
+        self._file = KeptFile(path, Kept, "the mission that was replaced is not known")
+        self.kept = self._file.read() or Kept()
 
     def items(self, system_id: int) -> tuple[MissionItem, ...]:
         """The mission that was replaced in this vehicle; empty where there was none."""
@@ -83,15 +80,7 @@ class ReplacedMission:
 
     def _store(self, kept: Kept) -> str:
         self.kept = kept
-        if self._path is None:
-            return ""
-        try:
-            with replacing(self._path) as stream:
-                stream.write(msgspec.json.encode(kept))
-        except OSError as error:
-            log.warning("%s: cannot keep the mission that is replaced: %s", self._path, error.strerror)
-            return reason(error)
-        return ""
+        return self._file.write(kept)
 
 
 def mission_item(item: Message) -> MissionItem:

@@ -8,17 +8,15 @@ positions, which are made with the odometer.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections import deque
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from edge.files import Behind, read_kept, replacing
+from edge.files import KeptFile
 
 EARLIER_SHARE = 0.1
 """One standard deviation, as a share: another mount, tires or load. So much is sent to no autopilot (MOST_SCALE)."""
@@ -42,7 +40,6 @@ STRETCHED = 0.25  # the most that the height may be wrong by before two places a
 SPANNED_NS = 2_000_000_000
 """After so long without a motion, how far it drove is not known; 0.3 m too far at braking of 1 m/s^2 until then."""
 SAVED_NS = 60_000_000_000  # between writes of the file
-log = logging.getLogger(__name__)
 
 
 class Measured(NamedTuple):
@@ -74,7 +71,7 @@ class CameraHeight:
     def __init__(self, kept: KeptHeight, frames: int, path: Path | None = None) -> None:
         """kept: by earlier drives. frames: of the line of a match. path: of the file."""
         self.kept, self.pitch_rad = kept, kept.pitch_rad
-        self._path, self._behind, self._saved_ns = path, Behind(), 0
+        self._file, self._saved_ns = kept_height(path), 0
         earlier = _by_windows(kept.heights_m)
         self._earlier = earlier and Measured(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
         self._gps, self._places, self._is_by_gps = _ByGps(), _ByPlaces(frames), False
@@ -122,9 +119,9 @@ class CameraHeight:
         heights_m = _newest(self.kept.heights_m, window_m)
         self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
         self.kept = KeptHeight(self.kept.camera, self.pitch_rad, heights_m)
-        if self._path is not None and len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
+        if len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
             self._saved_ns = now_ns
-            self._behind.start(partial(_save, self._path, msgspec.json.encode(self.kept)))
+            self._file.write_behind(self.kept)
 
     def use_frame(self, line: PassedLine | None) -> None:
         """A frame that lines may lead through; line: that of its match, None where none is believed."""
@@ -209,9 +206,14 @@ class _ByPlaces:
         return Measured(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
 
 
+def kept_height(path: Path | None) -> KeptFile[KeptHeight]:
+    """What is kept beside the journal at `path`."""
+    return KeptFile(path, KeptHeight, "the camera's height is learned again")
+
+
 def read_height(path: Path | None, camera: str, pitch_rad: float) -> KeptHeight:
     """What is kept for this camera; else nothing, with the pitch of its configuration."""
-    kept = path and read_kept(path, KeptHeight, "ignored, the camera's height is learned again")
+    kept = kept_height(path).read()
     is_known = kept and kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m)
     return kept if kept and is_known else KeptHeight(camera, pitch_rad)
 
@@ -230,11 +232,3 @@ def _by_windows(heights_m: tuple[float, ...]) -> Measured | None:
     middle_m = float(np.median(heights_m))
     spread = 1.48 * float(np.median(np.abs(np.array(heights_m) - middle_m))) / middle_m
     return Measured(middle_m, 1.25 * max(WINDOW_SHARE, spread) / math.sqrt(len(heights_m)))
-
-
-def _save(path: Path, data: bytes) -> None:
-    try:
-        with replacing(path) as stream:
-            stream.write(data)
-    except OSError as error:
-        log.warning("%s: cannot save the camera's height: %s", path, error.strerror)

@@ -6,9 +6,7 @@ takes a quarter of what a used frame takes, and it looks at most once in five of
 
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
 so that no foreign web site can read the page by a name that it points here. What changes something is POST with [page]
-token in a header of its own, which a browser sends to the page's own site only. There are so many PLACES for this
-computer itself, and as many for all others; where one more comes, who has waited longest goes, first of those that have
-not sent a whole request. So nobody who is slow, and however many they are, keeps out who comes next.
+token in a header of its own, which a browser sends to the page's own site only.
 """
 
 from __future__ import annotations
@@ -39,7 +37,6 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 import edge
 from edge_plugins.page import PageConfig
@@ -49,7 +46,8 @@ from edge_plugins.page.snapshot import MapView, Snapshot
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
 ANSWER_S = 2.0  # how long the daemon's loop may take to hand over a snapshot
-PLACES = 24  # a browser opens 6
+GONE_S = 30
+CONNECTIONS = 49  # a browser opens 6; those beyond are answered 503
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
 SERVICE = {
@@ -91,7 +89,9 @@ class StatusPage:
         self._jpeg: tuple[int | None, bytes] = None, b""
         self._pending: asyncio.Future[None] | None = None
         family = socket.AF_INET6 if ":" in config.bind else socket.AF_INET
-        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=2 * PLACES)
+        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=CONNECTIONS)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # who has gone takes no connection
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, GONE_S)
         self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
         self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts)))
@@ -313,32 +313,11 @@ class _OnlyForUs:
         return True
 
 
-class _Connection(H11Protocol):
-    """HTTP/1.1 of uvicorn, which would wait for ever for whoever is slow, until all places are taken."""
-
-    came_s = 0.0
-    is_local = False
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a place, of whoever has waited longest if there is none."""
-        super().connection_made(transport)
-        self.came_s = self.loop.time()
-        self.is_local = self.client is not None and ipaddress.ip_address(self.client[0]).is_loopback
-        others = [
-            one
-            for one in self.connections - {self}
-            if isinstance(one, _Connection) and one.is_local == self.is_local and not one.transport.is_closing()
-        ]
-        if len(others) >= PLACES:
-            # Without a cycle there was no whole head yet.
-            min(others, key=lambda one: (one.cycle is not None, one.came_s)).transport.abort()
-
-
 def _server_config(app: ASGIApp) -> uvicorn.Config:
     logging.getLogger("uvicorn").setLevel(logging.ERROR)  # a bad request is no news for the vehicle's log
     return uvicorn.Config(
         app,
-        http=_Connection,
+        http="h11",
         ws="none",
         loop="asyncio",
         lifespan="off",
@@ -347,7 +326,7 @@ def _server_config(app: ASGIApp) -> uvicorn.Config:
         server_header=False,
         date_header=False,  # it would be that of the start
         proxy_headers=False,
-        limit_concurrency=2 * PLACES + 1,
+        limit_concurrency=CONNECTIONS,
         timeout_keep_alive=5,
         timeout_graceful_shutdown=1,
         h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,

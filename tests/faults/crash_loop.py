@@ -18,12 +18,12 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from edge.config import SamplingConfig
 from edge.descriptor import RunningStatistics
 from edge.errors import LookbackError
+from edge.files import KeptFile
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
@@ -61,7 +61,7 @@ def state_file(folder: Path) -> StateFile:
 
 def write_state(folder: Path, version: int) -> None:
     values, file = np.full(SHAPE, float(version)), state_file(folder)
-    file.put(file.encoded(RunningStatistics.of_another_run(version, values, values, at_most=version), NOW))
+    file.write(RunningStatistics.of_another_run(version, values, values, at_most=version), NOW)
 
 
 def read_state(folder: Path) -> int:
@@ -91,10 +91,10 @@ def write_clock(folder: Path, version: int) -> None:
 
 
 def read_clock(folder: Path) -> int:
-    try:
-        return msgspec.json.decode((folder / "clock.0").read_bytes(), type=SigningClock).ours // TICKS_PER_S
-    except (OSError, msgspec.DecodeError) as error:
-        raise LookbackError(str(error)) from None
+    kept = KeptFile(folder / "clock.0", SigningClock, "").read()
+    if kept is None:
+        raise LookbackError("unreadable")
+    return kept.ours // TICKS_PER_S
 
 
 WORK: dict[str, tuple[Callable[[Path, int], None], Callable[[Path], int]]] = {

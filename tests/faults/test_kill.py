@@ -45,7 +45,7 @@ def test_every_prefix_of_a_state_is_refused(tmp_path: Path, figures: Callable[[s
     path = tmp_path / "events.state"
     file = StateFile(path, key, shape)
     kept = RunningStatistics.of_another_run(30, np.ones(shape), np.ones(shape), at_most=30)
-    file.put(file.encoded(kept, now))
+    file.write(kept, now)
     whole = path.read_bytes()
     assert file.read(now, 60) is not None
     flips = 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import random
 import signal
@@ -13,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from edge.warm_start import DIGEST_BYTES
+from edge.files import KeptFile
+from edge.warm_start import Stored
 from sim.journal import read_journal
 
 LATEST_S = 2.0
@@ -117,6 +117,5 @@ def check_files(folder: Path) -> None:
         assert not lines or journal.read_bytes().endswith(b"\n")
     state = folder / "events.state"
     if state.exists():
-        data = state.read_bytes()
-        assert hashlib.sha256(data[DIGEST_BYTES:]).digest() == data[:DIGEST_BYTES]
+        assert KeptFile(state, Stored, "").read() is not None
     assert {path.name for path in folder.iterdir()} <= {"lookback.toml", "events.jsonl", "events.state"}

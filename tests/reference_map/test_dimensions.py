@@ -53,7 +53,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     statistics = matcher.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
-    file.put(file.encoded(statistics, Moment.now()))
+    file.write(statistics, Moment.now())
     again = file.read(Moment.now(), 60.0)
     assert again is not None
     np.testing.assert_array_equal(again.mean, statistics.mean)

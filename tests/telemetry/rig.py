@@ -39,7 +39,7 @@ class ToldEstimator(PositionEstimator):
 
     def offer(self, t_ns: int, fix: PlaceFix, motion: Displacement | None) -> None:
         """A place that is recognized now."""
-        self.offered = fix, motion
+        self.offered, self._known = (fix, motion), None
         self._observe(t_ns, fix, motion)
 
     def judge(self, verdict: GpsVerdict) -> None:
@@ -47,6 +47,7 @@ class ToldEstimator(PositionEstimator):
         self._gps._referee.verdict = verdict if verdict.state != "not recognized" else GpsVerdict()
         self._gps._is_unseen = verdict.state == "not recognized"
         self._judge_gps()
+        self._known = None
 
     def _position(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
         if limits.unable or self._own.is_doubled or self.offered is None:

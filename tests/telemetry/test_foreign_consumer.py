@@ -154,7 +154,7 @@ def tell_time_and_speed(setting: Setting) -> None:
     vehicle, gps = setting.ours.vehicle, {"fix_type": 3, "lat": -274772000, "lon": 1530283000, "h_acc": 1000}
     setting.foreigner.say("SYSTEM_TIME", time_boot_ms=4_000_000, time_unix_usec=0)
     setting.foreigner.say("GPS_RAW_INT", time_usec=3_999_400_000, **gps)
-    setting.until(lambda: vehicle.boot_time_s(0) is not None and vehicle.velocity.is_aided)
+    setting.until(lambda: vehicle.boot_time_s(0) is not None and vehicle.velocity.aid.is_any)
     setting.foreigner.say("LOCAL_POSITION_NED", time_boot_ms=3_999_400, x=0, y=0, z=0, vx=3.0, vy=4.0, vz=0)
     setting.until(lambda: vehicle.motion.speed_mps(time.monotonic_ns()) is not None)
 

@@ -126,7 +126,7 @@ def test_a_selection_of_sources_that_is_not_answered_for_a_second_is_recorded() 
     selection = SourceSelection(Vehicle(), Publisher(records.append, lambda text: None))
     selection.wanted = SET_WITHOUT_GPS
     assert len(selection.due(S)) == 1
-    selection.due(S + ANSWER_NS)
+    selection.due(S + ANSWER_NS - 1)
     assert records == []
-    selection.due(S + ANSWER_NS + 1)
+    selection.due(S + ANSWER_NS)
     assert records == [SourceSetAnswered(SET_WITHOUT_GPS, "NO_ANSWER")]

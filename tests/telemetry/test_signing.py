@@ -121,7 +121,7 @@ def test_a_damaged_or_unwritable_timestamp_costs_nothing_but_the_memory(
     assert codec(tmp_path, "ours").encode(BEAT)
     signer = Signer(KEY, tmp_path / "missing" / "folder", 0, lambda: NOW_S)
     assert MavlinkCodec(1, 191, signer).encode(BEAT)
-    assert "cannot store the signing timestamp" in caplog.text
+    assert "cannot write it" in caplog.text
 
 
 def test_we_run_ahead_with_a_peer_that_does(tmp_path: Path) -> None:

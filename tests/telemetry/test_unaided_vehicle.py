@@ -8,6 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.vehicle import Vehicle
+from edge.telemetry.vehicle_velocity import Aid
 from tests.telemetry.speaker import S, Speaker, connect
 
 
@@ -16,7 +17,7 @@ def unaided(speaker: Speaker) -> Vehicle:
     vehicle = connect(speaker)
     for tenth in range(20, 41):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
-    vehicle.velocity.is_aided = False
+    vehicle.velocity.aid = Aid(is_any=False)
     return vehicle
 
 
@@ -79,7 +80,7 @@ def test_wheels_that_reported_before_the_link_was_lost_say_nothing_afterwards() 
     for tenth in range(81, 110):
         if tenth in (82, 92):
             vehicle.handle(speaker.heartbeat(), tenth * S // 10)
-        vehicle.velocity.is_aided = False
+        vehicle.velocity.aid = Aid(is_any=False)
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=0.0), tenth * S // 10)
     assert vehicle.session.number == 2
     assert vehicle.motion.displacement(tenth * S // 10) is None

@@ -49,7 +49,7 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert rig.autopilot.estimate.error_m < 3.0
     assert kind in {one.message.get_type() for one in rig.autopilot.received}
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
-    assert rig.connection.vehicle.velocity.is_aided
+    assert rig.connection.vehicle.velocity.aid.is_any
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
 
 
@@ -95,10 +95,10 @@ def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_
     see(rig, 12.0)
     assert rig.bounded_m is not None
     rig.run(1.3)
-    assert not rig.connection.vehicle.velocity.is_aided
+    assert not rig.connection.vehicle.velocity.aid.is_any
     assert rig.bounded_m is None
     see(rig, 2.0)
-    assert rig.connection.vehicle.velocity.is_aided
+    assert rig.connection.vehicle.velocity.aid.is_any
     assert rig.bounded_m is None, "how far it went meanwhile, nobody knows"
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import dataclasses
 import http.client
 import json
@@ -31,7 +30,7 @@ from edge.sequence import CostView
 from edge.telemetry import LinkStatus
 from edge_plugins.page import PageConfig
 from edge_plugins.page.metrics import STATES, as_metrics
-from edge_plugins.page.server import PLACES, TOKEN_HEADER, StatusPage
+from edge_plugins.page.server import TOKEN_HEADER, StatusPage
 from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 
 CUT_OFF_S = 20.0
@@ -323,71 +322,6 @@ def test_a_head_without_end_is_cut_off(page: StatusPage) -> None:
         except ConnectionResetError:
             pass
         assert answer in (b"",) or answer.startswith(b"HTTP/1.1 4")
-
-
-def wait_for_end(connection: socket.socket) -> None:
-    """Return when the other side ends the connection; TimeoutError if it does not."""
-    with contextlib.suppress(ConnectionResetError):
-        while connection.recv(65536):
-            pass
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"GET / HTTP/1.1\r\n",
-        b"POST /home HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc",
-        b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" * 40,
-    ],
-    ids=["nothing", "half a head", "half a body", "reads nothing"],
-)
-def test_however_many_are_slow_the_next_one_is_served(data: bytes, page: StatusPage, loop: Loop) -> None:
-    slow = [raw(page, data, f"127.0.0.{2 + number % 3}") for number in range(60)]
-    assert [get(page, path)[0] for path in ("/", "/status.json", "/healthz")] == [200] * 3
-    slow += [raw(page, data, "127.0.0.5") for _ in range(2 * PLACES)]
-    assert get(page, "/")[0] == 200
-    for connection in slow:
-        connection.close()
-
-
-def test_half_a_head_goes_before_an_older_one_that_was_whole(page: StatusPage) -> None:
-    whole = http.client.HTTPConnection("127.0.0.1", page.port, CUT_OFF_S)
-    with closing(whole):
-        whole.request("GET", "/")
-        assert whole.getresponse().read()
-        half = [raw(page, b"GET / HTTP/1.1\r\n") for _ in range(2 * PLACES)]
-        for connection in half[:PLACES]:
-            with closing(connection):
-                wait_for_end(connection)
-        whole.request("GET", "/route.json")
-        assert whole.getresponse().status == 200, "on the same connection"
-        for connection in half[PLACES:]:
-            connection.close()
-
-
-def test_other_computers_take_no_place_of_this_one() -> None:
-    address = own_address()
-    with closing(StatusPage(PageConfig(bind="0.0.0.0", port=0, hosts=("localhost",)), MAP)) as page:
-        waiting = raw(page, b"GET / HTTP/1.1\r\n")
-        others = [socket.create_connection((address, page.port), CUT_OFF_S) for _ in range(2 * PLACES)]
-        for connection in others[:PLACES]:
-            with closing(connection):
-                wait_for_end(connection)
-        waiting.sendall(b"Host: localhost\r\n\r\n")
-        assert waiting.recv(64).split()[1] == b"200"
-        for connection in [waiting, *others[PLACES:]]:
-            connection.close()
-
-
-def own_address() -> str:
-    """One of this computer's that is not the loopback."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(("192.0.2.1", 9))  # nothing is sent
-        except OSError:
-            pytest.skip("needs a network interface")
-        return str(probe.getsockname()[0])
 
 
 TOKEN = "twelve-letters"
