@@ -29,10 +29,11 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.geodesy import east_north
 from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
-from edge.localization.own_motion import predicted
+from edge.localization.own_motion import Calibrated, calibrated
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal[
@@ -118,6 +119,7 @@ class GpsReferee:
         self._drift = drift
         self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
         self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
+        self._calibrated: list[Calibrated | None] = []  # up to each of them, [] before it is needed
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
         self._lost: _Lost | None = None
         self._at_m = self._gap_m = 0.0
@@ -159,6 +161,7 @@ class GpsReferee:
             sigma_m = anchor.sigma_m
             lost = Comparison(*at, 0.0, 0.0, 0.0, 0.0, sigma_m, sigma_m, sigma_m, anchor.displacement)
             self._agreed.append(_Agreed(lost, -math.inf))
+            self._calibrated.clear()
 
     def _since_lost(self, comparison: Comparison) -> GpsVerdict:
         """GPS was lost before it was called: the place against where it had the vehicle, moved on by own motion.
@@ -185,8 +188,7 @@ class GpsReferee:
 
     def _moved_on(self, lost: Anchor, now: Comparison) -> Comparison | None:
         """A comparison with where GPS would be, had it not been lost; None where own motion is not known."""
-        agreed = [one.comparison for one in self._agreed]
-        led, led_then = self._led(agreed, now, now.motion), self._led(agreed, now, lost.displacement)
+        led, led_then = self._led(-1, now, now.motion), self._led(-1, now, lost.displacement)
         if led is None or led_then is None:
             return None
         along_m, left_m = now.axes @ (meters_from(now, lost) + led[0][:, 1] - led_then[0][:, 1])
@@ -237,6 +239,7 @@ class GpsReferee:
         if len(agreed) > 1 and math.hypot(*meters_from(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
             agreed.pop()
         agreed.append(_Agreed(comparison, self._at_m))
+        self._calibrated.clear()
 
     def _wrong_one(self, among: Sequence[_Sample]) -> tuple[GpsVerdictState, bool]:
         """Which of both moved otherwise than the vehicle, since any time at which they agreed; whether rather GPS did.
@@ -245,20 +248,22 @@ class GpsReferee:
         well under way before they show, so that the newest time is not the best one.
         """
         samples = list(among)
-        row = len(samples) - 1
-        while row > 0 and samples[row].high > 0.0:
-            row -= 1
-        began_m = samples[max(0, row + 1 - NEWEST)].at_m  # as many, until it shows
+        grows = len(samples)
+        while grows > 1 and samples[grows - 1].high > 0.0:
+            grows -= 1
+        began_m = samples[max(0, grows - NEWEST)].at_m  # as many, until it shows
         newest = samples[-NEWEST:]
         agreed = [one.comparison for one in self._agreed if one.at_m < began_m]
-        says = [
-            [self._moved_without_gps(agreed[: count + 1], sample.comparison) for sample in newest]
-            for count in range(len(agreed))
-        ]
-        is_gps = any(min(one) >= DOUBTFUL for one in says)
-        is_map = any(max(one) <= -DOUBTFUL for one in says)
-        is_gps |= not is_map and self._has_departed(samples[row + 1 :], {one.shape for one in agreed})
-        leans = any(min(one) > 0 for one in says)
+        is_gps = is_map = leans = False
+        for row in range(len(agreed)):
+            least, most = math.inf, -math.inf
+            for sample in newest:
+                says = self._moved_without_gps(row, sample.comparison)
+                least, most = min(least, says), max(most, says)
+                if least <= 0 and most > -DOUBTFUL:  # it can be none of the three
+                    break
+            is_gps, is_map, leans = is_gps or least >= DOUBTFUL, is_map or most <= -DOUBTFUL, leans or least > 0
+        is_gps |= not is_map and self._has_departed(samples[grows:], {one.shape for one in agreed})
         return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong", leans
 
     def _has_departed(self, grows: Sequence[_Sample], agreed: Collection[str]) -> bool:
@@ -277,9 +282,9 @@ class GpsReferee:
         departs_m = max(DEPARTS_M, DEPARTS * float(np.hypot(*offset_m(first))))
         return square >= departs_m**2 and abs(float(half_m @ grown_m) / square - 0.5) <= UNSTEADY
 
-    def _moved_without_gps(self, agreed: Sequence[Comparison], now: Comparison) -> float:
-        """Logarithm of how much more likely the places moved as the vehicle did than GPS; 0 where nobody knows."""
-        found = self._led(agreed, now, now.motion)
+    def _moved_without_gps(self, row: int, now: Comparison) -> float:
+        """Logarithm of how much more likely the places moved as the vehicle did since one than GPS; 0: nobody knows."""
+        found = self._led(row, now, now.motion)
         if found is None:
             return 0.0
         where_m, covariance = found
@@ -287,7 +292,7 @@ class GpsReferee:
         precision = precision_gps = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
         if self._lost is not None:  # own motion was more certain then
             lost = self._lost.anchor
-            then = self._led(agreed, now, lost.displacement)
+            then = self._led(row, now, lost.displacement)
             if then is None:
                 return 0.0
             gps_off_m = meters_from(now, lost) - then[0][:, 1]
@@ -295,16 +300,15 @@ class GpsReferee:
         return float(gps_off_m @ precision_gps @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
 
     def _led(
-        self, agreed: Sequence[Comparison], here: Comparison, motion: Displacement | None
+        self, row: int, here: Comparison, motion: Displacement | None
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Where own motion leads from places that agreed, and from GPS, meters from another place; see `predicted`."""
-        known = [one for one in agreed if one.motion is not None]
-        if motion is None or not known or known[-1] is not agreed[-1]:
-            return None
-        places = [meters_from(here, one) for one in known]
-        at_m = np.array([np.column_stack([at, at + offset_m(one)]) for at, one in zip(places, known, strict=True)])
-        sigma_m = np.array([one.each_sigma_m for one in known])
-        return predicted([one.motion for one in known if one.motion], at_m, sigma_m, motion, self._drift)
+        """Where own motion leads from a place that agreed, and from GPS, meters from another one; see `Calibrated`."""
+        agreed = self._agreed
+        if agreed and not self._calibrated:
+            self._calibrated = _calibrated([one.comparison for one in agreed], self._drift)
+        shown = self._calibrated[row] if agreed else None
+        led = None if motion is None or shown is None else shown.predicted(motion)
+        return led and (led[0] + meters_from(here, agreed[row].comparison)[:, None], led[1])
 
     def _judged(self, high: float) -> GpsVerdict:
         state, doubt = self._settled, min(max(high / self._disagree, 0.0), 1.0)
@@ -313,6 +317,25 @@ class GpsReferee:
         elif state in ("agrees", "cannot say") and high >= DOUBTFUL:
             state = "doubtful"
         return GpsVerdict(state, *_mean_offset(self._samples), doubt)
+
+
+def _calibrated(agreed: Sequence[Comparison], drift: float) -> list[Calibrated | None]:
+    """By the places that agreed, and GPS there, up to each of them."""
+    lat_deg, lon_deg = np.array([(one.lat_deg, one.lon_deg) for one in agreed]).T
+    places = east_north(lat_deg, lon_deg)
+    at_m = np.stack([places, places + [offset_m(one) for one in agreed]], axis=2)
+    sigma_m = np.array([one.each_sigma_m for one in agreed])
+    known: list[int] = []
+    motions: list[Displacement] = []
+    shown: list[Calibrated | None] = []
+    for row, one in enumerate(agreed):
+        if one.motion is None:
+            shown.append(None)
+            continue
+        known.append(row)
+        motions.append(one.motion)
+        shown.append(calibrated(motions, at_m[known] - places[row][:, None], sigma_m[known], drift))
+    return shown
 
 
 def _mean_offset(samples: Sequence[_Sample]) -> tuple[float, float]:

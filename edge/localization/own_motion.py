@@ -3,7 +3,7 @@
 An autopilot's heading is no witness of its GPS: EKF3 turned it by 7 to 8.5 degrees within 10 s to follow a GPS that was
 dragged aside at 1 m/s, on three recorded drives, so that wheels times heading agreed with GPS. Here the heading is the
 integral of rates alone. How it lies to the north, the bias of the gyros and the scale of the speed come from how places
-moved while they agreed with GPS (`predicted`), from the autopilot's heading of then, and from nothing later.
+moved while they agreed with GPS (`calibrated`), from the autopilot's heading of then, and from nothing later.
 """
 
 from __future__ import annotations
@@ -103,57 +103,85 @@ class OwnMotion:
         return replace(moved, leg=self._legs, gyros=Gyros(elapsed_s, self._compass_rad, variance, *by_bias_m))
 
 
-def predicted(
-    before: Sequence[Displacement], at_m: Vector, sigma_m: Vector, now: Displacement, drift: float
-) -> tuple[Vector, Vector] | None:
-    """Where own motion since the newest of some moments leads, and its covariance (2, 2); None where not known.
+@dataclass(frozen=True)
+class Calibrated:
+    """Where the vehicle was at a moment, and what own motion is wrong by, as witnesses have shown.
 
-    at_m: meters east and north at each of them, the oldest first, by witnesses that agreed but for an offset that stays
-    (n, 2, witnesses), each to sigma_m (n,) in each direction. drift: one standard deviation of the speed's scale, as a
-    share. The result is (2, witnesses). Least squares of where the vehicle was at the newest, of the errors of heading
-    and scale, and of the bias of the gyros, the last three with what is known of them anyway.
+    found, covariance: (5,) and (5, 5), see `_moved`. apart_m: of each witness from the mean of all (2, witnesses).
+    apart_var: the variance of that.
+    """
+
+    newest: Displacement
+    found: Vector
+    covariance: Vector
+    apart_m: Vector
+    apart_var: float
+
+    def predicted(self, now: Displacement) -> tuple[Vector, Vector] | None:
+        """Where own motion leads since, by each witness (2, witnesses), and the covariance (2, 2); None if unknown."""
+        then, since = self.newest.gyros, _moved(self.newest, [now])
+        if then is None or since is None or now.gyros is None:
+            return None
+        by_m, design = since.by_m[0], since.design[0]
+        turned = (now.gyros.turned_rad2 - then.turned_rad2) / 3  # as a random walk of the heading does
+        spread = (CHANGES**2 + turned) * float(by_m @ by_m) + now.unknown_sigma_since(self.newest) ** 2
+        covariance: Vector = design @ self.covariance @ design.T + (spread + self.apart_var) * np.eye(2)
+        return (by_m + design @ self.found)[:, None] + self.apart_m, covariance
+
+
+def calibrated(before: Sequence[Displacement], at_m: Vector, sigma_m: Vector, drift: float) -> Calibrated | None:
+    """By some moments, the oldest first; None where the newest is not by gyros.
+
+    at_m: meters east and north at each of them, by witnesses that agreed but for an offset that stays: (n, 2,
+    witnesses), each to sigma_m (n,) in each direction. drift: one standard deviation of the speed's scale, as a share.
+    Least squares of where the vehicle was at the newest, of the errors of heading and scale, and of the bias of the
+    gyros, the last three with what is known of them anyway.
     """
     newest, count = before[-1], at_m.shape[2]
-    then, since = newest.gyros, _moved(newest, now)
-    if then is None or since is None or now.gyros is None:
+    moved = _moved(newest, before)
+    if newest.gyros is None or moved is None:
         return None
-    information, seen = np.diag([0.0, 0.0, COMPASS_RAD**-2, drift**-2, BIAS_RADPS**-2]), np.zeros(5)
-    apart, weights = np.zeros((2, count)), 0.0
-    for motion, there_m, sigma in zip(before, at_m, sigma_m, strict=True):
-        moved = _moved(newest, motion)
-        if moved is None or then.time_s - (motion.gyros or then).time_s > WITHIN_S:
-            continue
-        mean_m, weight = there_m.mean(axis=1), 1 / (sigma**2 / count + newest.unknown_sigma_since(motion) ** 2)
-        information += weight * moved.design.T @ moved.design
-        seen += weight * moved.design.T @ (mean_m - moved.by_m)
-        apart, weights = apart + weight * (there_m - mean_m[:, None]), weights + weight
+    mean_m = at_m[moved.rows].mean(axis=2)
+    unknown_m = np.array([newest.unknown_sigma_since(before[row]) for row in moved.rows])
+    weights = 1 / (sigma_m[moved.rows] ** 2 / count + unknown_m**2)
+    weighted = moved.design * weights[:, None, None]
+    information = np.diag([0.0, 0.0, COMPASS_RAD**-2, drift**-2, BIAS_RADPS**-2])
+    information += np.tensordot(weighted, moved.design, ((0, 1), (0, 1)))
     covariance = np.linalg.inv(information)
-    turned = (now.gyros.turned_rad2 - then.turned_rad2) / 3  # as a random walk of the heading does
-    spread = (CHANGES**2 + turned) * float(since.by_m @ since.by_m) + now.unknown_sigma_since(newest) ** 2
-    spread += (count - 1) / weights
-    where: Vector = (since.by_m + since.design @ covariance @ seen)[:, None] + apart / weights
-    return where, since.design @ covariance @ since.design.T + spread * np.eye(2)
+    found = covariance @ np.tensordot(weighted, mean_m - moved.by_m, ((0, 1), (0, 1)))
+    apart_m = np.tensordot(weights, at_m[moved.rows] - mean_m[:, :, None], 1) / weights.sum()
+    return Calibrated(newest, found, covariance, apart_m, (count - 1) / float(weights.sum()))
 
 
-@dataclass(frozen=True)
-class _Moved:
-    """Meters between two moments (2,), and what the five unknowns of `predicted` change of the second place (2, 5)."""
+class _Moved(NamedTuple):
+    """Meters between a moment and others (n, 2), and what the five unknowns change of them (n, 2, 5). rows: which."""
 
+    rows: list[int]
     by_m: Vector
     design: Vector
 
 
-def _moved(then: Displacement, now: Displacement) -> _Moved | None:
-    """By the autopilot's heading of then; None where the one is of another leg, or not by gyros."""
-    before, after = then.gyros, now.gyros
-    if before is None or after is None or then.leg != now.leg:
+def _moved(then: Displacement, others: Sequence[Displacement]) -> _Moved | None:
+    """By the autopilot's heading of then: of that leg, by gyros, from WITHIN_S before on; None where none is."""
+    before = then.gyros
+    rows = [row for row, one in enumerate(others) if before is not None and _is_near(one, then.leg, before.time_s)]
+    if before is None or not rows:
         return None
+    known = [(others[row], others[row].gyros or before) for row in rows]
     sin, cos = math.sin(before.compass_rad), math.cos(before.compass_rad)
-    turn = np.array([[cos, sin], [-sin, cos]])
-    by_m = turn @ now.since(then)
-    aside_m = np.array([by_m[1], -by_m[0]])
-    by_bias = turn @ (after.bias_east_m - before.bias_east_m, after.bias_north_m - before.bias_north_m)
-    return _Moved(by_m, np.column_stack([np.eye(2), aside_m, by_m, by_bias - before.time_s * aside_m]))
+    turn = np.array([[cos, -sin], [sin, cos]])  # of rows
+    by_m = np.array([one.since(then) for one, _ in known]) @ turn
+    bias_m = [(one.bias_east_m - before.bias_east_m, one.bias_north_m - before.bias_north_m) for _, one in known]
+    aside_m = np.stack([by_m[:, 1], -by_m[:, 0]], axis=1)
+    design = np.zeros((len(rows), 2, 5))
+    design[:, :, :2] = np.eye(2)
+    design[:, :, 2], design[:, :, 3] = aside_m, by_m
+    design[:, :, 4] = np.array(bias_m) @ turn - before.time_s * aside_m
+    return _Moved(rows, by_m, design)
+
+
+def _is_near(one: Displacement, leg: int, then_s: float) -> bool:
+    return one.gyros is not None and one.leg == leg and then_s - one.gyros.time_s <= WITHIN_S
 
 
 class Departure(NamedTuple):
@@ -207,7 +235,8 @@ class GpsTrack:
             here = gps.lat_deg, gps.lon_deg
             fixes_m = np.array([east_north_of(one.lat_deg, one.lon_deg, here) for _, one, _ in before])
             sigmas_m = math.sqrt(ALIKE_FIXES) * np.array([one.sigma_m for _, one, _ in before])
-            where = predicted([one for *_, one in before], fixes_m[:, :, None], sigmas_m, motion, self._drift)
+            shown = calibrated([one for *_, one in before], fixes_m[:, :, None], sigmas_m, self._drift)
+            where = None if shown is None else shown.predicted(motion)
             length_m = math.hypot(*fixes_m[-1])
             if where is None or length_m < since_m / 2:  # it has turned around
                 continue

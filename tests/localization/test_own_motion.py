@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from edge.localization.own_motion import BIAS_RADPS, RATES_APART_NS, OwnMotion, predicted
+from edge.localization.own_motion import BIAS_RADPS, RATES_APART_NS, OwnMotion, calibrated
 
 S = 1_000_000_000
 SPEED_MPS = 4.0
@@ -55,7 +55,8 @@ def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> No
     after = own.displacement(11 * S)
     assert before is not None and after is not None and after.leg != before.leg
     at_m, sigma_m = np.zeros((1, 2, 2)), np.ones(1)
-    assert predicted([before], at_m, sigma_m, after, 0.05) is None
+    shown = calibrated([before], at_m, sigma_m, 0.05)
+    assert shown is not None and shown.predicted(after) is None
 
 
 def test_places_that_agreed_show_the_bias_of_the_gyros() -> None:
@@ -69,7 +70,9 @@ def test_places_that_agreed_show_the_bias_of_the_gyros() -> None:
     now = own.displacement(S + 1199 * S // 10)
     known = [one for one in moments if one is not None]
     assert now is not None and len(known) == 13
-    found, alone = (predicted(known[-rows:], np.array(at_m[-rows:]), np.full(rows, 3.0), now, 0.05) for rows in (13, 1))
+    shown = [calibrated(known[-rows:], np.array(at_m[-rows:]), np.full(rows, 3.0), 0.05) for rows in (13, 1)]
+    assert shown[0] is not None and shown[1] is not None
+    found, alone = shown[0].predicted(now), shown[1].predicted(now)
     assert found is not None and alone is not None
     assert abs(found[0][0, 0]) < 2.0 * math.sqrt(found[1][0, 0])
     assert math.sqrt(found[1][0, 0]) < 0.7 * math.sqrt(alone[1][0, 0])
