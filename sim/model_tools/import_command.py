@@ -46,7 +46,9 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
     about = "measure the ranges of int8 on these feeds"
     parser.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help=about)
-    add_kept_texts(parser)
+    parser.add_argument("--name", help="name of the network (default: that of the file)")
+    parser.add_argument("--license", help="terms of the weights, kept in the file")
+    parser.add_argument("--source", help="origin of the weights, kept in the file")
     parser.add_argument("--tap", help="the tensor to use (default: the network's output)")
     parser.add_argument("--float", action="store_true", help="write the float network beside it, for `model verify`")
     parser.add_argument("--float-only", action="store_true", help="write the float network instead of an int8 one")
@@ -62,13 +64,6 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     image.add_argument("--std", type=float, nargs=3, metavar=rgb, help="divided by then (default: of ImageNet)")
     image.add_argument("--white", type=float, default=1.0, help="of a white pixel, before --mean: 1 (default) or 255")
     parser.set_defaults(run=run)
-
-
-def add_kept_texts(parser: argparse.ArgumentParser) -> None:
-    """Add the options for what a network file says of itself."""
-    parser.add_argument("--name", help="name of the network (default: that of the file)")
-    parser.add_argument("--license", help="terms of the weights, kept in the file")
-    parser.add_argument("--source", help="origin of the weights, kept in the file")
 
 
 @dataclass(frozen=True)
@@ -166,7 +161,7 @@ def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported
         license=source.license,
         source=source.source,
         weights_sha256=source.sha256,
-        calibration="" if args.float_only else spell_calibration(args.calibrate),
+        calibration="" if args.float_only else "feeds " + ", ".join(path.name for path in args.calibrate),
         pool=onnx_import.spell(source.pool) if source.pool else "",
         columns=found.columns,
     )
@@ -202,12 +197,6 @@ def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[ND
         network = Network(ModelFile(Path("network"), data, onnx_graph.get_info(model)))
         described.append(np.stack([network.describe(image[np.newaxis]) for image in images]))
     return float(nsd_cosines(*described).mean())
-
-
-def spell_calibration(feeds: list[Path] | None, ranges: Path | None = None, share: float = 1.0) -> str:
-    """What the ranges are of. share: of the greatest values that int8 spans."""
-    found = "feeds " + ", ".join(path.name for path in feeds) if feeds else ranges.name if ranges else ""
-    return f"{share:g} of the greatest values in {found}"
 
 
 def calibration_images(paths: list[Path], info: ModelInfo) -> Iterator[NDArray[np.uint8]]:
