@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from sim import geodetic
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from tests.plugins.home.test_way_home import straight
+from tests.udp_port import free_port
 
 MapAlong = Callable[..., Path]
 
@@ -78,9 +78,7 @@ def test_a_map_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture
 def autopilot() -> Iterator[tuple[str, SimulatedAutopilot]]:
     """A simulated autopilot in a thread, which stands with GPS at the origin, and the connection to it."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     link, stop = open_link(f"udp:127.0.0.1:{port}"), threading.Event()
     made = SimulatedAutopilot(link, straight_line(0.0, 180.0, time.monotonic()))
     thread = threading.Thread(target=made.run, args=(stop,))
