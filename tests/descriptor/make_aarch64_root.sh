@@ -18,7 +18,8 @@ ln -sf "python$version" "$root/usr/bin/python3"
 platforms=()
 for tag in manylinux_2_34 manylinux_2_28 manylinux_2_27 manylinux_2_17 manylinux2014; do platforms+=(--platform "${tag}_aarch64"); done
 packages=()
-for name in numpy opencv-python-headless onnxruntime numkong msgspec pyproj; do
+for name in numpy opencv-python-headless onnxruntime numkong msgspec pyproj pymavlink pyserial tomli-w tqdm \
+    starlette uvicorn prometheus-client; do
     packages+=("$($python -c "from importlib.metadata import version; print('$name==' + version('$name'))")")
 done
 $python -m pip download -q --only-binary=:all: --python-version "$version" --implementation cp "${platforms[@]}" \

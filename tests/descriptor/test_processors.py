@@ -6,30 +6,48 @@ packages for it, which make_aarch64_root.sh beside this file makes, named by LOO
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
+import time
+import urllib.error
+import urllib.request
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 from numpy.typing import NDArray
 
+from edge.config import DescriptorConfig, SamplingConfig
+from edge.descriptor.network import Network
 from edge.descriptor.normalize import normalize
 from edge.descriptor.open_network import cosines
+from edge.feed import read_feed
+from edge.journal.records import FrameUsed
+from edge.reference_map.store import open_map
+from edge_plugins.mapping.place_log import FEWEST_PLACES
+from sim.journal import records_of
+from sim.maps.command import build_map
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import Scenario
 from tests.descriptor.processor_answers import SPACING_M, by_grid, matched
+from tests.udp_port import free_port
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = Path(__file__).with_name("processor_answers.py")
 TOLERANCE = 1e-5
 """Of the grid's values between processors, as a share of the largest: ten times what a Cortex-A76 differed by (9.6e-7,
 emulated; a Haswell by nothing)."""
+SLOW_NS = 4_000_000_000
+"""Between two pictures of a drive that an emulated processor keeps up with."""
 KEYPOINTS = ("xy", "scores", "descriptors")
 XY_TOLERANCE, SCORE_TOLERANCE = 1e-2, 1e-4
 """Of keypoints, in pixels and of scores up to 1."""
@@ -122,14 +140,81 @@ def test_x86_without_vnni(drives: Path, tmp_path: Path) -> None:
     check_as_here(drives, tmp_path, emulator("x86_64"), "-cpu", "Haswell", python, PYTHONPATH=path)
 
 
-@pytest.mark.long
-def test_aarch64(drives: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def aarch64() -> tuple[list[str], dict[str, str]]:
+    """The command of an emulated Python, and its environment."""
     root = os.environ.get("LOOKBACK_AARCH64_ROOT")
     if not root:
         pytest.skip("needs LOOKBACK_AARCH64_ROOT: see make_aarch64_root.sh")
-    command = (emulator("aarch64"), "-L", root, "-cpu", "cortex-a76", f"{root}/usr/bin/python3")
-    path = f"{ROOT}:{root}/packages"
-    check_as_here(drives, tmp_path, *command, PYTHONPATH=path, PYTHONHOME=f"{root}/usr")
+    command = [emulator("aarch64"), "-L", root, "-cpu", "cortex-a76", f"{root}/usr/bin/python3"]
+    return command, {"PYTHONPATH": f"{ROOT}:{root}/packages", "PYTHONHOME": f"{root}/usr"}
+
+
+@pytest.mark.long
+def test_aarch64(drives: Path, tmp_path: Path, aarch64: tuple[list[str], dict[str, str]]) -> None:
+    command, environment = aarch64
+    check_as_here(drives, tmp_path, *command, **environment)
+
+
+@pytest.mark.long
+def test_the_daemon_on_aarch64(
+    tmp_path: Path, aarch64: tuple[list[str], dict[str, str]], write_traverse: Callable[..., Path], grid: Network
+) -> None:
+    """It recognizes places on a map that was made here, serves the page, and the map that it makes is read here."""
+    command, environment = aarch64
+    feed = read_feed(write_traverse(tmp_path / "feed"))
+    build_map([feed], tmp_path / "map", DescriptorConfig(model="grid"), SamplingConfig(), network=grid)
+    link, port = free_port(), free_port(socket.SOCK_STREAM)
+    rows = [f"{row.file},{number * SLOW_NS}" for number, row in enumerate(feed.rows)]
+    (feed.path / "frames.csv").write_text("\n".join(["file,stamp_ns", *rows, ""]))
+    settings: dict[str, dict[str, Any]] = {
+        "camera": {"kind": "feed", "device": str(feed.path)},
+        "map": {"path": str(tmp_path / "map")},
+        "sequence": {"length": 10},
+        "acceptance": {"uniqueness_min": 1.02, "window_m": 10.0},
+        "mapping": {"folder": str(tmp_path / "maps"), "resume_min": 0},
+        "telemetry": {"connection": f"udpin:127.0.0.1:{link}", "journal": "events.jsonl", "journal_frames": True},
+        "page": {"port": port},
+    }
+    config, journal = tmp_path / "lookback.toml", tmp_path / "events.jsonl"
+    config.write_text(tomli_w.dumps(settings))
+    speed = str(2e9 / SLOW_NS)  # the map has a place every 2 m
+    stand_in = [sys.executable, "-m", "edge", "dev", "sim", "autopilot", "--udp", f"127.0.0.1:{link}", "--speed", speed]
+    run = [*command, "-m", "edge", "run", str(config)]
+    with (
+        subprocess.Popen(stand_in, stdout=subprocess.DEVNULL) as autopilot,
+        subprocess.Popen(run, env={**os.environ, **environment}) as daemon,
+    ):
+        try:
+            deadline_s, believed, mapped = time.monotonic() + 900.0, [False], 0
+            while sum(believed) < 5 or mapped < FEWEST_PLACES:
+                assert daemon.poll() is None and time.monotonic() < deadline_s
+                time.sleep(2.0)
+                if journal.exists() and any(records_of(journal, FrameUsed)):
+                    believed = [frame.accepted for frame in records_of(journal, FrameUsed)]
+                    try:
+                        with urllib.request.urlopen(f"http://127.0.0.1:{port}/status.json", timeout=120) as answer:
+                            status = json.load(answer)
+                    except urllib.error.HTTPError as error:
+                        assert error.code == 503, error  # no turn of the daemon ended in time
+                    else:
+                        mapped = status["mapping"]["status"]["places"]
+        finally:
+            daemon.terminate()
+            autopilot.terminate()
+            assert daemon.wait(60) == 0
+    assert status["frames_used"] >= FEWEST_PLACES
+    with subprocess.Popen(run, env={**os.environ, **environment}) as daemon:  # the next start makes the map
+        try:
+            while not (made := [path for path in (tmp_path / "maps").iterdir() if (path / "map.json").exists()]):
+                assert daemon.poll() is None and time.monotonic() < deadline_s
+                time.sleep(1.0)
+        finally:
+            daemon.terminate()
+            assert daemon.wait(60) == 0
+    places = sum(len(open_map(path).places) for path in made)
+    print(f"{len(believed)} frames, {sum(believed)} believed; {places} places mapped; the page: {status['state']}")
+    assert places >= FEWEST_PLACES
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -78,7 +78,7 @@ def test_an_hour_of_drives(
     build_map([read_feed(by_day)], tmp_path / "maps" / "day", DescriptorConfig(model="grid"), SamplingConfig())
     link, page = free_port(), free_port(socket.SOCK_STREAM)
     settings = {
-        "camera": {"kind": "feed", "device": str(front)},
+        "camera": {"kind": "feed", "device": str(front), "fov_deg": Scenario().fov_deg},
         "map": {"path": "maps"},
         "rig": structs.asdict(RIG),
         "motion": {"use": "report"},
