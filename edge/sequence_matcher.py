@@ -97,6 +97,8 @@ class SequenceMatcher:
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
         if self._looks is not None:
             self._looks.grow(map_set, self._drives)
+        else:  # the map of this drive has its first places
+            self._looks = self._open_looks(map_set)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 

@@ -20,13 +20,15 @@ CAPACITY = 200_000
 class MapSoFar(ReferenceMap):
     """The first places of a growing map, as a map that can be searched.
 
-    matcher: of these places, whose descriptors are renewed. mean, deviation: (R, D) when it was made.
+    matcher: of these places, whose descriptors are renewed. mean, deviation: (R, D) when it was made. keypoints: what
+    gives the records (K,) of a place by its row, as far as they are known by then.
     """
 
     matcher: CostMatcher = field(kw_only=True)
     mean: NDArray[np.float64] = field(kw_only=True)
     deviation: NDArray[np.float64] = field(kw_only=True)
     thumbnails: Callable[[int], bytes] = field(kw_only=True)
+    keypoints: NDArray[np.void] | None = field(kw_only=True, default=None)
 
     def statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) of all raw descriptors so far. MapError if there are none."""

@@ -3,6 +3,7 @@
 `builder`    adds place after place, then normalizes and writes the whole set, atomically
 `place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole;
              that of an earlier drive becomes an ordinary map
+`live_keypoints`  the keypoints of each place, by a thread of their own
 `live_map`   which frames become places; the file and the map in memory (`growing_map`) together
 `outage`     places that were passed while GPS was lost: where they are, once it is back
 `missed_places`  places that were passed without a frame
@@ -23,7 +24,8 @@ from edge.errors import ConfigError
 class MappingConfig(Section, frozen=True):
     """[mapping]: the drive becomes a map while it is driven.
 
-    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none.
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none. keypoints: of each place,
+    where that camera has a `fov_deg`.
     """
 
     plugin: ClassVar[str] = "edge_plugins.mapping.plugin:Mapping"
@@ -33,6 +35,7 @@ class MappingConfig(Section, frozen=True):
     behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
     resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
     layers: Annotated[int, Meta(ge=0, le=100)] = 4
+    keypoints: bool = True
     quota_mb: Positive = 20_000.0
     min_free_mb: NotNegative = 500.0
     camera: CameraConfig | UnsetType = UNSET

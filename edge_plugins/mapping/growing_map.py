@@ -11,6 +11,7 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, Protocol, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from edge.config import SamplingConfig
 from edge.descriptor import RunningStatistics, normalized
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
+from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.map_so_far import CAPACITY, MapSoFar
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
@@ -33,6 +35,12 @@ RawRows = Callable[[Sequence[int]], NDArray[np.float32]]
 """Raw descriptors (n, R, D) of some places by their rows, as they were added."""
 
 
+class KeypointsByRow(Protocol):
+    """Has the records (K,) of KEYPOINT of each place."""
+
+    def __getitem__(self, row: int, /) -> NDArray[np.void]: ...
+
+
 class GrowingMap(DriveByDrive):
     """Places in the order in which they were passed, with what is needed to search them."""
 
@@ -45,11 +53,12 @@ class GrowingMap(DriveByDrive):
         raw_rows: RawRows,
         *,
         thumbnails: Callable[[int], bytes] = lambda row: b"",
+        keypoints: KeypointsByRow | None = None,
         capacity: int = CAPACITY,
     ) -> None:
-        """path: where the map will be when it is complete. raw_rows, thumbnails: of places that were added."""
+        """path: where the map will be when it is complete. raw_rows and the others: of places that were added."""
         self._path, self._header = path, MapHeader.begun(model, regions, sampling)
-        self._raw_rows, self._thumbnails = raw_rows, thumbnails
+        self._raw_rows, self._thumbnails, self._keypoints = raw_rows, thumbnails, keypoints
         shape = (regions.count, capacity, model.dimensions)
         memory = mmap.mmap(-1, int(np.prod(shape)), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | MAP_NORESERVE)
         self._descriptors = np.frombuffer(memory, np.int8).reshape(shape)
@@ -90,6 +99,10 @@ class GrowingMap(DriveByDrive):
         self._statistics.update_all(raw)
         self._encode(range(first, self.count), raw)
 
+    def keep_keypoints(self, key: KeypointsKey | None) -> None:
+        """The places have keypoints of this key; None: none."""
+        self._header = self._header.with_keypoints(key)
+
     def check(self) -> None:
         """Check again whether the drives moved as they claim."""
         self._header = self._header.checked(self.places)
@@ -116,6 +129,7 @@ class GrowingMap(DriveByDrive):
             mean=self._statistics.mean.copy(),
             deviation=self._statistics.deviation,
             thumbnails=self._thumbnails,
+            keypoints=None if self._header.keypoints_key is None else cast(Any, self._keypoints),
         )
 
     def _encode(self, rows: Sequence[int], raw: NDArray[np.float32]) -> None:

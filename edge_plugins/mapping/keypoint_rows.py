@@ -14,7 +14,7 @@ from edge.keypoints import Keypoints
 from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.mount import Mount, mount_of_drive
 from edge.keypoints.network import NETWORK
-from edge.reference_map.keypoint_file import KeypointsKey, mapped
+from edge.reference_map.keypoint_file import MOST_PIXELS, KeypointsKey, mapped
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of, put_points, record_of
 from edge.reference_map.store import Segment
 
@@ -25,6 +25,7 @@ ASPECT_PX = 1.0
 """By which the height of a picture may differ from that of another size's of the same shape."""
 
 
+NONE = Keypoints(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.empty((0, 64), np.int8), (1, 1))
 KeyOf = Callable[[int, int], KeypointsKey]
 """The key of a map by the height and width of its first picture."""
 
@@ -32,7 +33,13 @@ KeyOf = Callable[[int, int], KeypointsKey]
 def keypoints_key(height: int, width: int, fov_deg: float) -> KeypointsKey:
     """Of a new map of pictures of this size and horizontal field of view, by the network that ships. ModelError."""
     made = read_model_file(resolve_model(Path(NETWORK))).info
-    return KeypointsKey(NETWORK, made.sha256, MOST, width, height, float(fov_deg))
+    shrunk = min(1.0, MOST_PIXELS / max(height, width))
+    return KeypointsKey(NETWORK, made.sha256, MOST, round(width * shrunk), round(height * shrunk), float(fov_deg))
+
+
+def is_of_shape(key: KeypointsKey, height: int, width: int) -> bool:
+    """Whether a picture has the shape of a map's pictures, of whatever size."""
+    return abs(height * key.width / width - key.height) <= ASPECT_PX
 
 
 class KeypointRows:
@@ -50,7 +57,7 @@ class KeypointRows:
         """Of the next place. MapError for a picture of another shape."""
         height, width = keypoints.size
         key = self._key = self._key or self._key_of(height, width)
-        if abs(height * key.width / width - key.height) > ASPECT_PX:
+        if not is_of_shape(key, height, width):
             raise MapError(
                 f"pictures of {width} x {height} and of {key.width} x {key.height} pixels: a map with keypoints has"
                 " those of one shape; build two maps, or use --no-keypoints"
@@ -63,10 +70,9 @@ class KeypointRows:
         self._key = self._key or key
         self._write(record)
 
-    def add_mapped(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount | None) -> None:
-        """Of the next place, as live mapping has them; mount: by this place, None where no distance is known yet."""
-        if record["descriptor"].any():
-            self._mounts[self._count] = mount
+    def add_mapped(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount) -> None:
+        """Of the next place, as live mapping has them; mount: by this place."""
+        self._mounts[self._count] = mount
         self.add_record(record, key)
 
     def _write(self, record: NDArray[np.void]) -> None:

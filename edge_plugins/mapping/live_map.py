@@ -24,6 +24,7 @@ from edge_plugins.layers.stored import delete_oldest, source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.growing_map import GrowingMap
+from edge_plugins.mapping.live_keypoints import LiveKeypoints
 from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
 from edge_plugins.mapping.own_motion import OwnMotion
@@ -58,15 +59,19 @@ class LiveMap:
         unix_time_s: Callable[[], float] = time.time,
         before_long: Callable[[float], object] = lambda seconds: None,
         retry_s: float = RETRY_S,
+        fov_deg: float | None = None,
     ) -> None:
         """Make maps of earlier drives, and go on with the last one if it is of `resume_min` ago, after a restart.
 
         header: how places are made. view: of the camera that maps. before_long: is called with the seconds that
-        reading or finishing a drive may take here. retry_s: see `PlaceLog`.
+        reading or finishing a drive may take here. retry_s: see `PlaceLog`. fov_deg: horizontal, of the pictures; None
+        where they get no keypoints.
         """
         self._config, self._header, self._view = config, header, view
         self._unix_time_s, self._before_long, self._retry_s = unix_time_s, before_long, retry_s
         self._folder = Path(config.folder)
+        back = view == "rear"
+        self.keypoints = LiveKeypoints(fov_deg, looks_back=back)
         self._lock = -1
         self._why = "no place yet"
         self._stopped = ""
@@ -134,19 +139,23 @@ class LiveMap:
             self._outage.miss(1 + missed)
         elif not self._why:
             self._placed_ns = position.stamp_ns
-            self._add_at(raw, self._place(position, self._route_m(distance_m), image), missed)
+            self._add_at(self._mapped(raw, position, distance_m, image), missed)
         elif self._outage.is_bridgeable:
-            new = MappedPlace(raw, self._place(position, self._route_m(distance_m), image))
-            self._outage.wait(new, self._motion.moved, missed)
+            self._outage.wait(self._mapped(raw, position, distance_m, image), self._motion.moved, missed)
 
     def go_on(self, position: VehiclePosition, distance_m: float | None) -> None:
         """The vehicle is there, whether or not a camera shows it."""
         if distance_m is not None and not why_no_truth(position, self._config):
             self._trail.add(self._route_m(distance_m), position)
 
-    def _add_at(self, raw: NDArray[np.float32], place: Place, missed: int) -> None:
+    def _mapped(
+        self, raw: NDArray[np.float32], position: VehiclePosition, distance_m: float, image: NDArray[np.uint8]
+    ) -> MappedPlace:
+        place = self._place(position, self._route_m(distance_m), image)
+        return MappedPlace(raw, place, self.keypoints.find(image))
+
+    def _add_at(self, now: MappedPlace, missed: int) -> None:
         """A place with a position that is good, and before it those that waited for one."""
-        now = MappedPlace(raw, place)
         found = self._outage.end(now, missed, self._motion)
         is_measured = found is not None
         try:
@@ -226,10 +235,12 @@ class LiveMap:
     def end(self) -> None:
         """Begin to write what is left."""
         if self._log is not None:
-            self._log.end()
+            self.keypoints.end(then=self._log.end)
 
     def close(self) -> None:
         """Write what is left; more than once is harmless."""
+        self.end()
+        self.keypoints.close()
         if self._log is not None:
             self._log.close()
         self._log = None
@@ -268,8 +279,8 @@ class LiveMap:
         False where the disk is too far behind: the drive begins when it has caught up.
         """
         if self._log is None:
-            file = create_log(log_of(self._path), self._header)
-            self._log = PlaceLog(file, self._config.min_free_mb * 1e6, self._retry_s)
+            self._use(create_log(log_of(self._path), self.keypoints.header_of(self._header)))
+        assert self._log is not None
         apart_m = MOST_APART * self._header.sampling.spacing_m
         since_m = route_m - self._last.place.route_m if self._last is not None else -1.0
         if 0 <= since_m <= apart_m:
@@ -279,6 +290,7 @@ class LiveMap:
         begun = self._log.begin_drive(DriveBegun(self._view))
         if begun:
             self.own.begin_drive()
+            self.keypoints.begin_drive(self._growing.count)
             self._growing.begin_segment(source_of(self._path), self._view, has_odometer=True, whole_sigma_m=0.0)
         return begun
 
@@ -293,6 +305,7 @@ class LiveMap:
             self._last = None
             return
         self._last, self._is_continuous = new, True
+        self.keypoints.add(place, new.keypoints)
         self._growing.add(new.raw, place)
         if not is_vouched:
             self._growing.doubt()
@@ -314,7 +327,13 @@ class LiveMap:
     def _new_map(self) -> GrowingMap:
         made = self._header
         return GrowingMap(
-            self._path, made.model, made.regions, made.sampling, self._raw_rows, thumbnails=self._thumbnail
+            self._path,
+            made.model,
+            made.regions,
+            made.sampling,
+            self._raw_rows,
+            thumbnails=self._thumbnail,
+            keypoints=self.keypoints,
         )
 
     def _raw_rows(self, rows: Sequence[int]) -> NDArray[np.float32]:
@@ -362,14 +381,21 @@ class LiveMap:
     def _is_of_this_drive(self, found: OpenLog) -> bool:
         made, now = found.header, self._header
         alike = (made.model, made.regions, made.sampling) == (now.model, now.regions, now.sampling)
+        alike &= self.keypoints.is_alike(made.keypoints)
         # Without a battery the computer's clock may have fallen behind the file: then it was just now.
         age_s = self._unix_time_s() - found.written_unix_s
         return alike and bool(found.places_at) and age_s < 60 * self._config.resume_min and self._config.resume_min > 0
 
+    def _use(self, file: OpenLog) -> None:
+        """Write to this file."""
+        self._log = PlaceLog(file, self._config.min_free_mb * 1e6, self._retry_s)
+        self.keypoints.write_to(self._log)
+        self._growing.keep_keypoints(file.header.keypoints)
+
     def _resume(self, found: OpenLog) -> None:
         self._path = map_of(found.path)
-        self._log = PlaceLog(found, self._config.min_free_mb * 1e6, self._retry_s)
         self._growing = self._new_map()
+        self._use(found)
         for first, end, drive in found.segments():
             self._growing.begin_segment(source_of(self._path), drive.view, has_odometer=True, whole_sigma_m=0.0)
             for row in range(first, end, RESUMED_AT_ONCE):

@@ -19,26 +19,33 @@ import shutil
 import signal
 import threading
 import time
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.errors import MapError, reason
 from edge.files import replacing
+from edge.keypoints.mount import Mount, mount_of_drive
+from edge.reference_map.keypoint_records import record_of
 from edge_plugins.layers.stored import source_of
 from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.keypoint_rows import NONE
 from edge_plugins.mapping.place_log_records import (
     FORMAT,
     HEAD,
     VERSION,
+    VERSION_WITH_KEYPOINTS,
     DriveBegun,
     LogHeader,
     LogRecord,
     PlacePassed,
+    PointsMade,
     encoded,
     record_at,
     whole_records,
@@ -77,8 +84,9 @@ def logs_in(folder: Path) -> list[Path]:
 class OpenLog:
     """A file of places that this process alone has open: the records that were in it, and where to write on.
 
-    places_at: where each place is. drives: with which place each drive begins. written_unix_s: when the last place was
-    written.
+    places_at: where each place is. points_at: where the keypoints of some are, by their rows. drives: with which place
+    each drive begins. mounts: how the camera is mounted by these keypoints, by the first places of their drives.
+    written_unix_s: when the last place was written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,6 +100,8 @@ class OpenLog:
         try:
             fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self.places_at: list[int] = []
+            self.points_at: dict[int, int] = {}
+            self.mounts: dict[int, Mount] = {}
             self.drives: list[tuple[int, DriveBegun]] = []
             self.written_unix_s = os.fstat(self.descriptor).st_mtime
             self.header, self.end = self._read()
@@ -105,25 +115,40 @@ class OpenLog:
         """Its header, and where the last whole record ends. Keeps where each place is, and which begins a drive."""
         records = whole_records(self.descriptor)
         start, end, header = next(records, (0, 0, None))
-        if start or not isinstance(header, LogHeader) or (header.format, header.version) != (FORMAT, VERSION):
-            raise OSError(errno.EINVAL, f"damaged, or not a file of places of version {VERSION}; remove it")
-        damaged = 0
+        known = (VERSION, VERSION_WITH_KEYPOINTS)
+        if start or not isinstance(header, LogHeader) or header.format != FORMAT or header.version not in known:
+            raise OSError(
+                errno.EINVAL, f"damaged, or not a file of places of version {known[0]} or {known[1]}; remove it"
+            )
+        damaged, is_gap = 0, False
         for start, stop, record in records:
+            is_gap |= start > end
             if isinstance(record, DriveBegun):
+                is_gap = False
                 self.drives.append((len(self.places_at), record))
             elif isinstance(record, PlacePassed):
-                if start > end and (record.view or self.drives):
+                if is_gap and (record.view or self.drives):
                     # What was lost may have been more than one place: no line runs over it.
                     begun = DriveBegun(record.view) if record.view else self.drives[-1][1]
                     if not self.drives or self.drives[-1][0] < len(self.places_at):
                         self.drives.append((len(self.places_at), begun))
+                is_gap = False
                 if self.drives:
                     self.places_at.append(start)
                     self.written_unix_s = record.unix_s or self.written_unix_s
+            elif isinstance(record, PointsMade):
+                self._add_points(record, start)
             damaged, end = damaged + start - end, stop
         if damaged:
             log.warning("%s: %d damaged bytes were skipped, %d places kept", self.path, damaged, len(self.places_at))
         return header, end
+
+    def _add_points(self, points: PointsMade, start: int) -> None:
+        row = bisect_left(self.places_at, points.place_at)
+        if self.places_at[row : row + 1] == [points.place_at]:  # else its place is damaged
+            self.points_at[row] = start
+            drive = max(first for first, _ in self.drives if first <= row)
+            self.mounts[drive] = mount_of_drive([points.mount], self.mounts.get(drive))
 
     def _remove_what_was_cut_off(self) -> None:
         """Remove the last record if the file ends within it; one that is damaged otherwise stays."""
@@ -150,6 +175,15 @@ class OpenLog:
         if not isinstance(record, PlacePassed):
             raise OSError(errno.EIO, f"{self.path}: place {row} is damaged")
         return record
+
+    def points(self, row: int) -> PointsMade | None:
+        """The keypoints of one of the places, None where it has none, or they cannot be read any more."""
+        with contextlib.suppress(OSError):
+            record = record_at(self.descriptor, self.points_at[row]) if row in self.points_at else None
+            key = self.header.keypoints
+            if isinstance(record, PointsMade) and key is not None and len(record.points) == key.place_bytes:
+                return record
+        return None
 
     def raw(self, row: int) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of one of the places."""
@@ -184,7 +218,8 @@ class PlaceLog:
         self._min_free_bytes, self._retry_s = min_free_bytes, retry_s
         self._end = file.end
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=RECENT)
-        self._queue: queue.Queue[LogRecord | None] = queue.Queue(QUEUE_PLACES)
+        self._points: dict[int, PointsMade] = {}  # by the rows of their places, until they are written
+        self._queue: queue.Queue[LogRecord | int | None] = queue.Queue(QUEUE_PLACES)  # an int: of these
         self.count = len(file.places_at)
         """Places that were handed over, or were there."""
         self.stopped = os.strerror(errno.EROFS) if file.is_read_only else ""
@@ -215,6 +250,16 @@ class PlaceLog:
         self.count += 1
         return True
 
+    def add_points(self, row: int, record: NDArray[np.void], mount: Mount) -> None:
+        """Hand the keypoints of a place over, from any thread; where the disk is too far behind, it has none."""
+        self._points[row] = PointsMade.of(record, mount)
+        if not self._put(row):
+            del self._points[row]
+
+    def points(self, row: int) -> PointsMade | None:
+        """The keypoints of a place; None where it has none, or none yet."""
+        return self._points.get(row) or self.file.points(row)
+
     def raw_rows(self, rows: Sequence[int]) -> NDArray[np.float32]:
         """Raw descriptors (n, R, D) of some places, the older ones from the disk. OSError."""
         first = self.count - len(self._recent)
@@ -237,7 +282,7 @@ class PlaceLog:
         if not self._thread.is_alive():  # else the disk hangs, and the file goes with the process
             self.file.close()
 
-    def _put(self, record: LogRecord) -> bool:
+    def _put(self, record: LogRecord | int) -> bool:
         if self.stopped:
             return False
         try:
@@ -258,8 +303,11 @@ class PlaceLog:
                 flushed_s, is_flushed = time.monotonic(), True
         self._flush()
 
-    def _write(self, record: LogRecord) -> bool:
+    def _write(self, handed: LogRecord | int) -> bool:
         """Append a record whole, as soon as the disk takes it; False at the end, where it does not."""
+        row = handed if isinstance(handed, int) else -1
+        record = replace(self._points[row], place_at=self.file.places_at[row]) if row >= 0 else handed
+        assert not isinstance(record, int)
         data = encoded(record)
         while not self._append(data):
             if self._closing.wait(self._retry_s):
@@ -269,6 +317,9 @@ class PlaceLog:
             log.warning("%s: mapping goes on, with a new drive", self.file.path)
         if isinstance(record, PlacePassed):
             self.file.places_at.append(self._end)
+        if row >= 0:
+            self.file.points_at[row] = self._end
+            del self._points[row]
         self._end += len(data)
         return True
 
@@ -317,14 +368,20 @@ def complete(file: OpenLog) -> Path | None:
 
 
 def _build(file: OpenLog, path: Path) -> None:
-    header = file.header
-    with MapBuilder(path, header.model, header.regions, header.sampling) as builder:
+    header, key = file.header, file.header.keypoints
+    key_of = None if key is None else lambda height, width: key
+    with MapBuilder(path, header.model, header.regions, header.sampling, keypoints=key_of) as builder:
         for first, end, drive in file.segments():
             builder.begin_segment(source_of(path), drive.view, has_odometer=True, whole_sigma_m=0.0)
             for row in range(first, end):
                 try:
                     passed = file.place(row)
                     builder.add(file.raw_of(passed), passed.place)
+                    points = file.points(row)
+                    if builder.keypoints and key and points is None:
+                        builder.keypoints.add_record(record_of(NONE, key), key)
+                    elif builder.keypoints and key and points is not None:
+                        builder.keypoints.add_mapped(points.record, key, points.mount)
                     if not passed.is_vouched:
                         builder.doubt()
                 except OSError as error:

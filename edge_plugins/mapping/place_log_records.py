@@ -10,6 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,9 +20,10 @@ from numpy.typing import NDArray
 
 import edge
 from edge.config import SamplingConfig
+from edge.keypoints import Keypoints
 from edge.keypoints.mount import Mount
 from edge.reference_map import ModelKey, RegionsKey
-from edge.reference_map.keypoint_file import KeypointsKey
+from edge.reference_map.keypoint_file import KEYPOINT, KeypointsKey
 from edge_plugins.mapping.builder import Place
 
 FORMAT = "lookback-places"
@@ -60,7 +62,6 @@ class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
 
     unix_s: when it was written, 0 in files of earlier versions. view: of the camera, as in its DriveBegun, which may be
     damaged; None in such files. is_vouched: whether all of its drive moved as what GPS has no part in, see `OwnMotion`.
-    keypoints: records of KEYPOINT, whose distances are not known yet; b"" for a place without.
     """
 
     place: Place
@@ -68,11 +69,10 @@ class PlacePassed(msgspec.Struct, frozen=True, tag="place"):
     unix_s: float = 0.0
     view: Literal["front", "rear"] | None = None
     is_vouched: bool = False
-    keypoints: bytes = b""
 
 
 class PointsMade(msgspec.Struct, frozen=True, tag="points"):
-    """How far away the keypoints of a place are, known once the drive has gone on.
+    """The keypoints of a place, written once the drive has gone on, so that their distances are known.
 
     place_at: where in the file the place is. points: records of KEYPOINT, in the frame of the camera as it is mounted.
     down, right: how it is mounted by this place, in radians. information: of these, (2, 2) row by row.
@@ -88,6 +88,17 @@ class PointsMade(msgspec.Struct, frozen=True, tag="points"):
     def mount(self) -> Mount:
         """How the camera is mounted by this place."""
         return Mount(np.array([self.down, self.right]), np.reshape(self.information, (2, 2)))
+
+    @property
+    def record(self) -> NDArray[np.void]:
+        """The records (K,)."""
+        return np.frombuffer(self.points, KEYPOINT)
+
+    @classmethod
+    def of(cls, record: NDArray[np.void], mount: Mount, place_at: int = -1) -> PointsMade:
+        """Of a place that may not be written yet."""
+        (down, right), (a, b, c, d) = mount.radians.tolist(), mount.information.ravel().tolist()
+        return cls(place_at, record.tobytes(), down, right, (a, b, c, d))
 
 
 LogRecord = LogHeader | DriveBegun | PlacePassed | PointsMade
@@ -145,8 +156,8 @@ def record_at(descriptor: int, at: int) -> LogRecord | None:
 
 @dataclass(frozen=True)
 class MappedPlace:
-    """A place, its raw descriptor (R, D), and records (K,) of its keypoints, None for a place without."""
+    """A place, its raw descriptor (R, D), and its keypoints once they are found, None for a place without."""
 
     raw: NDArray[np.float32]
     place: Place
-    keypoints: NDArray[np.void] | None = None
+    keypoints: Future[Keypoints] | None = None

@@ -7,6 +7,7 @@ camera, the frames that are recognized are mapped as well.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import replace
@@ -31,6 +32,7 @@ from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters
 from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
 
+log = logging.getLogger(__name__)
 START_S = 120.0  # of the service's unit, which the rest of the start may take
 MappedFrame = tuple[Frame, NDArray[np.float32], float | None, int]
 """A frame at a new place, its raw descriptor (R, D), meters driven, and places passed before it without a frame."""
@@ -98,9 +100,14 @@ class Mapping(Plugin):
 
     def _open(self, mapping: MappingConfig, opened: ExitStack) -> None:
         config, camera, frames = self._parts.config, mapping.camera, self._parts.mapping_frames
-        view = config.camera.view if camera is UNSET else camera.view
+        maps = config.camera if camera is UNSET else camera
+        fov_deg = maps.fov_deg if mapping.keypoints and maps.fov_deg is not UNSET else None
+        if mapping.keypoints and fov_deg is None:
+            where = "camera" if camera is UNSET else "mapping.camera"
+            log.warning("[%s] fov_deg: is not set, so the map of this drive gets no keypoints", where)
         header = LogHeader(model_key(self._parts.network), RegionsKey.of(config.descriptor), config.sampling)
-        self.live = opened.enter_context(closing(LiveMap(mapping, header, view, before_long=_ask_for_time)))
+        live = LiveMap(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg)
+        self.live = opened.enter_context(closing(live))
         device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
             frames = device = NewestFrame.configured(camera, self._parts.clock_ns)
@@ -159,6 +166,10 @@ class Mapping(Plugin):
         """Map what waits for its position, and begin to write the last of it."""
         self._add_placed(at_the_end=True)
         self.live.end()
+
+    def wait(self) -> None:
+        """Until the threads have done what was handed over, for a simulation whose time passes faster than theirs."""
+        self.live.keypoints.wait()
 
     def close(self) -> None:
         """Map what waits for its position, and close the camera and the file."""

@@ -24,6 +24,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.plugin import Mapping
 from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.trial.cameras import PlacedNetwork
@@ -113,7 +114,7 @@ class Drive:
             )
             daemon = Daemon(opened)
             while daemon.turn() and simulation.time_s() < until_s:
-                pass
+                opened.plugins.ask("mapping", Mapping.wait)
             if simulation.ended:
                 daemon.last_words()
         for failed in records_of(self.journal, PluginFailed):

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -67,6 +68,8 @@ class CourseSimulation(Simulation):
         late = round(draft.late_s / FRAME_S)
         shown_m = draft.shown_m if draft.motion != "off" or draft.late_s or draft.keypoints else None
         self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), late, shown_m=shown_m)
+        if draft.keypoints:
+            self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]), shown_m=draft.shown_m)
         if not draft.steers:
             self.driver.belief, self.autopilot.base_mode = None, 0
         self.autopilot.loses = self._loses
@@ -175,14 +178,17 @@ class CourseDrive(Drive):
         """What the course asks for."""
         config, draft = super().config(connection, map_path), self.draft
         origin = (*geodetic(*draft.origin_m, draft.lon_shift_deg), ORIGIN_ALT_M) if draft.origin_m else ()
-        replace = msgspec.structs.replace
+        replace, mapping = msgspec.structs.replace, config.of(MappingConfig)
+        if not draft.maps_live:
+            mapping = MappingConfig()
+        elif draft.keypoints and mapping.camera is not UNSET:
+            mapping = replace(mapping, camera=replace(mapping.camera, fov_deg=Scenario().fov_deg))
         return replace(
             config,
             camera=replace(config.camera, kind="stream" if draft.late_s else "sim", fov_deg=Scenario().fov_deg),
             gates=GatesConfig(doubted_gps=draft.doubted_gps),
             telemetry=replace(config.telemetry, emit=draft.emit, origin=origin),
-            plugins={**config.plugins, "motion": MotionConfig(use=draft.motion)}
-            | ({} if draft.maps_live else {"mapping": MappingConfig()}),
+            plugins={**config.plugins, "motion": MotionConfig(use=draft.motion), "mapping": mapping},
         )
 
     def run_daemon(self, simulation: Simulation, config: Config, until_s: float = math.inf) -> None:
