@@ -56,7 +56,8 @@ def known(records: NDArray[np.void]) -> int:
 
 
 def known_of(reference: ReferenceMap) -> list[int]:
-    return [known(np.array(reference.keypoints[row])) for row in range(reference.header.places)]
+    assert reference.keypoints is not None
+    return [known(reference.keypoints[row]) for row in range(reference.header.places)]
 
 
 def finished(folder: Path) -> ReferenceMap:

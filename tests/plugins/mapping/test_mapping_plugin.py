@@ -244,6 +244,37 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
 
 
+@pytest.mark.parametrize(
+    ("camera", "keypoints", "said"),
+    [
+        (CameraConfig(kind="sim", view="rear"), True, ["[mapping.camera] fov_deg"]),
+        (CameraConfig(kind="sim", view="rear"), False, []),
+        (CameraConfig(kind="sim", view="rear", fov_deg=80.0), True, []),
+        (msgspec.UNSET, True, ["[camera] fov_deg"]),
+    ],
+)
+def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
+    placed_network: PlacedNetwork,
+    tmp_path: Path,
+    parts: ExitStack,
+    caplog: pytest.LogCaptureFixture,
+    camera: CameraConfig | msgspec.UnsetType,
+    keypoints: bool,
+    said: list[str],
+) -> None:
+    world, mapping = World(placed_network, home=False), MappingConfig(str(tmp_path), camera=camera, keypoints=keypoints)
+    config = Config(
+        camera=CameraConfig(kind="sim"),
+        map=MapConfig(path=str(tmp_path)),
+        plugins={"mapping": mapping},
+        telemetry=TelemetryConfig(connection=f"udpin:127.0.0.1:{free_port()}", journal=""),
+    )
+    rear = None if camera is msgspec.UNSET else Camera(world, ahead=False)
+    opened(config, parts, world, Camera(world, ahead=True), rear)
+    found = [one.message for one in caplog.records if "keypoints" in one.message]
+    assert found == [f"{where}: is not set, so the map of this drive gets no keypoints" for where in said]
+
+
 @pytest.mark.parametrize("second_camera", [True, False])
 @pytest.mark.parametrize(("camera", "from_m"), [(StartShown, 100.0), (Camera, math.inf)])
 def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(

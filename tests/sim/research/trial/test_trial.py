@@ -338,6 +338,20 @@ def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     assert any(one.get("points", 0) >= 12 for one in sent if one["event"] == "fix_sent")
 
 
+@pytest.mark.long
+def test_home_begins_earlier_on_the_map_of_the_way_out_where_that_has_keypoints(
+    library: RoadLibrary, tmp_path: Path
+) -> None:
+    """Out by day, mapped by a rear camera, and home at dusk without GPS, which is lost at the turn."""
+    lines, looks = COURSES["take-me-home-dusk"], on_keypoints(COURSES["take-me-home-dusk"])
+    runs = [drive(one, 1, 300.0, WORLD, tmp_path, library) for one in (lines, looks)]
+    first_m = [float(np.interp(run.sent.of_s[0], run.track.time_s, run.track.along_m)) for run in runs]
+    lost_m = [float(run.track.along_m[run.track.gps.argmin()]) for run in runs]
+    print("first positions", np.subtract(first_m, lost_m).round(), "m after GPS was lost")
+    assert first_m[1] - lost_m[1] < 50 < first_m[0] - lost_m[0]
+    assert not failures(runs[1], HONEST), line("take-me-home-dusk", runs[1])
+
+
 def test_in_short_courses_that_pass_are_only_counted() -> None:
     failed = replace(run_of(error_m=10.0), failures=(Failure("close", "10 m"),))
     several, passed = CourseScore("**all**", (run_of(), failed)), CourseScore("home", (run_of(),))
