@@ -7,22 +7,13 @@ The layers are those of the authors' efficientnet_lite_builder.py
 
 from __future__ import annotations
 
-import hashlib
-import io
-import itertools
-import pickletools
-from collections.abc import Iterator
-from importlib.util import find_spec
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from edge.errors import ModelError
 from edge.extras import install_command
 from sim.model_tools.onnx_graph import GraphBuilder, Weights
-from sim.output import refusing
+from sim.model_tools.packaged_weights import read_packaged
 
 if TYPE_CHECKING:
     import onnx
@@ -35,8 +26,6 @@ INPUT_SIZE, CLASSES = 224, 1000  # as the authors trained it
 MEAN_RGB, STD_RGB = (127 / 255,) * 3, (128 / 255,) * 3  # as the authors trained it
 TAP, GRID, GRID_COLUMNS, GRID_SIZE = "block12", (4, 8), 3, (128, 256)
 """The grid that ships: of the whole picture, and the outer three columns of each side are its regions."""
-Operation = tuple[str, Any]
-"""Of a pickle: its name, and what stands with it."""
 _EPSILON = 1e-3  # of batch norm
 STAGES = ((1, 3, 1, 1), (2, 3, 2, 6), (2, 5, 2, 6), (3, 3, 2, 6), (3, 5, 1, 6), (4, 5, 2, 6), (1, 3, 1, 6))
 """Of each stage: blocks, size of the kernel, stride of its first block, and by how much a block widens."""
@@ -44,50 +33,8 @@ STAGES = ((1, 3, 1, 1), (2, 3, 2, 6), (2, 5, 2, 6), (3, 3, 2, 6), (3, 5, 1, 6), 
 
 def read_packaged_weights() -> tuple[Weights, str]:
     """The weights by name, and the file's sha256. ModelError if the package is missing or holds others."""
-    spec = find_spec(PACKAGE)
-    if spec is None or spec.origin is None:
-        raise ModelError(f"{NAME}: needs the package {PACKAGE}: {install_command('efficientnet')}")
-    path = Path(spec.origin).parent / "models" / f"{NAME}-57934424.pth"
-    with refusing(ModelError, f"{path}: cannot read the weights"):
-        data = path.read_bytes()
-    sha256 = hashlib.sha256(data).hexdigest()
-    if sha256 != SHA256:
-        raise ModelError(f"{path}: not the weights of {PACKAGE} 0.1.0 (sha256 {sha256[:12]}); install that version")
-    return _read_tensors(data), sha256
-
-
-def _read_tensors(data: bytes) -> Weights:
-    """The arrays in that one file, as PyTorch wrote them until 2020: five pickles, then the numbers of each storage.
-
-    A pickle is a program. These are listed, and never run: where the fourth names a storage (BINPERSID), the array's
-    name, the storage's key and the number of its values stand so many operations before, and the array's shape and the
-    steps along it after. The fifth has the keys in the order of the storages, each of which is one array.
-    """
-    stream = io.BytesIO(data)
-    *_, state, keys = (_operations(stream) for _ in range(5))
-    arrays: dict[str, tuple[str, int, list[int], list[int]]] = {}
-    for at in (index for index, (code, _) in enumerate(state) if code == "BINPERSID"):
-        key, count, name = (state[at - before][1] for before in (5, 3, 11))
-        after = iter(state[at + 2 :])  # past the offset, 0 of all
-        shape, steps = ([value for _, value in _until_tuple(after) if value is not None] for _ in range(2))
-        arrays[key] = name, count, shape, steps
-    found: dict[str, NDArray[Any]] = {}
-    for key in (value for code, value in keys if code == "BINUNICODE"):
-        name, count, shape, steps = arrays[key]
-        stream.seek(8, io.SEEK_CUR)  # the number of its values once more
-        kind = np.dtype(np.int64 if name.endswith("num_batches_tracked") else np.float32)
-        values = np.frombuffer(stream.read(count * kind.itemsize), kind)
-        found[name] = np.lib.stride_tricks.as_strided(values, shape, [step * kind.itemsize for step in steps])
-    return found
-
-
-def _operations(stream: IO[bytes]) -> list[Operation]:
-    """Of the next pickle, but for those that keep what may be used again."""
-    return [(code.name, value) for code, value, _ in pickletools.genops(stream) if not code.name.endswith("PUT")]
-
-
-def _until_tuple(operations: Iterator[Operation]) -> Iterator[Operation]:
-    return itertools.takewhile(lambda one: "TUPLE" not in one[0], operations)
+    file = f"models/{NAME}-57934424.pth"
+    return read_packaged(NAME, PACKAGE, file, SHA256, install_command("efficientnet")), SHA256
 
 
 def build(weights: Weights, size: tuple[int, int] = (INPUT_SIZE, INPUT_SIZE)) -> onnx.ModelProto:

