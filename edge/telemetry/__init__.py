@@ -1,9 +1,9 @@
 """Telemetry over MAVLink 2: what the autopilot reports comes in, place fixes go out.
 
 In: `link` is the serial port or the socket, `codec` (with `signing`) turns its bytes into messages, and `port` opens it
-again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilot's time, `gps` for its receivers,
-`vehicle_velocity` for how it moves, and `confirmation` for what a single message may not change. What it knows of one
-autopilot is a `Session`, which another one replaces. `position_history` has its position at an exposure.
+again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilot's time, `gps` for its receivers, and
+`vehicle_velocity` for how it moves. What it knows of one autopilot is a `session`, which another one replaces.
+`position_history` has its position at an exposure.
 
 Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the
 velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says

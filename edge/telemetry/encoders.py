@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry.codec import Message
-from edge.telemetry.confirmation import Origin
+from edge.telemetry.session import Origin
 
 EXTERNAL_POSITION_ESTIMATE: int = mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE  # 43003
 SENSOR_ENABLE, SENSOR_GPS = 43006, 0  # MAV_CMD_ESTIMATOR_SENSOR_ENABLE, which pymavlink does not have yet

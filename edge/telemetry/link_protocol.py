@@ -16,11 +16,11 @@ from edge.backoff import BackOff, Exchange
 from edge.config import TelemetryConfig
 from edge.telemetry import encoders
 from edge.telemetry.codec import FusionStatus, Message
-from edge.telemetry.confirmation import Origin
 from edge.telemetry.firmware import AIRSPEED, NO_AID, VISION
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES
-from edge.telemetry.vehicle import Session, Vehicle
+from edge.telemetry.session import Origin, Session
+from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import Aid
 
 TIMESYNC_NS = 500_000_000

@@ -16,7 +16,8 @@ from edge.localization import GpsVerdict, PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.port import Port
-from edge.telemetry.vehicle import Session, Vehicle
+from edge.telemetry.session import Session
+from edge.telemetry.vehicle import Vehicle
 
 HEARTBEAT_NS = 1_000_000_000
 TEXT_NS = 500_000_000

@@ -9,19 +9,15 @@ import logging
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition
 from edge.localization import DeadReckoning, GpsFix, Own
-from edge.telemetry.boot_clock import BootClock
 from edge.telemetry.codec import FusionStatus, Message
-from edge.telemetry.confirmation import Modes, Origin, Origins
-from edge.telemetry.firmware import Firmware, firmware_of
-from edge.telemetry.gps import Gps
 from edge.telemetry.position_history import Alternation
-from edge.telemetry.vehicle_velocity import HUD, LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
+from edge.telemetry.session import Modes, Origin, Session
+from edge.telemetry.vehicle_velocity import LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
@@ -37,40 +33,17 @@ known. Within a millimeter of a conversion, which takes a thousand times as long
 FIRST_SYSTEM_ID = 1
 GROUND_STATION = 255
 """The system of ground stations, and of programs that use a library's default."""
-TILT_FRESH_NS, MOST_PITCH_RAD = 2_000_000_000, math.radians(80)
-"""How long roll and pitch hold, and beyond which pitch a heading is none."""
 INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
 
 
-@dataclass
-class Session:
-    """What is known of an autopilot since the link came up or it has rebooted; the next session begins with nothing.
+def _boot_ms(message: Message) -> int:
+    return int(message.time_boot_ms)
 
-    number: of the sessions so far. autopilot, kind: MAV_AUTOPILOT and MAV_TYPE, None until connected. version: major
-    and minor of the firmware, None until AUTOPILOT_VERSION arrived. heard_ns: when a message came last, by its id.
-    position: the newest; accuracy: when the autopilot reported it, and its horizontal meters.
-    tilt: the same of roll and pitch, in radians.
-    """
 
-    number: int = 0
-    autopilot: int | None = None
-    kind: int | None = None
-    version: tuple[int, int] | None = None
-    clock: BootClock = field(default_factory=BootClock)
-    gps: Gps = field(default_factory=Gps)
-    origins: Origins = field(default_factory=Origins)
-    parameters: dict[str, float] = field(default_factory=dict)
-    heard_ns: dict[int, int] = field(default_factory=dict)
-    position: VehiclePosition | None = None
-    accuracy: tuple[int, float] | None = None
-    tilt: tuple[int, float, float] | None = None
-
-    @property
-    def firmware(self) -> Firmware:
-        """What the autopilot can do."""
-        return firmware_of(self.autopilot)
+def _boot_ms_of_us(message: Message) -> int:
+    return int(message.time_usec // 1000)
 
 
 class Vehicle:
@@ -115,9 +88,11 @@ class Vehicle:
         if not self.connected or message.get_srcSystem() != self.system_id:
             return False
         self.session.heard_ns[message.get_msgId()] = now_ns
-        reader = READERS.get(message.get_msgId())
-        if reader is not None and (not self.is_doubled or message.get_msgId() in POSITIONS):
-            reader(self, message, now_ns)
+        kind = message.get_msgId()
+        if kind in READERS and (not self.is_doubled or kind in POSITIONS):
+            stamp_ns = self._stamp_ns(message, now_ns) if kind in STAMPS else now_ns
+            if stamp_ns is not None:
+                READERS[kind](self, message, stamp_ns, now_ns)
             self._notice_double(now_ns)
         return True
 
@@ -221,13 +196,14 @@ class Vehicle:
         self.session = Session(before.number + 1, before.autopilot, before.kind, version)
         self.velocity.end_leg(is_same_vehicle=is_same_vehicle)
 
-    def _read_boot_time(self, boot_ms: int, now_ns: int, *, has_position: bool = False) -> int | None:
+    def _stamp_ns(self, message: Message, now_ns: int) -> int | None:
         """Add a message's stamp to the boot clock; returns the same moment on CLOCK_MONOTONIC.
 
         None, and the message must not be used, where the stamp is of another clock: a reboot is not sure yet.
         """
         clock = self.session.clock
-        boot_ms = clock.unwrapped_ms(boot_ms, now_ns)
+        boot_ms = clock.unwrapped_ms(STAMPS[message.get_msgId()](message), now_ns)
+        has_position = message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
         stamp_ns = clock.read_stamp(boot_ms, now_ns, has_position=has_position)
         if stamp_ns is not None and clock.took_turns:
             self._alternations[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT].notice(now_ns)
@@ -238,10 +214,9 @@ class Vehicle:
         self._start_session(is_same_vehicle=not self.is_doubled)
         return self.session.clock.read_stamp(boot_ms, now_ns)
 
-    def _read_global_position(self, message: Message, now_ns: int) -> None:
-        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns, has_position=True)
-        if stamp_ns is None or (message.lat == 0 and message.lon == 0):
-            return  # the latter: ArduPilot without an origin, neither a position nor a speed
+    def _read_global_position(self, message: Message, stamp_ns: int, now_ns: int) -> None:
+        if message.lat == 0 and message.lon == 0:
+            return  # ArduPilot without an origin: neither a position nor a speed
         speed_mps = math.hypot(message.vx, message.vy) / 100
         heading_deg = None if message.hdg == HEADING_UNKNOWN else message.hdg / 100
         now = VehiclePosition(
@@ -260,10 +235,7 @@ class Vehicle:
         before, self.session.position = self.session.position, now
         self.velocity.move(before, now)
 
-    def _read_local_position(self, message: Message, now_ns: int) -> None:
-        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        if stamp_ns is None:
-            return
+    def _read_local_position(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         at = stamp_ns, message.x / NORTH_M, message.y / EAST_M, 0.0, None
         self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vx, message.vy), now_ns)
         if self.is_doubled:
@@ -293,99 +265,71 @@ class Vehicle:
                 mavlink.MAV_FRAME_BODY_FRD,
             )
 
-    def _read_attitude(self, message: Message, now_ns: int) -> None:
-        stamp_ns = self._read_boot_time(message.time_boot_ms, now_ns)
-        if stamp_ns is None:
-            return
-        self.velocity.turn(stamp_ns, message.pitchspeed, message.yawspeed)
-        self.session.tilt = now_ns, message.roll, message.pitch
-        if not self.session.firmware.rates_follow_gps:
-            self._turn_heading(stamp_ns, now_ns, message.pitchspeed, message.yawspeed)
+    def _read_filter(self, message: Message, stamp_ns: int, now_ns: int) -> None:
+        self.session.gps.read_filter(message.flags, self.session.firmware.gps_glitch, now_ns)
 
-    def _read_gyros(self, message: Message, now_ns: int) -> None:
-        """Thousandths of a radian per second."""
-        stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
-        if stamp_ns is not None and self.session.firmware.rates_follow_gps:
-            self._turn_heading(stamp_ns, now_ns, message.ygyro / 1000, message.zgyro / 1000)
-
-    def _turn_heading(self, stamp_ns: int, now_ns: int, nose_up_radps: float, right_radps: float) -> None:
-        """Of the body's rates, that of the heading, by how the body is tilted."""
-        tilt_ns, roll, pitch = self.session.tilt or (0, 0.0, 0.0)
-        if now_ns - tilt_ns <= TILT_FRESH_NS and abs(pitch) < MOST_PITCH_RAD:
-            right_radps = nose_up_radps * math.sin(roll) + right_radps * math.cos(roll)
-            self.velocity.turn_heading(stamp_ns, right_radps / math.cos(pitch))
-
-    def _read_wheels(self, message: Message, now_ns: int) -> None:
-        """Cumulative meters of up to 16 wheels. The mean, since both sides turn against each other on the spot."""
-        stamp_ns = self._read_boot_time(message.time_usec // 1000, now_ns)
-        if stamp_ns is None:
-            return
-        driven_m = sum(message.distance[: message.count]) / max(message.count, 1)
-        self.velocity.turn_wheels(stamp_ns, driven_m)
-
-    def _read_estimator(self, message: Message, now_ns: int) -> None:
-        self._read_filter(message, now_ns)
+    def _read_estimator(self, message: Message, stamp_ns: int, now_ns: int) -> None:
+        self._read_filter(message, stamp_ns, now_ns)
         if math.isfinite(message.pos_horiz_accuracy) and message.pos_horiz_accuracy > 0:
             self.session.accuracy = now_ns, message.pos_horiz_accuracy
 
-    def _read_origin(self, message: Message, now_ns: int) -> None:
+    def _read_origin(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         if message.latitude or message.longitude:
             origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
             self.session.origins.add(origin, self.position(now_ns), now_ns)
 
-    def _read_version(self, message: Message, now_ns: int) -> None:
+    def _read_version(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         self.session.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF
 
-    def _read_parameter(self, message: Message, now_ns: int) -> None:
+    def _read_parameter(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         value, layout = float(message.param_value), INTEGERS.get(message.param_type)
         if self.session.firmware.integers_as_bytes and layout:
             value = float(struct.unpack(layout, struct.pack("<f", value))[0])
         if math.isfinite(value):
             self.session.parameters[str(message.param_id).rstrip("\0")] = value
 
-    def _read_gps(self, message: Message, now_ns: int) -> None:
+    def _read_gps(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         receivers, is_second = self.session.gps.receivers, message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW
         receivers[is_second].read(message, now_ns)
         first = receivers[0]
         if not is_second and first.is_good and first.state(now_ns) == "healthy":
             self.velocity.shown.add_fix(now_ns, first.at)
 
-    def _read_filter(self, message: Message, now_ns: int) -> None:
-        self.session.gps.read_filter(message.flags, self.session.firmware.gps_glitch, now_ns)
-
-    def _read_fusion(self, message: Message, now_ns: int) -> None:
+    def _read_fusion(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         self.session.gps.is_fusion_on = bool(message.intended[0])
 
-    def _read_sensors(self, message: Message, now_ns: int) -> None:
+    def _read_sensors(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         self.session.gps.read_sensors(message.onboard_control_sensors_present, now_ns)
 
-    def _read_hud(self, message: Message, now_ns: int) -> None:
-        self.velocity.add_speed(now_ns, message.groundspeed, HUD)
-
-    def _read_system_time(self, message: Message, now_ns: int) -> None:
-        self._read_boot_time(message.time_boot_ms, now_ns)
-
-    def _read_timesync(self, message: Message, now_ns: int) -> None:
+    def _read_timesync(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         self.session.clock.read_timesync(message.tc1, message.ts1, now_ns)
 
+    def _read_motion(self, message: Message, stamp_ns: int, now_ns: int) -> None:
+        self.velocity.read(message, stamp_ns, now_ns, rates_follow_gps=self.session.firmware.rates_follow_gps)
 
-READERS: dict[int, Callable[[Vehicle, Message, int], object]] = {
+
+READERS: dict[int, Callable[[Vehicle, Message, int, int], object]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: Vehicle._read_global_position,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: Vehicle._read_local_position,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: Vehicle._read_attitude,
-    mavlink.MAVLINK_MSG_ID_RAW_IMU: Vehicle._read_gyros,
-    mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: Vehicle._read_wheels,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: Vehicle._read_hud,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: Vehicle._read_motion,
+    mavlink.MAVLINK_MSG_ID_RAW_IMU: Vehicle._read_motion,
+    mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE: Vehicle._read_motion,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: Vehicle._read_motion,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: Vehicle._read_gps,
     mavlink.MAVLINK_MSG_ID_GPS2_RAW: Vehicle._read_gps,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: Vehicle._read_filter,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: Vehicle._read_estimator,
     FusionStatus.id: Vehicle._read_fusion,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: Vehicle._read_sensors,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: Vehicle._read_system_time,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: lambda vehicle, message, stamp_ns, now_ns: None,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: Vehicle._read_timesync,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: Vehicle._read_origin,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: Vehicle._read_version,
     mavlink.MAVLINK_MSG_ID_PARAM_VALUE: Vehicle._read_parameter,
 }
-"""Of each message that is read, by its id."""
+"""Of each message that is read, by its id; gets its moment on CLOCK_MONOTONIC, and when it arrived."""
+STAMPS: dict[int, Callable[[Message], int]] = {
+    **dict.fromkeys((*POSITIONS, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME), _boot_ms),
+    **dict.fromkeys((mavlink.MAVLINK_MSG_ID_RAW_IMU, mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE), _boot_ms_of_us),
+}
+"""Milliseconds since boot of each message that has them."""

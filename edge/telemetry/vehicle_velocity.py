@@ -9,8 +9,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.localization import DeadReckoning, Integral, OwnMotion, ShownScale
+from edge.telemetry.codec import Message
 
 WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
@@ -24,6 +27,8 @@ FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FR
 SPEEDS = {WHEELS: "wheels", ODOMETRY: "odometry", CAMERA: "the camera"}
 """What measures a speed in which GPS has no part, the best first, and in words."""
 NO_RATES, NO_SPEED = "gyro rates", "a speed without GPS"
+TILT_FRESH_NS, MOST_PITCH_RAD = 2_000_000_000, math.radians(80)
+"""How long roll and pitch hold, and beyond which pitch a heading is none."""
 POSITIONS_APART_S = 0.5
 ALIKE_MPS, ALIKE = 0.5, 0.1
 """By how much the velocity between two positions may differ from the reported one, and by which share of it."""
@@ -62,6 +67,7 @@ class VehicleVelocity:
         self.aid = Aid()
         """What measures the autopilot's velocity, by what arrived last."""
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
+        self._tilt = 0, 0.0, 0.0  # when, roll and pitch in radians
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
         self._aside: tuple[int, float] | None = None  # to the left, by odometry
@@ -77,6 +83,7 @@ class VehicleVelocity:
         self.listen(0, 0.0, None)
         self.shown = ShownScale() if not is_same_vehicle else self.shown
         self._wheels = self._own = self._aside = None
+        self._tilt = 0, 0.0, 0.0
         self._speeds.clear()
         self.aid = replace(self.aid, is_any=True, runs_away=False)
 
@@ -103,6 +110,22 @@ class VehicleVelocity:
         east_mps, north_mps = ahead_mps * cos - left_mps * sin, ahead_mps * sin + left_mps * cos
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, may_slip=False)
 
+    def read(self, message: Message, stamp_ns: int, now_ns: int, *, rates_follow_gps: bool) -> None:
+        """ATTITUDE, RAW_IMU, WHEEL_DISTANCE or VFR_HUD. rates_follow_gps: see `Firmware`."""
+        kind = message.get_msgId()
+        if kind == mavlink.MAVLINK_MSG_ID_ATTITUDE:
+            self.turn(stamp_ns, message.pitchspeed, message.yawspeed)
+            self._tilt = now_ns, message.roll, message.pitch
+            if not rates_follow_gps:
+                self._turn_heading(stamp_ns, now_ns, message.pitchspeed, message.yawspeed)
+        elif kind == mavlink.MAVLINK_MSG_ID_RAW_IMU and rates_follow_gps:  # in thousandths
+            self._turn_heading(stamp_ns, now_ns, message.ygyro / 1000, message.zgyro / 1000)
+        elif kind == mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE:
+            # Of up to 16 wheels. The mean, since both sides turn against each other on the spot.
+            self.turn_wheels(stamp_ns, sum(message.distance[: message.count]) / max(message.count, 1))
+        elif kind == mavlink.MAVLINK_MSG_ID_VFR_HUD:
+            self.add_speed(now_ns, message.groundspeed, HUD)
+
     def turn(self, stamp_ns: int, nose_up_radps: float, right_radps: float) -> None:
         """The body turns so fast by the autopilot's gyroscopes."""
         last_ns = self._turned.last_ns
@@ -113,8 +136,12 @@ class VehicleVelocity:
         else:
             self._turned.add(stamp_ns, nose_up_radps, right_radps)
 
-    def turn_heading(self, stamp_ns: int, right_radps: float) -> None:
-        """The heading turns so fast by gyros in which GPS has no part."""
+    def _turn_heading(self, stamp_ns: int, now_ns: int, nose_up_radps: float, right_radps: float) -> None:
+        """By rates of the body in which GPS has no part, and by how the body is tilted."""
+        tilt_ns, roll, pitch = self._tilt
+        if now_ns - tilt_ns > TILT_FRESH_NS or not (abs(pitch) < MOST_PITCH_RAD and math.isfinite(roll)):
+            return
+        right_radps = (nose_up_radps * math.sin(roll) + right_radps * math.cos(roll)) / math.cos(pitch)
         if abs(right_radps) <= MOST_RADPS:
             own, heading_rad = self._own, None
             if own is not None and own.heading_deg is not None and stamp_ns - own.stamp_ns <= CAMERA_FRESH_NS:

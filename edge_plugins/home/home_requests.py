@@ -21,7 +21,7 @@ from edge.telemetry import encoders
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import Message
 from edge.telemetry.firmware import FIRMWARES
-from edge.telemetry.vehicle import Session
+from edge.telemetry.session import Session
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.mission_transfer import MissionTransfer, Next
 from edge_plugins.home.replaced_mission import ReplacedMission

@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.confirmation import Origin
 from edge.telemetry.encoders import Sending
 from edge.telemetry.firmware import firmware_of
+from edge.telemetry.session import Origin
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
 SENDING = Sending(5, 12345.678, 0.42, 3)

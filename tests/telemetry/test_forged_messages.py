@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import moved
 from edge.journal.records import FixAnswered
-from edge.telemetry.confirmation import Origin
 from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
+from edge.telemetry.session import Origin
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.rig import Rig

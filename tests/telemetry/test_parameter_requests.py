@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.telemetry.link_protocol import ANSWER_NS, PARAMETER_NS, TRIES_MOST, ParameterRequests
-from edge.telemetry.vehicle import Session
+from edge.telemetry.session import Session
 
 NAMES = ("WENC_TYPE", "FLOW_TYPE", "VISO_TYPE")
 

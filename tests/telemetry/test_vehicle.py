@@ -13,9 +13,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import FusionStatus, MavlinkCodec
-from edge.telemetry.confirmation import Origin
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
-from edge.telemetry.vehicle import Session, Vehicle
+from edge.telemetry.session import Origin, Session
+from edge.telemetry.vehicle import Vehicle
 from tests.conftest import frames_of
 from tests.telemetry.rig import STEP_NS
 from tests.telemetry.speaker import S, Speaker, connect

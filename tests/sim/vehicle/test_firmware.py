@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.confirmation import Origin
 from edge.telemetry.encoders import Sending
+from edge.telemetry.session import Origin
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line

@@ -1,4 +1,5 @@
-"""What a single message may not change: whether the vehicle drives itself, and the origin.
+"""What is known of one autopilot in one session, and what a single message of it may not change: whether the vehicle
+drives itself, and the origin.
 
 On an unsigned link a stranger can send a message in the autopilot's name, but cannot keep the autopilot's own messages
 from coming. So both change only when nothing contradicts that for a while; and so does which boot the clock is of, see
@@ -10,12 +11,14 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
-from edge.telemetry.boot_clock import UNDISPUTED_NS
+from edge.telemetry.boot_clock import UNDISPUTED_NS, BootClock
+from edge.telemetry.firmware import Firmware, firmware_of
+from edge.telemetry.gps import Gps
 
 MODE_NS = 2_500_000_000
 """For so long each heartbeat must say that it does not drive itself: they come once a second, and one may be lost."""
@@ -98,3 +101,30 @@ class Origins:
         if not self._has_warned:
             self._has_warned = True
             log.warning("GPS_GLOBAL_ORIGIN ignored: %s", why)
+
+
+@dataclass
+class Session:
+    """What is known of an autopilot since the link came up or it has rebooted; the next session begins with nothing.
+
+    number: of the sessions so far. autopilot, kind: MAV_AUTOPILOT and MAV_TYPE, None until connected. version: major
+    and minor of the firmware, None until AUTOPILOT_VERSION arrived. heard_ns: when a message came last, by its id.
+    position: the newest; accuracy: when the autopilot reported it, and its horizontal meters.
+    """
+
+    number: int = 0
+    autopilot: int | None = None
+    kind: int | None = None
+    version: tuple[int, int] | None = None
+    clock: BootClock = field(default_factory=BootClock)
+    gps: Gps = field(default_factory=Gps)
+    origins: Origins = field(default_factory=Origins)
+    parameters: dict[str, float] = field(default_factory=dict)
+    heard_ns: dict[int, int] = field(default_factory=dict)
+    position: VehiclePosition | None = None
+    accuracy: tuple[int, float] | None = None
+
+    @property
+    def firmware(self) -> Firmware:
+        """What the autopilot can do."""
+        return firmware_of(self.autopilot)
