@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from edge.geodesy import east_north_of
 from edge.localization.dead_reckoning import DeadReckoning, Displacement, Gyros, Integral
 from edge.localization.events import GpsFix
-from edge.localization.odometer import CHANGES
 
 RATES_APART_NS = 1_500_000_000
 """The longest silence between two rates. Of six that are requested a second, one has come by then; at one a second, as
@@ -31,6 +30,7 @@ COMPASS_RAD = math.radians(4.0)
 """The same of an autopilot's heading while GPS is right: recorded headings are off by 2 to 4 degrees."""
 WITHIN_S = 100.0
 """Time before a moment whose places calibrate: over a longer one, even a small bias turns by no small angle."""
+CHANGES = 0.02  # what of own motion's error is not the same before and after, as a share
 FIXES_M, KEPT_FIXES, ALIKE_FIXES = 20.0, 64, 3
 """Meters between two fixes of GPS that are kept, and how many in a row are wrong alike, as in bursts of multipath."""
 SINCE_M = 60.0, 120.0, 180.0

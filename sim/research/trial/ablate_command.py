@@ -39,7 +39,7 @@ CONSTANTS: dict[str, object] = {
     "integrity.GROWS": math.inf,
     "integrity.MAP_SHIFTED": 0.0,
     "integrity.ONE_MORE": 1.0,
-    "odometer.CHANGES": math.inf,
+    "own_motion.CHANGES": math.inf,
     "place_fix.LEAST_SHARPNESS": 0.0,
     "place_fix.PUSHED": -math.inf,
     "place_fix.heads_along": lambda road_rad, heading_rad: True,
