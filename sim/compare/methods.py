@@ -51,9 +51,8 @@ def _rows() -> Iterator[Method]:
     alone = "the whole image's descriptor, best match of each frame alone"
     yield Method("Raw-single", f"{alone}, not normalized", nsd=False, single=True)
     yield Method("NSD-single", f"{alone}, normalized", single=True)
-    for name, most in (("Keypoints", MOST), ("Keypoints-300", 300), ("Keypoints-200", 200)):
-        about = f"the ten best places of NSD-single, by the inliers of {most} keypoints"
-        yield Method(name, about, single=True, keypoints=most)
+    about = f"the ten best places of NSD-single, by the inliers of {MOST} keypoints"
+    yield Method("Keypoints", about, single=True, keypoints=MOST)
     yield Method("Raw-fc6", "fc6 of the whole image, not normalized", nsd=False)
     yield Method("NSD-fc6", "fc6, normalized (reference over its set, query online)")
     yield Method("Raw-CR", "fc6 of left and right regions, not normalized", regions="left-right", nsd=False)

@@ -110,9 +110,9 @@ def _row(folder: Path, drive: str, light: LightName, road: int, of_map: _Mount, 
     off[:, 0, 2] -= np.radians(mounted.right_deg)  # a pose is the camera's
     size = np.abs(off[:, 0]) * (1, 1, np.degrees(1))
     spelled = [
-        f"{median:.2f} / {most:.2f} / {nearly:.2f} {unit}"
-        for (median, most, nearly), unit in zip(
-            np.percentile(size, (50, 90, 95), axis=0).T[[1, 0, 2]], ("m", "m", "deg"), strict=True
+        f"{median:.2f} / {nearly:.2f} {unit}"
+        for (median, nearly), unit in zip(
+            np.percentile(size, (50, 95), axis=0).T[[1, 0, 2]], ("m", "m", "deg"), strict=True
         )
     ]
     rms = np.sqrt(np.square(off[:, 0] / off[:, 1]).mean(axis=0))[[1, 0, 2]]
