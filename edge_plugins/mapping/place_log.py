@@ -215,7 +215,7 @@ class PlaceLog:
     def __init__(self, file: OpenLog, min_free_bytes: float = 0.0, retry_s: float = RETRY_S) -> None:
         """min_free_bytes: nothing is written while the disk has less than this left. retry_s: pause between tries."""
         self.file = file
-        self._min_free_bytes, self._retry_s = min_free_bytes, retry_s
+        self.min_free_bytes, self._retry_s = min_free_bytes, retry_s
         self._end = file.end
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=RECENT)
         self._points: dict[int, PointsMade] = {}  # by the rows of their places, until they are written
@@ -231,7 +231,7 @@ class PlaceLog:
     @property
     def waiting(self) -> int:
         """How many records are not written yet."""
-        return self._queue.qsize()
+        return self._queue.unfinished_tasks
 
     def begin_drive(self, drive: DriveBegun) -> bool:
         """Hand over the beginning of a drive; False if the disk is too far behind."""
@@ -297,7 +297,10 @@ class PlaceLog:
         while not (self._closing.is_set() and self._queue.empty()):
             with contextlib.suppress(queue.Empty):
                 record = self._queue.get(timeout=FLUSHED_EACH_S)
-                is_flushed = (record is None or not self._write(record)) and is_flushed
+                if record is not None and not self._write(record):
+                    break  # what follows would be taken for what is missing
+                self._queue.task_done()
+                is_flushed = is_flushed and record is None
             if not is_flushed and time.monotonic() - flushed_s >= FLUSHED_EACH_S:
                 self._flush()
                 flushed_s, is_flushed = time.monotonic(), True
@@ -326,7 +329,7 @@ class PlaceLog:
     def _append(self, data: bytes) -> bool:
         """Whether the disk took all of it; a part is removed."""
         try:
-            if shutil.disk_usage(self.file.path.parent).free - len(data) < self._min_free_bytes:
+            if shutil.disk_usage(self.file.path.parent).free - len(data) < self.min_free_bytes:
                 raise OSError(errno.ENOSPC, DISK_FULL)
             if os.pwrite(self.file.descriptor, data, self._end) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -15,16 +15,17 @@ from edge.config import SamplingConfig
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import VehiclePosition
 from edge.keypoints import Keypoints
+from edge.keypoints.mount import unknown
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map import MapSet, ReferenceMap, open_map
-from edge.reference_map.keypoint_file import MOST_PIXELS, KeypointsKey
+from edge.reference_map.keypoint_file import KEYPOINT, MOST_PIXELS, KeypointsKey
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from edge_plugins.mapping.live_keypoints import MOST_PICTURES
 from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.place_log import OpenLog, logs_in
-from edge_plugins.mapping.place_log_records import LogHeader
+from edge_plugins.mapping.place_log import OpenLog, PlaceLog, create_log, logs_in
+from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader
 from tests.plugins.mapping.test_live_map import MODEL, REGIONS, START_S, raw_of
 
 FOV_DEG, PLACES = 80.0, 30
@@ -150,6 +151,25 @@ def test_a_place_that_is_lost_with_its_points_behind_it_begins_a_new_drive(tmp_p
     log = OpenLog(file)
     assert [first for first, _ in log.drives] == [0, 20]
     log.close()
+
+
+def test_the_points_of_a_place_that_a_full_disk_has_not_taken_at_the_end_are_not_written(tmp_path: Path) -> None:
+    header = LogHeader(MODEL, REGIONS, SamplingConfig()).with_keypoints(keypoints_key(120, 160, FOV_DEG))
+    log = PlaceLog(create_log(tmp_path / "log", header))
+    log.begin_drive(DriveBegun("rear"))
+    points = np.zeros(MOST, KEYPOINT)
+    for row in range(3):
+        assert log.add(raw_of(row), Place(row))
+        log.add_points(row, points, unknown(1.0))
+    while log.waiting:
+        pass
+    log.min_free_bytes = np.inf
+    assert log.add(raw_of(3), Place(3))
+    log.add_points(3, points, unknown(1.0))
+    log.close(timeout_s=30)
+    left = OpenLog(tmp_path / "log")
+    assert len(left.places_at) == len(left.points_at) == 3
+    left.close()
 
 
 def test_a_drive_goes_on_only_with_the_keypoints_that_it_has(tmp_path: Path) -> None:
