@@ -1,10 +1,11 @@
 """Any ONNX image network to a float graph that Lookback can use: pixels in, one descriptor per image out.
 
-    image (B, H, W, 3) uint8 BGR -> normalization, channel order, layout -> the network up to the tap -> grid -> (B, D)
-                                                                             or the grid's outer columns -> (B, 2, D)
+    image (1, H, W, 3) uint8 BGR -> normalization, channel order, layout -> the network up to the tap -> grid -> (1, D)
+                                                                             or the grid's outer columns -> (1, 2, D)
 
-The network is first simplified for a batch of one, so that everything that does not depend on the image becomes a
-constant; then its batch is made free again. `onnx` and `onnxruntime` run the file, so it must be one that you trust.
+It is made for one image at a time, so that everything that does not depend on the image becomes a constant: two regions
+take twice the time of one, as they do in a batch of convolutions. `onnx` and `onnxruntime` run the file, so it must be
+one that you trust.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import output_name
-from edge.descriptor.network import IMAGE, open_session
+from edge.descriptor.network import open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
 from sim.output import needing
@@ -101,7 +102,7 @@ def import_onnx(
         regions = _outer_columns(pool, columns)
         shape, one = _add_pool(cut, tap, pool, regions, _run(cut, image, size, layout))
         _add_pixels(cut, image, size, layout, wanted)
-        _free_batch(cut, size, one, shape)
+        _finish(cut, one, shape)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     return Imported(cut, size, shape[-1], tap, regions)
@@ -175,7 +176,8 @@ def _fold(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Lay
     import onnxruntime  # by now with its telemetry disabled
 
     given = next(one for one in model.graph.input if one.name == image)
-    _set_shape(given, [1, *([3, *size] if layout == "nchw" else [*size, 3])])
+    shape = [1, 3, *size] if layout == "nchw" else [1, *size, 3]
+    given.CopyFrom(onnx.helper.make_tensor_value_info(image, onnx.TensorProto.FLOAT, shape))
     del model.graph.output[:]
     del model.graph.value_info[:]
     model.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
@@ -353,7 +355,7 @@ def _add_pixels(model: onnx.ModelProto, image: str, size: tuple[int, int], layou
         for node in graph.node[: len(front)]:
             node.output[:] = ["image.normalized" if one == "image" else one for one in node.output]
     del graph.input[:]
-    graph.input.append(onnx.helper.make_tensor_value_info("image", onnx.TensorProto.UINT8, ["B", *size, 3]))
+    graph.input.append(onnx.helper.make_tensor_value_info("image", onnx.TensorProto.UINT8, [1, *size, 3]))
 
 
 def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: ImageInput) -> None:
@@ -376,59 +378,16 @@ def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: Im
     node.input[1:] = names
 
 
-def _free_batch(model: onnx.ModelProto, size: tuple[int, int], output: str, shape: list[int]) -> None:
-    """Let the batch be of any size where that gives what single images give; otherwise it stays one."""
+def _finish(model: onnx.ModelProto, output: str, shape: list[int]) -> None:
     import onnx
 
-    free = onnx.ModelProto()
-    free.CopyFrom(model)
-    arrays = {tensor.name: tensor for tensor in free.graph.initializer}
-    for node in free.graph.node:
-        if node.op_type == "Reshape" and node.input[1] in arrays and not node.name.startswith(NORMALIZE):
-            sizes = onnx.numpy_helper.to_array(arrays[node.input[1]]).copy()
-            if sizes[0] == 1:
-                sizes[0] = 0  # as the input has it
-            elif (sizes > 0).all():
-                sizes[0] = -1  # a multiple of the batch
-            name = f"{node.output[0]}.free_sizes"
-            free.graph.initializer.append(onnx.numpy_helper.from_array(sizes, name))
-            node.input[1] = name
-    _set_output(free, output, ["B", *shape])
-    _set_output(model, output, [1, *shape])
-    pixels = np.random.default_rng(0).integers(0, 256, (2, *size, 3), dtype=np.uint8)
-    exact = np.concatenate([_describe(model, pixels[index : index + 1]) for index in range(2)])
-    try:
-        both = _describe(free, pixels)
-    except Exception:  # ONNX Runtime's own classes share only Exception
-        both = np.empty(0, np.float32)
-    if both.shape == (2, *shape) and np.allclose(both, exact, rtol=1e-3, atol=1e-3 * float(np.abs(exact).max())):
-        model.CopyFrom(free)
-    else:
-        _set_shape(model.graph.input[0], [1, *size, 3])
+    del model.graph.output[:]
+    model.graph.output.append(onnx.helper.make_tensor_value_info(output, onnx.TensorProto.FLOAT, [1, *shape]))
     _prune_constants(model)
     try:
         onnx.checker.check_model(model)
     except onnx.checker.ValidationError as error:
         raise ModelError(f"the simplified network is not valid: {_line(error)}") from None
-
-
-def _describe(model: onnx.ModelProto, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
-    found: NDArray[np.float32] = open_session(model.SerializeToString()).run(None, {IMAGE: pixels})[0]
-    return found
-
-
-def _set_shape(value: Any, shape: list[int | str]) -> None:
-    import onnx
-
-    kind = value.type.tensor_type.elem_type
-    value.CopyFrom(onnx.helper.make_tensor_value_info(value.name, kind, shape))
-
-
-def _set_output(model: onnx.ModelProto, name: str, shape: list[int | str]) -> None:
-    import onnx
-
-    del model.graph.output[:]
-    model.graph.output.append(onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape))
 
 
 def _prune_constants(model: onnx.ModelProto) -> None:

@@ -65,7 +65,8 @@ def imported(model: Any, wanted: ImageInput | None = None, **options: Any) -> An
 
 
 def described(found: Any, images: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return open_session(found.model.SerializeToString()).run(None, {"image": images})[0]  # type: ignore[no-any-return]
+    session = open_session(found.model.SerializeToString())
+    return np.concatenate([session.run(None, {"image": one[np.newaxis]})[0] for one in images])
 
 
 def exact(model: Any, images: NDArray[np.uint8], tensor: str, mean: Any = MEAN_RGB, std: Any = STD_RGB) -> Any:
