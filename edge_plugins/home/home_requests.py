@@ -30,14 +30,6 @@ from edge_plugins.home.way_home import MissionItem, Start, WayHome, mission_item
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
 ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS."""
-MISSION_MESSAGES = (
-    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
-    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST,
-    mavlink.MAVLINK_MSG_ID_MISSION_ACK,
-    mavlink.MAVLINK_MSG_ID_MISSION_COUNT,
-    mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-)
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
@@ -143,9 +135,7 @@ class HomeRequests:
         kind = message.get_msgId()
         if kind == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.command == HOME_COMMAND:
             return self._command(message, now_ns) if is_for_us else []
-        if kind not in MISSION_MESSAGES or self._upload is None:
-            return []
-        if kind != mavlink.MAVLINK_MSG_ID_MISSION_CURRENT and not is_for_us:
+        if self._upload is None or not (is_for_us or kind == mavlink.MAVLINK_MSG_ID_MISSION_CURRENT):
             return []
         sender = message.get_srcSystem(), message.get_srcComponent()
         if sender != (self._vehicle.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
