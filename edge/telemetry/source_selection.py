@@ -10,11 +10,11 @@ PX4        43006 sets GPS off or on, which it keeps when it reboots; done when F
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.files import KeptFile
 from edge.journal.records import SourceSetAnswered
 from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import NO_ANSWER, Command, result_name
@@ -32,8 +32,7 @@ class SourceSelection:
 
     def __init__(self, vehicle: Vehicle, publisher: Publisher, remembered: Path | None = None) -> None:
         """remembered: a file that exists while set 2 may be selected by us."""
-        self._vehicle, self._publisher = vehicle, publisher
-        self._file = KeptFile(remembered, int, "after a crash GPS may stay off", is_flushed=False)
+        self._vehicle, self._publisher, self._remembered = vehicle, publisher, remembered
         self.wanted: int | None = None
         """The set to select; None until there is a reason for one, and the pilot's choice stays."""
         self.in_use = SET_WITHOUT_GPS if remembered is not None and remembered.exists() else GPS_SET
@@ -113,8 +112,9 @@ class SourceSelection:
             self._publish(DONE)
 
     def _remember(self, in_use: int) -> None:
-        if in_use != self.in_use:
-            self._file.write(None if in_use == GPS_SET else in_use)
+        if self._remembered is not None and in_use != self.in_use:
+            with contextlib.suppress(OSError):  # its name is all that counts, which a full disk still has room for
+                self._remembered.unlink(missing_ok=True) if in_use == GPS_SET else self._remembered.touch()
         self.in_use = in_use
 
     def _publish(self, result: str) -> None:
