@@ -16,8 +16,8 @@ from sim.trial.records import Array, lane_off_m
 
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
 RMS = (0.8, 1.1)
-ENOUGH_RUNS, SEVERAL_RUNS = 20, 5
-"""Below so many drives a small rms may be chance; of so many, one that fails says little of its course."""
+ENOUGH_RUNS = 20
+"""Below so many drives a small rms may be chance."""
 HEADER = (
     "| course | drives passed | positions | error, median / 95 % / largest | in sigmas, rms / largest"
     " | autopilot's error 95 %, alone | cross-track 95 %, alone | share sent | why not |\n"
@@ -87,12 +87,6 @@ class CourseScore:
         """Whether each drive is as required, and no more positions than allowed are beyond three sigmas."""
         return self.passed == len(self.runs) and self.beyond <= BEYOND_SHARE
 
-    @property
-    def fails_once(self) -> bool:
-        """Whether all drives but one of several are as required."""
-        count = len(self.runs)
-        return count >= SEVERAL_RUNS and self.passed == count - 1 and self.beyond <= BEYOND_SHARE
-
     def row(self) -> str:
         """A row of the table."""
         runs, sigmas = self.runs, self.sigmas
@@ -111,16 +105,15 @@ class CourseScore:
 
 
 def in_short(scores: Sequence[CourseScore]) -> str:
-    """A table of cases and of courses that did not pass; those of which one drive failed; how many passed."""
-    passed = [one for one in scores if one.passes and not one.is_several]
-    once = [one for one in scores if one.fails_once and not one.is_several]
+    """A table of cases, or of courses where there are none; the courses of which a drive fails; how many pass."""
+    several, courses = [one for one in scores if one.is_several], [one for one in scores if not one.is_several]
+    passed, failed = [one for one in courses if one.passes], [one for one in courses if not one.passes]
     odd = ", ".join(f"`{one.name}` ({one.odd_rms})" for one in passed if one.odd_rms)
-    rows = [one.row() for one in scores if one.is_several or not (one.passes or one.fails_once)]
-    among = f", {odd} among them" if odd else ""
-    lines = [_short(HEADER), *map(_short, rows), ""]
-    if once:
-        lines += [f"One drive fails of {', '.join(f'`{one.name}`' for one in once)}.", ""]
-    return "\n".join([*lines, f"All drives of {len(passed)} more courses pass{among}."])
+    lines = [_short(HEADER), *(_short(one.row()) for one in several or failed), ""]
+    if several and failed:
+        named = (f"`{one.name}`: {', '.join(one.failures)}" for one in failed)
+        lines += [f"Not as required: {'; '.join(named)}.", ""]
+    return "\n".join([*lines, f"All drives of {len(passed)} courses pass{f', {odd} among them' if odd else ''}."])
 
 
 def looks_table(scores: Sequence[CourseScore]) -> str:

@@ -352,26 +352,16 @@ def test_home_begins_earlier_on_the_map_of_the_way_out_where_that_has_keypoints(
     assert not failures(runs[1], HONEST), line("take-me-home-dusk", runs[1])
 
 
-def test_in_short_courses_that_pass_are_only_counted() -> None:
+def test_in_short_there_is_a_row_for_each_case_and_a_word_on_each_course_that_fails() -> None:
     failed = replace(run_of(error_m=10.0), failures=(Failure("close", "10 m"),))
     several, passed = CourseScore("**all**", (run_of(), failed)), CourseScore("home", (run_of(),))
-    scores = [several, passed, CourseScore("tow", (failed,))]
-    found = in_short(scores).splitlines()
-    assert [row.split(" | ")[0] for row in found[2:4]] == ["| **all**", "| tow"]
-    assert found[4:] == ["", "All drives of 1 more courses pass."]
-
-
-def test_in_short_a_course_of_which_one_drive_of_several_fails_is_a_line() -> None:
-    failed = replace(run_of(error_m=3.0), failures=(Failure("close", "10 m"),))
-    scores = [CourseScore(name, (failed, *[run_of()] * count)) for name, count in (("tow", 3), ("home", 4))]
-    rows = in_short(scores).splitlines()
-    assert rows[2].startswith("| tow | 3 of 4 |")
-    assert rows[3:] == [
-        "",
-        "One drive fails of `home`.",
-        "",
-        "All drives of 0 more courses pass.",
-    ]
+    tow = CourseScore("tow", (failed, run_of()))
+    found = in_short([several, passed, tow]).splitlines()
+    assert [row.split(" | ")[0] for row in found[2:-4]] == ["| **all**"]
+    assert found[-3].startswith("Not as required: `tow`: close (1), ")
+    assert found[-1] == "All drives of 1 courses pass."
+    alone = in_short([passed, tow]).splitlines()
+    assert [row.split(" | ")[0] for row in alone[2:-2]] == ["| tow"]
 
 
 def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_three_sigmas_does_not() -> None:
@@ -379,7 +369,7 @@ def test_in_short_a_course_with_an_odd_rms_passes_and_one_with_positions_beyond_
     assert odd.failures == ["rms 1.20 sigma"]
     *rows, _, passed = in_short([odd, beyond]).splitlines()
     assert len(rows) == 3 and rows[2].startswith("| tow | 1 of 1 |")
-    assert passed == "All drives of 1 more courses pass, `home` (rms 1.20) among them."
+    assert passed == "All drives of 1 courses pass, `home` (rms 1.20) among them."
 
 
 def test_results_take_the_place_of_those_before(tmp_path: Path) -> None:
