@@ -11,7 +11,7 @@ from __future__ import annotations
 import mmap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -35,12 +35,6 @@ RawRows = Callable[[Sequence[int]], NDArray[np.float32]]
 """Raw descriptors (n, R, D) of some places by their rows, as they were added."""
 
 
-class KeypointsByRow(Protocol):
-    """Has the records (K,) of KEYPOINT of each place."""
-
-    def __getitem__(self, row: int, /) -> NDArray[np.void]: ...
-
-
 class GrowingMap(DriveByDrive):
     """Places in the order in which they were passed, with what is needed to search them."""
 
@@ -53,10 +47,13 @@ class GrowingMap(DriveByDrive):
         raw_rows: RawRows,
         *,
         thumbnails: Callable[[int], bytes] = lambda row: b"",
-        keypoints: KeypointsByRow | None = None,
+        keypoints: Any = None,
         capacity: int = CAPACITY,
     ) -> None:
-        """path: where the map will be when it is complete. raw_rows and the others: of places that were added."""
+        """path: where the map will be when it is complete. raw_rows, thumbnails: of places that were added.
+
+        keypoints: what has the records (K,) of KEYPOINT of each row.
+        """
         self._path, self._header = path, MapHeader.begun(model, regions, sampling)
         self._raw_rows, self._thumbnails, self._keypoints = raw_rows, thumbnails, keypoints
         shape = (regions.count, capacity, model.dimensions)
@@ -129,7 +126,7 @@ class GrowingMap(DriveByDrive):
             mean=self._statistics.mean.copy(),
             deviation=self._statistics.deviation,
             thumbnails=self._thumbnails,
-            keypoints=None if self._header.keypoints_key is None else cast(Any, self._keypoints),
+            keypoints=None if self._header.keypoints_key is None else self._keypoints,
         )
 
     def _encode(self, rows: Sequence[int], raw: NDArray[np.float32]) -> None:

@@ -75,19 +75,18 @@ class PointsMade(msgspec.Struct, frozen=True, tag="points"):
     """The keypoints of a place, written once the drive has gone on, so that their distances are known.
 
     place_at: where in the file the place is. points: records of KEYPOINT, in the frame of the camera as it is mounted.
-    down, right: how it is mounted by this place, in radians. information: of these, (2, 2) row by row.
+    radians: how it is mounted by this place. information: of these, (2, 2) row by row.
     """
 
     place_at: int
     points: bytes
-    down: float
-    right: float
+    radians: tuple[float, float]
     information: tuple[float, float, float, float]
 
     @property
     def mount(self) -> Mount:
         """How the camera is mounted by this place."""
-        return Mount(np.array([self.down, self.right]), np.reshape(self.information, (2, 2)))
+        return Mount(np.array(self.radians), np.reshape(self.information, (2, 2)))
 
     @property
     def record(self) -> NDArray[np.void]:
@@ -97,8 +96,8 @@ class PointsMade(msgspec.Struct, frozen=True, tag="points"):
     @classmethod
     def of(cls, record: NDArray[np.void], mount: Mount, place_at: int = -1) -> PointsMade:
         """Of a place that may not be written yet."""
-        (down, right), (a, b, c, d) = mount.radians.tolist(), mount.information.ravel().tolist()
-        return cls(place_at, record.tobytes(), down, right, (a, b, c, d))
+        a, b, c, d = mount.information.ravel().tolist()
+        return cls(place_at, record.tobytes(), tuple(mount.radians.tolist()), (a, b, c, d))
 
 
 LogRecord = LogHeader | DriveBegun | PlacePassed | PointsMade

@@ -2,8 +2,8 @@
 
     python mapping_loop.py FOLDER KILLS SEED
 
-A process of its own, since it forks. Prints JSON: the places after each kill, how many were lost by it, and how many
-times a record was cut off.
+A process of its own, since it forks. Prints JSON: the places after each kill, and those with keypoints, how many places
+were lost by it, and how many times a record was cut off.
 """
 
 from __future__ import annotations
@@ -44,19 +44,21 @@ def open_live(folder: Path, later_s: float = 0.0) -> LiveMap:
     """later_s: seconds from now."""
     config = MappingConfig(folder=str(folder / "maps"), min_free_mb=0.0)
     header = LogHeader(MODEL, REGIONS, SamplingConfig())
-    return LiveMap(config, header, "rear", unix_time_s=lambda: time.time() + later_s)
+    return LiveMap(config, header, "rear", unix_time_s=lambda: time.time() + later_s, fov_deg=80.0)
 
 
 def map_until_killed(folder: Path, told: int) -> None:
     """The child: says how many places there were when it began, and how many it has handed over."""
     mapped = open_live(folder)
-    image = np.full((48, 64, 3), 90, np.uint8)
+    image = np.random.default_rng(0).integers(0, 255, (96, 128, 3), np.uint8)
     first = row = mapped.status.places
     while True:
         os.pwrite(told, (first + 1).to_bytes(8, "little") + (row + 1).to_bytes(8, "little"), 0)
         position = replace(GPS, lat_deg=47.0 + row * 2 / 110_800)
         mapped.add(raw_of(row), image, position, (row - first) * 2.0)
         mapped.newly_searchable((row - first) * 2.0)
+        if row == first:
+            mapped.keypoints.wait()  # the network is open
         row = mapped.status.places
         while mapped.waiting > 3:  # a vehicle is slower than any disk
             time.sleep(0.0002)
@@ -96,7 +98,7 @@ def kill_once(folder: Path, told: int, pause_s: float, *, meets_record: bool) ->
 def crash(folder: Path, kills: int, seed: int) -> dict[str, list[int]]:
     """Kill so many mapping processes, each of which goes on with what the one before has left."""
     rng, told = random.Random(seed), os.open(folder / "told", os.O_RDWR | os.O_CREAT)
-    found: dict[str, list[int]] = {"places": [], "lost": [], "cut": []}
+    found: dict[str, list[int]] = {"places": [], "points": [], "lost": [], "cut": []}
     for number in range(kills):
         handed_over = kill_once(folder, told, rng.uniform(0.0, LONGEST_S), meets_record=number % 4 == 0)
         (file,) = logs_in(folder / "maps")
@@ -106,7 +108,9 @@ def crash(folder: Path, kills: int, seed: int) -> dict[str, list[int]]:
         for row in range(max(0, places - CHECKED), places):
             np.testing.assert_allclose(left.raw(row), raw_of(row), rtol=1e-3, atol=1e-6)
             assert left.place(row).place.row == row
+        assert all(left.points(row) is not None for row in left.points_at)
         found["places"].append(places)
+        found["points"].append(len(left.points_at))
         found["lost"].append(handed_over - places)
         found["cut"].append(int(left.end < size))
         left.close()

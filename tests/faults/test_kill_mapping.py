@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from edge.reference_map import open_map
@@ -31,12 +32,12 @@ def test_killed_while_mapping(
     found = json.loads(done.stdout)
     places = found["places"]
     figures(
-        f"{kills} kills, {places[-1]} places; at most {max(found['lost'])} lost by a kill,"
-        f" {sum(found['cut'])} times a record was cut off"
+        f"{kills} kills, {places[-1]} places, {found['points'][-1]} with keypoints; at most {max(found['lost'])} lost"
+        f" by a kill, {sum(found['cut'])} times a record was cut off"
     )
     assert len(places) == kills
     assert sum(found["cut"]) >= kills // 4, "so many kills have to meet a record"
-    assert places == sorted(places), "what was there before stays"
+    assert places == sorted(places) and found["points"] == sorted(found["points"]), "what was there before stays"
     assert max(found["lost"]) <= MOST_LOST
     mapped = open_live(tmp_path)
     assert mapped.status.places == mapped.searchable == places[-1]
@@ -45,3 +46,5 @@ def test_killed_while_mapping(
     open_live(tmp_path, later_s=86_400.0).close()
     made = open_map(tmp_path / "maps" / mapped.status.name, every_file=True)
     assert made.header.places == places[-1]
+    assert made.keypoints is not None and np.isfinite(made.keypoints["sigma"]).any(axis=1).sum() <= found["points"][-1]
+    assert made.keypoints["descriptor"].any(axis=(1, 2)).sum() >= found["points"][-1] > 0
