@@ -12,7 +12,7 @@ from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
 from edge.place_verification import PlaceVerification
 from edge.reference_map import Drives, MapSet
-from edge.sequence import PlaceMatch, Seen
+from edge.sequence import Agreeing, PlaceMatch, Seen
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.looks import APART_M, Looks, PriorOf, Sighted, joined, sign_of
 from edge.sequence.place_search import PlaceSearch
@@ -78,6 +78,11 @@ class PlaceLooks:
     def is_possible(self) -> bool:
         """Whether the maps have keypoints that compare with those of a picture."""
         return self._verification.is_possible
+
+    @property
+    def agreeing(self) -> Agreeing | None:
+        """The points by which the newest frame shows the place that is believed; None where it was not looked at."""
+        return self._verification.newest if self._newest is not None else None
 
     def is_due(self) -> bool:
         """Whether this frame is to be looked at."""

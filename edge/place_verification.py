@@ -25,7 +25,7 @@ from edge.keypoints.pose import Pose, look
 from edge.reference_map import MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
-from edge.sequence import MOST_ASIDE_RAD, Direction, Seen
+from edge.sequence import MOST_ASIDE_RAD, Agreeing, Direction, Seen
 from edge.sequence.looks import confidence_of
 
 MOST = 300
@@ -45,6 +45,9 @@ class PlaceVerification:
         self._view, self._only = config.camera.view, config.sequence.directions
         fov_deg = config.camera.fov_deg
         self._fov_deg = None if isinstance(fov_deg, UnsetType) else fov_deg  # where it is not set, as the map's
+
+        self.newest: Agreeing | None = None
+        """Of the newest look, None where it showed no place; for people."""
 
     def use_maps(self, map_set: MapSet) -> None:
         """Look for the places of these maps from now on."""
@@ -116,7 +119,17 @@ class PlaceVerification:
             if nearer == place or (of_nearer := self._inliers(query, nearer)) <= inliers:
                 break
             inliers, place, pose = of_nearer, nearer, self._pose(query, nearer)
-        return None if pose is None or not _is_on_the_road(pose) else self._seen(place, inliers, pose)
+        if pose is None or not _is_on_the_road(pose):
+            self.newest = None
+            return None
+        self.newest = self._agreeing(query, place, pose)
+        return self._seen(place, inliers, pose)
+
+    def _agreeing(self, query: Keypoints, place: int, pose: Pose) -> Agreeing:
+        assert pose.pairs is not None  # of `look`
+        pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 1))
+        rows = pose.pairs[pose.agrees]
+        return Agreeing(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
     def _seen(self, place: int, inliers: int, pose: Pose) -> Seen:
         where = pose.right_m, pose.ahead_m, pose.turn, pose.covariance

@@ -29,7 +29,7 @@ from edge.localization import Drive
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map import MapSet, MapSoFar
 from edge.reference_map.place_records import PLACE
-from edge.sequence import PlaceMatch
+from edge.sequence import Agreeing, PlaceMatch
 from edge.telemetry.autopilot import DRAIN_S, AutopilotConnection, Service
 from edge.telemetry.codec import Message
 
@@ -46,6 +46,11 @@ class Recognized:
         self._recognizer = recognizer
         self.config, self.model_name = recognizer.config, recognizer.model_name
         self.raw_of, self.describe, self.cost_view = recognizer.raw_of, recognizer.describe, recognizer.cost_view
+
+    @property
+    def agreeing(self) -> Agreeing | None:
+        """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
+        return self._recognizer.matcher.agreeing
 
     @property
     def map_set(self) -> MapSet:

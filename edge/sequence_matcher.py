@@ -22,7 +22,7 @@ from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
-from edge.sequence import NOTHING_KNOWN, PlaceMatch, Reckoning, Travel
+from edge.sequence import NOTHING_KNOWN, Agreeing, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
@@ -197,6 +197,11 @@ class SequenceMatcher:
     def may_look(self) -> bool:
         """Whether the maps have keypoints that compare with those of a picture."""
         return self._looks is not None and self._looks.is_possible
+
+    @property
+    def agreeing(self) -> Agreeing | None:
+        """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
+        return None if self._looks is None else self._looks.agreeing
 
     def use_keypoints(self, network: KeypointNetwork) -> None:
         """Find keypoints by this network, not by one of its own."""

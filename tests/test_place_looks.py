@@ -121,6 +121,10 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
         if match is not None:
             standing.append(drive.off_m(first, match, recognizer.map_set))
             assert match.accepted and match.event and recognizer.state == "on the map"
+            agreeing, seen = recognizer.matcher.agreeing, match.seen
+            assert agreeing is not None and seen is not None
+            assert (agreeing.place_index, len(agreeing.shares)) == (seen.place_index, seen.points)
+            assert 0.0 <= agreeing.shares.min() < agreeing.shares.max() <= 1.0
             assert not recognizer.may_look_again(3 * SECOND_NS, 7.0), "it is known"
     assert len(standing) >= 3
     assert max(standing) < BESIDE_M

@@ -9,7 +9,7 @@ McClure, from several starts at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,8 @@ FARTHEST = 1e-4
 class Pose:
     """Meters to the right and ahead of the row's camera, and turned clockwise in radians.
 
-    covariance: (3, 3) of these. agrees: (n,) which points do; cost: the mean of all their robust costs, 0 to 1.
+    covariance: (3, 3) of these. agrees: (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs:
+    (n, 2) rows of them among the picture's keypoints and the place's, of `look`.
     """
 
     right_m: float
@@ -58,6 +59,7 @@ class Pose:
     covariance: NDArray[np.float64]
     agrees: NDArray[np.bool_]
     cost: float
+    pairs: NDArray[np.int32] | None = None
 
     @property
     def count(self) -> int:
@@ -103,10 +105,12 @@ def look(
 
     place, points: of the row. camera: of the query, whose pixels count as so many as the camera says.
     """
-    mine, theirs = mutual_matches(query.descriptors, place.descriptors).T
-    known = points.is_known[theirs]
-    seen = camera.directions(query.xy[mine[known]] * (camera.width / query.size[1]))
-    return pose_of(points[theirs[known]], seen, camera, starts)
+    pairs = mutual_matches(query.descriptors, place.descriptors)
+    pairs = pairs[points.is_known[pairs[:, 1]]]
+    mine, theirs = pairs.T
+    seen = camera.directions(query.xy[mine] * (camera.width / query.size[1]))
+    pose = pose_of(points[theirs], seen, camera, starts)
+    return pose and replace(pose, pairs=pairs)
 
 
 def _whitened(

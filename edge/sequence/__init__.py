@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,16 @@ class Seen:
         return mine.keys() == theirs.keys() and all(np.array_equal(mine[name], theirs[name]) for name in mine)
 
     __hash__ = None  # type: ignore[assignment]
+
+
+class Agreeing(NamedTuple):
+    """Points of a picture and of a place that agree on one pose.
+
+    shares: (n, 4) x and y in the picture and in the place's, as shares of width and height.
+    """
+
+    place_index: int
+    shares: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class Page(Plugin):
         """Keep it for a while."""
         position = self._parts.autopilot.vehicle.position(self._parts.clock_ns())
         vehicle = (position.lat_deg, position.lon_deg) if position else None
-        self._live.add(used.frame, used.match, used.record, vehicle)
+        self._live.add(used.frame, used.match, used.record, vehicle, self._parts.recognizer.agreeing)
 
     def turn(self, spare_s: float | None) -> None:
         """Answer what was requested, and hand over what somebody waits for; maps as they are searched now."""

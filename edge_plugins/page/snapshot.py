@@ -20,12 +20,14 @@ from edge.camera import CameraHealth, Frame
 from edge.config import FEWEST_FRAMES, SamplingConfig
 from edge.journal.records import FrameUsed
 from edge.reference_map import COST_ONE, Bounds, MapSet
-from edge.sequence import CostView, PlaceMatch
+from edge.sequence import Agreeing, CostView, PlaceMatch
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingView
 
 HISTORY = 2400
 RATE_FRAMES = 20
+LOOK_SHOWN_NS = 1_000_000_000
+"""A frame is shown with its points for so long, since most frames are not looked at."""
 ROW_POINTS = 300
 """A cost row of a large map is drawn as the lowest of so many stretches."""
 
@@ -78,11 +80,15 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A status with the newest used frame (H, W, 3) uint8 BGR, and the costs behind its match."""
+    """A status with the newest used frame (H, W, 3) uint8 BGR, and the costs behind its match.
+
+    agreeing: points of that frame and of a place, by which it shows the place; None: no look, or nothing that agrees.
+    """
 
     status: Status
     image: NDArray[np.uint8] | None
     costs: CostView
+    agreeing: Agreeing | None = None
 
     def as_json(self, since_ns: int, picture: bytes = b"", others: Mapping[str, object] = {}) -> bytes:
         """The status, its history after `since_ns`, the cost row, and the cost matrix window; as cosine distances.
@@ -93,7 +99,8 @@ class Snapshot:
         history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
         fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
         row, window = _cost_row(self.costs), _cost_window(self.costs)
-        return msgspec.json.encode({**fields, "row": row, "window": window, "picture": picture, **others})
+        look = self.agreeing and {"place": self.agreeing.place_index, "points": self.agreeing.shares.round(3).tolist()}
+        return msgspec.json.encode({**fields, "row": row, "window": window, "look": look, "picture": picture, **others})
 
 
 class LiveStatus:
@@ -124,12 +131,25 @@ class LiveStatus:
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
+        self._looked: tuple[Frame, Agreeing] | None = None
         self.match: PlaceMatch | None = None
         self.frames_used = self.events = 0
 
-    def add(self, frame: Frame, match: PlaceMatch | None, used: FrameUsed, vehicle: tuple[float, float] | None) -> None:
-        """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude."""
+    def add(
+        self,
+        frame: Frame,
+        match: PlaceMatch | None,
+        used: FrameUsed,
+        vehicle: tuple[float, float] | None,
+        agreeing: Agreeing | None = None,
+    ) -> None:
+        """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude.
+
+        agreeing: the points by which it shows the place of its match.
+        """
         self._frame, self.match = frame, match
+        if match is not None and match.seen is not None and agreeing is not None:
+            self._looked = frame, agreeing
         self.frames_used += 1
         self.events += used.emitted
         self._unrecognized = 0 if used.accepted else self._unrecognized + 1
@@ -151,7 +171,12 @@ class LiveStatus:
             confidence_from=self._confidence_from,
             history=tuple(self._history),
         )
-        return Snapshot(status, self._frame.image if self._frame else None, costs)
+        if self._frame is None:
+            return Snapshot(status, None, costs)
+        if self._looked and self.match and self._frame.stamp_ns - self._looked[0].stamp_ns <= LOOK_SHOWN_NS:
+            frame, agreeing = self._looked
+            return Snapshot(status, frame.image, costs, agreeing)
+        return Snapshot(status, self._frame.image, costs)
 
     def _fps(self, now_ns: int) -> float:
         stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]

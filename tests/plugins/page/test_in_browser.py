@@ -33,6 +33,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from edge.sequence import Agreeing
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView
 from edge_plugins.page import PageConfig
@@ -40,7 +41,7 @@ from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import Snapshot, map_view
 from sim.maps.command import build_map
 from tests.chromium import NEEDS_CHROMIUM, browser
-from tests.plugins.page.test_server import TOKEN, Loop, snapshot
+from tests.plugins.page.test_server import THUMBNAIL, TOKEN, Loop, snapshot
 from tests.sim.coverage.roads import road, walk
 from tests.udp_port import free_port
 
@@ -113,7 +114,7 @@ def until(driver: Any, script: str) -> Any:
     return WebDriverWait(driver, PATIENCE_S, poll_frequency=0.1).until(lambda d: d.execute_script(f"return {script}"))
 
 
-DRAWN = """[...document.querySelectorAll('canvas')].every((one) =>
+DRAWN = """[...document.querySelectorAll('canvas:not(#look)')].every((one) =>
     one.getContext('2d').getImageData(0, 0, one.width, one.height).data.some((value) => value))"""
 PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).naturalWidth > 50)"
 
@@ -238,6 +239,28 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
         assert goes_on in text(driver, "answer") and ("of about" in text(driver, "answer")) == bool(goes_on)
         assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
         assert ("add a drive of this camera" in text(driver, "answer")) == is_late
+
+
+def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> None:
+    on_map = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    shares = np.random.default_rng(1).random((40, 4))
+    looked = dataclasses.replace(on_the_road(1), agreeing=Agreeing(9, shares))
+    drawn = "document.getElementById('look').getContext('2d').getImageData(0, 0, 500, 150).data.some((one) => one)"
+    shown = [looked]
+    maps = dataclasses.replace(map_view(on_map), thumbnail=lambda index: THUMBNAIL)
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0), maps)) as page,
+        contextlib.closing(Loop(page, lambda number: shown[0])),
+        browser(390, 844) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        until(driver, f"status !== null && status.look !== null && {drawn}")
+        if PICTURES:
+            driver.save_screenshot(str(Path(PICTURES) / "look.png"))
+        assert text(driver, "matched") == "40 points agree"
+        assert driver.find_element("id", "place").get_attribute("src").endswith("/thumbnail/9.jpg")
+        shown[0] = on_the_road(2)
+        until(driver, f"status.look === null && !{drawn}")
 
 
 def click(driver: Any, name: str) -> None:
