@@ -29,7 +29,7 @@ from sim.research.bench.table import Row, Run, raced
 
 faiss.omp_set_num_threads(1)
 VGA = f"{SIZE_PX[0]}x{SIZE_PX[1]}"
-SIZES = (SIZE_PX, (1280, 720), (1920, 1080))
+SIZES = (SIZE_PX, (1920, 1080))
 DIMENSIONS = 4096
 LENGTH, SLOPES = 40, slopes_around_diagonal(0.2, 21)
 FOV_DEG, STEP_M, STEP_NS, HIGH_M, TEXEL_M, PICTURES = 80.0, 0.7, 100_000_000, 1.4, 0.05, 24
@@ -137,7 +137,7 @@ def matching(places: int, rounds: int, dimensions: int = DIMENSIONS) -> Row:
         lambda: matcher.costs(query),
         floor=floor,
         rival=rival,
-        most=1.3 if places > 1e3 else None,
+        most=1.3,
     )
 
 
