@@ -64,6 +64,7 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
     ("gates", "near_sigmas", None): None,
     ("mapping", "recognize", None): None,
     ("motion", "fov_deg", None): "camera.fov_deg",
+    ("rig", "parallax", None): None,
     ("telemetry", "emit", "vision_position"): "auto",
     ("telemetry", "sigma_m", None): None,
     ("telemetry", "switch_sources", None): None,
@@ -72,6 +73,10 @@ OUTDATED: dict[tuple[str, str, str | None], str | None] = {
 }
 """Section, key and value of earlier versions, and what the value is called now; without a value, what the key is called
 now, with its section where it has moved (None: it is gone)."""
+INSTEAD = {
+    ("rig", "parallax"): "remove it; a map with keypoints shows where across the road it is (`lookback map keypoints`)"
+}
+"""What to do about a key that is gone, where there is more to do than to remove it."""
 
 
 ADDRESS = re.compile(r"(\w[\w+.-]*://)(?:[^\s\"]*@)?([^\s?=\"'@]*)(?:[?=][^\s\"']*)?")
@@ -198,7 +203,6 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     ahead_reverse_swapped_m: Ahead = 0.0
     left_forward_m: Left = 0.0
     left_reverse_m: Left = 0.0
-    parallax: Annotated[float, Meta(ge=0, le=20)] = 0.0
     sigma_forward_same_m: NotNegative = 0.0
     sigma_forward_swapped_m: NotNegative = 0.0
     sigma_reverse_same_m: NotNegative = 0.0
@@ -409,7 +413,9 @@ def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str
             continue
         if now is None:
             del keys[key]
-            notes.append(f"[{section}] {key}: nothing reads this key any more; remove it")
+            notes.append(
+                f"[{section}] {key}: nothing reads this key any more; {INSTEAD.get((section, key), 'remove it')}"
+            )
             continue
         old = f'"{value}"' if value else "this key"
         moved_to, _, name = ("", "", now) if value else now.rpartition(".")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
+from edge.localization.place_fix import LEAST_SHARPNESS
 from edge.place_verification import PlaceVerification
 from edge.reference_map import Drives, MapSet
 from edge.sequence import Agreeing, PlaceMatch, Seen
@@ -18,9 +19,9 @@ from edge.sequence.looks import APART_M, Looks, PriorOf, Sighted, joined, sign_o
 from edge.sequence.place_search import PlaceSearch
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10
-"""Frames, of which one is looked at; seldom while a line leads to the place, and after so many looks in vain. With 5
-pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a second without keypoints, 51 so,
-and 75 where every second frame was looked at."""
+"""Frames, of which one is looked at; seldom while a sharp line leads to the place, and after so many looks in vain.
+With 5 pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a second without keypoints,
+51 so, and 75 where every second frame was looked at."""
 NEAREST, APART = 10, 2
 """Places by the newest frame alone that are tried where nothing is believed, and how far they are apart: the right one,
 or its neighbor, was among them in 1.00 of the frames by a front camera on a front camera's map, in .95 on the way home
@@ -127,7 +128,8 @@ class PlaceLooks:
 
     def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
         """Look around the place that is believed from the next frame on; None: anywhere."""
-        self._around, self._has_line = None, match is not None and match.has_line
+        self._around = None
+        self._has_line = match is not None and match.has_line and match.sharpness >= LEAST_SHARPNESS
         if match is None:
             return
         drive, along_m = self._drives.drive_of(match.place_index), self._drives.along_m(match.place_index)

@@ -24,7 +24,6 @@ from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
 from edge.sequence import NOTHING_KNOWN, Agreeing, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
-from edge.sequence.parallax import parallax_of
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence.prior import Prior
 
@@ -40,8 +39,6 @@ WAY_OUT_COUNTS_AS = 50
 """Frames that the way out's statistics count as on the way back, at most. In 40 starts on each of four simulated roads,
 11 % more of the first 120 frames were believed than with the map's statistics, and none wrong; with 100 frames 13 %.
 Where the light changed at the turn, 2 % more were (two roads); with 100 frames fewer positions came in the trial."""
-PARALLAX_EVERY = 8
-"""Frames of which one is matched with each region alone: its neighbors share nearly all their frames."""
 MOST_MISSED = 0.5
 """Share of a sequence; if more of it was driven without a frame, a new sequence begins."""
 
@@ -66,7 +63,6 @@ class SequenceMatcher:
             enabled=config.descriptor.normalization == "online",
         )
         self._steps = Steps(config.sampling)
-        self._frame = 0
         self._keypoints: KeypointNetwork | None = None
         self.use_maps(map_set)
         self._begin_statistics()
@@ -176,7 +172,6 @@ class SequenceMatcher:
             self._look(image, travel)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
-        believed = self._with_parallax(believed)
         self._stopwatch("belief")
         return believed
 
@@ -274,18 +269,6 @@ class SequenceMatcher:
         there = (one for one in lines if one and first <= one.place_index < end and one.direction == belief.direction)
         found = next(there, None) or self.search.best_between(first, end, belief.direction)
         return replace(found, confidence=belief.confidence, accepted=belief.is_believed) if found else lines[0]
-
-    def _with_parallax(self, match: PlaceMatch | None) -> PlaceMatch | None:
-        """A believed match with its parallax; of neighbors one in PARALLAX_EVERY, to save time."""
-        self._frame += 1
-        if match is None or not match.accepted or self._frame % PARALLAX_EVERY or not self._shows_parallax(match):
-            return match
-        return replace(match, parallax=parallax_of(match, self._normalizer.rows, self.map_set, self._drives))
-
-    def _shows_parallax(self, match: PlaceMatch) -> bool:
-        """Whether it is used, and both cameras look the same way: else the two regions see unlike sides of the road."""
-        has_regions = self.map_set.headers[0].regions.count == 2 and self._config.sequence.region_order != "frame"
-        return has_regions and match.has_line and self._config.rig.parallax > 0 and match.order == "same"
 
     @property
     def needs_odometer(self) -> bool:

@@ -49,8 +49,9 @@ FARTHEST = 1e-4
 class Pose:
     """Meters to the right and ahead of the row's camera, and turned clockwise in radians.
 
-    covariance: (3, 3) of these. agrees: (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs:
-    (n, 2) rows of them among the picture's keypoints and the place's, of `look`.
+    covariance: (3, 3) of these; where another minimum explains the points nearly as well, with the way to it. agrees:
+    (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs: (n, 2) rows of them among the
+    picture's keypoints and the place's, of `look`.
     """
 
     right_m: float
@@ -93,7 +94,11 @@ def pose_of(
     if agrees.sum() < FEWEST_POINTS:
         return None
     _, information = _step(cameras, off, jacobian, KERNEL)
-    covariance = np.linalg.inv(information[best])[:3, :3] * agrees.mean() ** (2 * CAUTION)
+    worse = float(agrees.mean()) ** (2 * CAUTION)
+    likely = np.exp((costs[best] - costs) * len(seen) * KERNEL**2 / (2 * worse))
+    away = (cameras - cameras[best])[:, :3]
+    each = worse * np.linalg.inv(information)[:, :3, :3] + away[:, :, np.newaxis] * away[:, np.newaxis]
+    covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
     right_m, ahead_m, turn, _ = cameras[best].tolist()
     return Pose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
 

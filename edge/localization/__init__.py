@@ -1,11 +1,10 @@
 """From what happens on a drive to a position of the vehicle, and whether it may be published.
 
 `events` is what can happen, and `position_estimator` the one door to what follows; a `drive_file` keeps them.
-`place_fix` makes positions of matches; `sighting` puts a match on the ground, `look` what one picture says of it, and
-`region_lines` what its two regions say by themselves; `route_filter` follows the vehicle with them, by one `track`, and
-`route_estimate` is the Kalman filter of each; `gps_judge` says what follows from the places for GPS, by the test of
-`gps_referee`; `dead_reckoning` integrates the vehicle's motion, `own_motion` what no filter has touched of it, and
-`odometer` says what GPS has shown of the wheels.
+`place_fix` makes positions of matches; `sighting` puts a match on the ground, and `look` what one picture says of it;
+`route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
+`gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning` integrates the
+vehicle's motion, `own_motion` what no filter has touched of it, and `odometer` says what GPS has shown of the wheels.
 `integrity` is what is known when a position may be published, by what was observed (`claims`), and `refusals` the
 rules; `protection_level` says how far off a position may be, also by what `bound`s it without places.
 """

@@ -30,7 +30,7 @@ from edge.localization.position_estimator import Asked, Drive, Entry, PositionEs
 from edge.localization.refusals import Refusal
 from edge.reference_map import MapHeader, Mapped, PlaceIndex
 
-FORMAT = 1  # of the file
+FORMAT = 2  # of the file
 FLUSH_NS = 1_000_000_000  # what a loss of power costs
 MOST_PENDING = 64_000_000
 """Bytes that wait for a disk at most."""
@@ -38,11 +38,16 @@ log = logging.getLogger(__name__)
 LENGTH = struct.Struct("<I")
 
 
-class Header(msgspec.Struct, frozen=True):
-    """What the estimator was opened with: the sections of the config that it reads."""
+class Format(msgspec.Struct, frozen=True):
+    """Of the file, and the version of Lookback that wrote it."""
 
     format: int
     lookback: str
+
+
+class Header(Format, frozen=True):
+    """What the estimator was opened with: the sections of the config that it reads."""
+
     camera: CameraConfig
     sampling: SamplingConfig
     sequence: SequenceConfig
@@ -140,9 +145,10 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
     """The config and the list of a drive; FeedError for what is none, or of another format."""
     chunks = _chunks(path)
     try:
-        header = msgspec.msgpack.decode(next(chunks), type=Header)
-        if header.format != FORMAT:
-            raise FeedError(f"{path}: format {header.format}, this version of Lookback reads {FORMAT}")
+        first = next(chunks)
+        if (found := msgspec.msgpack.decode(first, type=Format).format) != FORMAT:
+            raise FeedError(f"{path}: format {found}, this version of Lookback reads {FORMAT}")
+        header = msgspec.msgpack.decode(first, type=Header)
         decoder = msgspec.msgpack.Decoder(_Written, dec_hook=_decoded)
         written = [decoder.decode(chunk) for chunk in chunks]
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:

@@ -16,18 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.region_lines import Vector
 from edge.sequence import Seen
+
+Vector = NDArray[np.float64]
 
 SHARED_M = 6.0
 """Meters driven from one look to the next up to which the latter says less that is new, the less the nearer: a vehicle
 that stands sees the same points again."""
 STANDS_M = 0.01
 """So near the last one, a look says as little as at the same spot."""
-ENOUGH = 30
-"""Points of a look below which it is less certain by their share of that: on the recorded drive ardupilot_a971, at
-night and 5 m beside the map's drive, looks of 13 to 20 points were off towards that by two and three sigmas in a row.
-Without it, two of its 111 positions were beyond three standard deviations (3.6), with it none (2.7)."""
 HOLDS_M = 20.0
 """Meters driven after a look within which a line, which is wrong by meters, says nothing that is new."""
 LOOK_CHI2 = 11.83
@@ -73,11 +70,10 @@ def camera_seen(seen: Seen, row_m: Vector, row_rad: float, row_sigma_rad: float)
     row_m, row_rad: of the row's camera, clockwise from north, and one standard deviation of where it looked.
     """
     sin, cos = math.sin(row_rad), math.cos(row_rad)
-    few = max(1.0, ENOUGH / max(seen.points, 1))
     by_row = np.array([[cos, sin], [-sin, cos]])  # meters right and ahead as east and north
     beside_m = by_row @ np.array([seen.right_m, seen.ahead_m])
     swung_m = row_sigma_rad * np.array([beside_m[1], -beside_m[0]])
-    covariance = few**2 * by_row @ np.asarray(seen.covariance)[:2, :2] @ by_row.T + np.outer(swung_m, swung_m)
+    covariance = by_row @ np.asarray(seen.covariance)[:2, :2] @ by_row.T + np.outer(swung_m, swung_m)
     return row_m + beside_m, covariance
 
 

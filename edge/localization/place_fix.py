@@ -111,7 +111,7 @@ class LineMiddle:
     """Meters along the drive, in its own route_m: of the place at the line's first frame, its middle, and its newest.
 
     back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of the places
-    and the width of the match. passed_m: (n,) along the drive since each frame, the newest first.
+    and the width of the match.
     """
 
     segment: int
@@ -121,13 +121,6 @@ class LineMiddle:
     ends_m: float
     back: float
     sigma_m: float
-    passed_m: NDArray[np.float64]
-
-    def since_m(self, ages: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Meters along the drive since so many frames ago; beyond its ends the line goes on as it does on average."""
-        within = np.clip(ages, 0, 2 * self.back)
-        beyond_m = (ages - within) * self.length_m / (2 * self.back)
-        return beyond_m + np.interp(within, np.arange(len(self.passed_m)), self.passed_m)
 
     @property
     def length_m(self) -> float:
@@ -155,7 +148,7 @@ def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | No
     width_m = WIDTH_SHARE * match.half_width_places * drive.spacing_m
     sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), width_m, JITTER_M)
     back = (frames - 1) / 2
-    return LineMiddle(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m, passed_m)
+    return LineMiddle(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m)
 
 
 def heads_along(road_rad: float, heading_rad: float) -> bool:

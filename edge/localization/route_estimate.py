@@ -1,17 +1,15 @@
 """An extended Kalman filter for a vehicle on a mapped road: its position, and what its own velocity is wrong by. Pure.
 
-    state      (9,): meters east, meters north, heading error in radians, scale error, minus the share of doubtful
-               meters that were none, and errors of the matches: one along the road that stays for a drive, and three
-               that change within CORRELATION_M, of lines of both regions together, and of those of the left and of
-               the right one alone, where they stand out clearly
+    state      (7,): meters east, meters north, heading error in radians, scale error, minus the share of doubtful
+               meters that were none, and errors of the lines of matches along the road: one that stays for a drive,
+               and one that changes within CORRELATION_M
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity, and that share
-    correction along and across the road by one look; or along it by the line of a match, or along and across it by the
-               lines of its two regions; without those, the position across is never less certain than the road is
-               wide, see `keep_on_road`
+    correction along and across the road by one look; or along it by the line of a match, where the position across is
+               never less certain than the road is wide, see `keep_on_road`
 
 A displacement is (4,): meters east and north, and what is doubtful of them, see `Displacement`. All but
-position and share are first-order Gauss-Markov processes over the distance. The last three are what makes matches
-within a correlation length of each other about one observation.
+position and share are first-order Gauss-Markov processes over the distance. The last one is what makes matches within
+a correlation length of each other about one observation.
 """
 
 from __future__ import annotations
@@ -23,9 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.look import SHARED_M, STANDS_M, Look
+from edge.localization.look import SHARED_M, STANDS_M, Look, Vector
 from edge.localization.odometer import Scale
-from edge.localization.region_lines import SIDES, Passed, RegionLine, RegionLines, Vector
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
@@ -38,22 +35,6 @@ DOUBTFUL = -0.5, 0.5
 """Mean and standard deviation of that share, since the doubtful meters are all true or none is."""
 STAYS = 0.25
 """Share of the variance of matches that stays for a drive."""
-REGION_M, REGION_JITTER_M = 1.05, 0.5
-"""Standard deviations of the line of one region along the road: of what changes within CORRELATION_M, and of what is
-independent in each match."""
-CLEAR_CONTRAST = 0.21
-"""Contrast of such a line below which it is the less certain, the lower that is. On simulated drives by day, by night
-and in rain, 0 to 12 m beside the map's drive, the best place of one region was off by 1.1 to 1.3 m (one sigma) over the
-square root of the contrast. The distance from the drive said less of the error, and little besides. Without about 2.2 m
-of it, which are not of the line alone and are in what else is estimated, it is nearly inverse to the contrast.
-"""
-LEAST_CONTRAST = 0.01
-"""At a lower one a line says nothing anyway."""
-DOUBTED, DOUBT_M = 0.5, 2.0
-"""Below which support the line of a region contradicts what is expected, and by how much less certain the position
-becomes then, in each direction, before the line is judged again."""
-LEAST_SUPPORT = 0.05
-"""How likely the lines of both regions must be where they are expected, over how likely they would be anywhere."""
 AGREE_SIGMAS = 3.0
 """Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
 UNKNOWN_M = 100.0
@@ -64,28 +45,38 @@ WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 
 
-OF_ROAD = 0.0, 0.0, 0.0, 0.0
+OF_ROAD = 0.0, 0.0
 """How much of the errors of matches a measurement across the road has: nothing."""
-HEADING, SCALE, DOUBT, MATCH, LEFT, RIGHT = 2, 3, 4, 5, 7, 8
-"""In the state: errors of heading and scale, the share of what is doubtful, the first error of matches, and those of
-the regions' lines alone."""
+HEADING, SCALE, DOUBT, MATCH = 2, 3, 4, 5
+"""In the state: errors of heading and scale, the share of what is doubtful, and the first error of matches."""
+
+
+class Passed(NamedTuple):
+    """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
+
+    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since.
+    """
+
+    place_m: Vector
+    along: Vector
+    since_m: Vector
 
 
 @dataclass(frozen=True)
 class MatchErrors:
-    """Standard deviations along the road of lines of both regions together, in meters.
+    """Standard deviations of matches along the road, in meters.
 
-    line_m: as measured, of which a part stays for a drive. apart_m: of what stays besides: the lines of the two regions
-    lie apart, and those of both may be either of them; and the positions of the map's drive are off together.
+    line_m: as measured, of which a part stays for a drive. whole_m: of what the positions of the map's drive are off by
+    together.
     """
 
     line_m: float
-    apart_m: float = 0.0
+    whole_m: float = 0.0
 
     @property
-    def variances(self) -> tuple[float, float, float, float]:
-        """What stays for a drive, what changes, and those of the left and of the right region."""
-        return STAYS * self.line_m**2 + self.apart_m**2, self.line_m**2, REGION_M**2, REGION_M**2
+    def variances(self) -> tuple[float, float]:
+        """What stays for a drive, and what changes."""
+        return STAYS * self.line_m**2 + self.whole_m**2, self.line_m**2
 
 
 @dataclass(frozen=True)
@@ -95,20 +86,6 @@ class VelocityErrors:
     heading_rad: float
     scale: float
     match: MatchErrors
-
-
-class _Expectation(NamedTuple):
-    """Of the line of one region: m beyond that of both, variance, and how the two depend on the state.
-
-    weights: (n,) how likely it lies at each of beyond_m then, not normalized. support: how likely it is where it is
-    expected, over how likely it would be anywhere.
-    """
-
-    at_m: float
-    variance: float
-    row: Vector
-    weights: Vector
-    support: float
 
 
 class RouteEstimate:
@@ -121,8 +98,6 @@ class RouteEstimate:
         self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
         self.covariance[:2, :2] = covariance
-        self.since_regions_m = np.inf
-        """Driven since the last correction by regions."""
         self.since_looks_m = np.inf
         """Driven since the last correction by a look at this drive of the map."""
 
@@ -138,8 +113,7 @@ class RouteEstimate:
     def copy(self) -> RouteEstimate:
         """An estimate of its own."""
         other = object.__new__(RouteEstimate)
-        other._variances, other.since_regions_m = self._variances.copy(), self.since_regions_m
-        other.since_looks_m = self.since_looks_m
+        other._variances, other.since_looks_m = self._variances.copy(), self.since_looks_m
         other._is_doubtful = self._is_doubtful
         other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
         return other
@@ -184,14 +158,13 @@ class RouteEstimate:
     def predict(self, displacement_m: Vector) -> None:
         """Move on by a displacement (4,)."""
         driven_m = float(np.hypot(*displacement_m[:2]))
-        self.since_regions_m += driven_m
         self.since_looks_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(displacement_m[2:].any())
         if self._is_doubtful and not was_doubtful:
             self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
             self.mean[DOUBT], self.covariance[DOUBT, DOUBT] = DOUBTFUL[0], DOUBTFUL[1] ** 2
         self.mean[:2] += self.truly(displacement_m)
-        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, np.inf, DRIVE_M, *[CORRELATION_M] * 3]))
+        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, np.inf, DRIVE_M, CORRELATION_M]))
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:MATCH] = self._slopes(displacement_m)
         self.mean[2:] *= kept
@@ -220,7 +193,7 @@ class RouteEstimate:
 
     def innovation(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> tuple[float, float]:
         """By how many meters along a match differs from what was expected, and that difference's deviation."""
-        row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
+        row = self._row(passed.along, passed.since_m, (1.0, faint))
         return self._innovation(passed, passed.along, row, sigma_m)
 
     def aside(self, passed: Passed, road_sigma_m: float) -> tuple[float, float]:
@@ -234,14 +207,14 @@ class RouteEstimate:
 
     def correct(self, passed: Passed, sigma_m: float, faint: float = 1.0) -> None:
         """Correct by the along part of a match; sigma_m: what is independent in each match; faint: see `Sighting`."""
-        row = self._row(passed.along, passed.since_m, (1.0, faint, 0.0, 0.0))
+        row = self._row(passed.along, passed.since_m, (1.0, faint))
         off_m, _ = self._innovation(passed, passed.along, row, sigma_m)
         self._update(row, off_m, sigma_m**2)
 
     @property
     def is_measured(self) -> bool:
-        """Whether a look or regions said within CORRELATION_M how far across the road the vehicle is."""
-        return min(self.since_regions_m, self.since_looks_m) < CORRELATION_M
+        """Whether a look said within CORRELATION_M where the vehicle is, also across the road."""
+        return self.since_looks_m < CORRELATION_M
 
     def at_look(self, look: Look) -> NDArray[np.float64]:
         """Covariance (2, 2) of the position as a look at the map would have it, whose positions wander.
@@ -269,52 +242,6 @@ class RouteEstimate:
         self.mean[:2], self.since_looks_m = look.position_m, 0.0
         self.covariance[:2, :] = self.covariance[:, :2] = 0.0
         self.covariance[:2, :2] = look.covariance
-
-    def support(self, lines: RegionLines) -> float:
-        """How likely the lines of both regions are where they are expected, over how likely they would be anywhere."""
-        support = 1.0
-        for line, error, further in _each(lines):
-            support *= self._expectation(lines, line, error, further).support
-        return support
-
-    def correct_by_regions(self, lines: RegionLines) -> None:
-        """Correct by the line of each region, along the road and across it.
-
-        What is expected and the likelihood give a mean and a variance, and these a measurement that would have led to
-        them from what was expected: assumed density filtering. A line that may be anywhere changes nothing. One that is
-        likely only where it is not expected makes the position less certain, and is judged anew: where it contradicts
-        that as well, only many such lines move the position.
-        """
-        repeats = max(1.0, CORRELATION_M / max(self.since_regions_m, 1.0))
-        self.since_regions_m = 0.0
-        for line, error, further in _each(lines):
-            expected = self._expectation(lines, line, error, further)
-            if expected.support < DOUBTED:
-                self.covariance[:2, :2] += DOUBT_M**2 * np.eye(2)
-                expected = self._expectation(lines, line, error, further)
-            weights, before = expected.weights / expected.weights.sum(), expected.variance
-            mean_m = float(weights @ lines.beyond_m)
-            after = float(weights @ (lines.beyond_m - mean_m) ** 2)
-            if expected.support >= DOUBTED and 0 < after < before:
-                variance = 1 / (1 / after - 1 / before)
-                off_m = (mean_m - expected.at_m) * (before + variance) / before
-                # Lines less than a correlation length apart share most of what they are wrong by.
-                excess = repeats * max(0.0, variance - REGION_M**2)
-                self._update(expected.row, off_m, max(REGION_JITTER_M**2, min(variance, REGION_M**2)) + excess)
-
-    def _expectation(self, lines: RegionLines, line: RegionLine, error: int, further: float) -> _Expectation:
-        """Of the line of one region, before it corrects anything."""
-        passed, seen, left = lines.passed, lines.seen, left_of(lines.seen.along)
-        across = self._row(left, seen.since_m, OF_ROAD)
-        along_m, left_m = passed.along @ self._off_m(passed), left @ self._off_m(seen)
-        row = self._row(passed.along, passed.since_m, OF_ROAD) + further * across
-        row[error] = lines.faint * max(1.0, CLEAR_CONTRAST / max(line.contrast, LEAST_CONTRAST))
-        at_m = float(along_m + further * left_m + row[error] * self.mean[error])
-        variance = float(row @ self.covariance @ row)
-        weights = line.likely * np.exp(-((lines.beyond_m - at_m) ** 2) / (2 * variance))
-        reach_m = lines.beyond_m[-1] - lines.beyond_m[0]
-        support = float(weights.sum() / np.sqrt(2 * np.pi * variance) * reach_m)
-        return _Expectation(at_m, variance, row, weights, support)
 
     def _innovation(self, passed: Passed, direction: Vector, row: Vector, sigma_m: float) -> tuple[float, float]:
         off_m = float(-direction @ self._off_m(passed) - row[MATCH:] @ self.mean[MATCH:])
@@ -370,12 +297,6 @@ class RouteEstimate:
         self.mean = self.mean + gain * off_m
         kept = np.eye(len(row)) - np.outer(gain, row)
         self.covariance = kept @ self.covariance @ kept.T + variance * np.outer(gain, gain)
-
-
-def _each(lines: RegionLines) -> tuple[tuple[RegionLine, int, float], ...]:
-    """Of both regions: the line, its error in the state, and its meters further for each left."""
-    left, right = (side * lines.parallax for side in SIDES)
-    return (lines.left, LEFT, left), (lines.right, RIGHT, right)
 
 
 def left_of(along: Vector) -> Vector:

@@ -1,13 +1,13 @@
 """From matches to a position that follows the vehicle on the ground. Pure: no link, no clock.
 
-A believed match says how far along the map's drive the vehicle is. How far it is beside it, a look says, or the lines
-of its two regions, where [rig] parallax is measured; else the road's width is all that is known. Between matches the
-vehicle moves as the autopilot's velocity says, whose heading and scale are wrong by a little; `RouteEstimate` finds by
-how much. While GPS bounds the autopilot's position, it bounds the estimate as well, so that the first matches without
-it correct a position that is known. A match is used only if its line leads the way that the vehicle went, and if it
-agrees with the estimate, whose positions are disputed where several in a row do not. An estimate that is lost, since no
-match agreed with it for [tracking] lost_after_m, goes on by reckoning alone, and the next one begins where it is if it
-agrees with the match. If it does not, the positions of the next one are disputed for a correlation length.
+A believed match says how far along the map's drive the vehicle is. How far it is beside it, a look says; else the
+road's width is all that is known. Between matches the vehicle moves as the autopilot's velocity says, whose heading and
+scale are wrong by a little; `RouteEstimate` finds by how much. While GPS bounds the autopilot's position, it bounds the
+estimate as well, so that the first matches without it correct a position that is known. A match is used only if its
+line leads the way that the vehicle went, and if it agrees with the estimate, whose positions are disputed where several
+in a row do not. An estimate that is lost, since no match agreed with it for [tracking] lost_after_m, goes on by
+reckoning alone, and the next one begins where it is if it agrees with the match. If it does not, the positions of the
+next one are disputed for a correlation length.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.look import FIRST, OUTVOTES, SAME_PLACE_M, Look, RecentLooks
+from edge.localization.look import FIRST, OUTVOTES, SAME_PLACE_M, Look, RecentLooks, Vector
 from edge.localization.odometer import Scale
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
-from edge.localization.region_lines import Vector
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import RecentInnovations, ReckonedTrack, Track
@@ -178,7 +177,7 @@ class RouteFilter:
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return None
-        return self._sightings.of(match, None if track is None else track.estimate, undated_m)
+        return self._sightings.of(match, undated_m)
 
     @property
     def aside(self) -> tuple[float, float] | None:

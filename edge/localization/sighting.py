@@ -1,8 +1,7 @@
 """A match on the ground: where the vehicle was when its line passed a place, and how it has moved since.
 
 Where the frame's keypoints say where its camera was (`Seen`), they alone count: a `Look`. Else the middle of a line is
-best known. Where each of its two regions says by itself where it is (`Parallax`), they say better still how far the
-vehicle is along the map's drive, and how far beside it.
+best known, and says how far the vehicle is along the map's drive.
 """
 
 from __future__ import annotations
@@ -15,40 +14,25 @@ import numpy as np
 
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.look import Look, camera_seen
+from edge.localization.look import Look, Vector, camera_seen
 from edge.localization.place_fix import (
-    LineMiddle,
     LineReadings,
     heads_along,
     line_middle,
     map_error_m,
     position_on_route,
 )
-from edge.localization.region_lines import BEYOND_PLACES, CERTAIN, SIDES, Passed, RegionLines, Vector, region_line
-from edge.localization.route_estimate import DOUBTFUL, MatchErrors, RouteEstimate, left_of
+from edge.localization.route_estimate import MatchErrors, Passed, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
-SEES_M = 12.0
-"""How far in front of a camera the vehicle is as far beside the map's drive as its parallax says: a vehicle that turns
-by a degree sees what one would that is 0.2 m further to that side. Of 0, 8, 12 and 16 m, with 8 and 12 simulated drives
-home stayed on their lane best."""
 SHARP = 0.15
 """Sharpness of a line below which it may be wrong by more, inversely, since a vehicle that leaves its lane sees less of
 what the map shows. In 68 recorded drives of 29 courses, positions by lines of 0.05 to 0.08 were off by 1.3 times what
 they said, sharper ones by 0.8 to 1.1; with it none of 3,182 was beyond three standard deviations, 8 of 3,306 before."""
-KNOTS = 9
-"""Points of a line on the ground, between which it is straight."""
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
 place."""
-ERRORS = np.linspace(-3.0, 3.0, 7)  # to three standard deviations on either side
-ERROR_PRIORS = np.exp(-(ERRORS**2) / 2)
-"""Where it is more: the errors, in standard deviations, at which the rows are compared, and how likely each is."""
-ROWS_IN_DOUBT = 20
-"""Newest rows that are compared where the odometer was in doubt meanwhile, since older ones are of another odometer."""
-STRAIGHT = 2
-"""The newest frames by which a vehicle goes on."""
 
 
 class OnDrive(NamedTuple):
@@ -64,11 +48,9 @@ class Sighting:
     """A match in local meters.
 
     checked_m, whole_sigma_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
-    vehicle now, along the drive. shows_parallax: whether lines of this kind have one that was calibrated: where they
-    say nothing, the vehicle may be off its lane. regions: the lines of its two regions; None where the match has none.
-    faint: times by which it may be wrong by more than a match whose line is sharp. undated_m: one standard deviation
-    along the road by that of the time of exposure. look: what one picture says, in place of a line; `passed` is then
-    where the vehicle is.
+    vehicle now, along the drive. faint: times by which it may be wrong by more than a match whose line is sharp.
+    undated_m: one standard deviation along the road by that of the time of exposure. look: what one picture says, in
+    place of a line; `passed` is then where the vehicle is.
     """
 
     match: PlaceMatch
@@ -81,8 +63,6 @@ class Sighting:
     sigma_m: float
     errors: MatchErrors
     map_sigma_m: float
-    shows_parallax: bool
-    regions: RegionLines | None
     faint: float
     undated_m: float
     look: Look | None = None
@@ -103,9 +83,7 @@ class Sightings:
         self.length = config.sequence_frames
         """Frames of a line."""
         self._readings = LineReadings(self.length)
-        self._drift = config.tracking.scale_error_percent / 100
         self._looks_back = config.camera.view == "rear"
-        self._sees_m = -SEES_M if self._looks_back else SEES_M
         self._heading_sigma_rad = math.radians(config.tracking.heading_error_deg)
         self.origin: Origin | None = None
         """Of local meters."""
@@ -129,10 +107,10 @@ class Sightings:
         offset_m = along_m - self._route.route_m(match.place_index)
         return position_on_route(self._route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, estimate: RouteEstimate | None, undated_m: float) -> Sighting | None:
+    def of(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
         """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
-        estimate: of the vehicle now, where there is one. undated_m: see `Sighting`.
+        undated_m: see `Sighting`.
         """
         line = line_middle(match, self._route, self.length)
         if line is None or len(self._readings) < self.length:
@@ -142,7 +120,6 @@ class Sightings:
             return None
         if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * line.back))):
             return None
-        scale_sigma = self._drift if estimate is None else estimate.scale_sigma
         faint = max(1.0, SHARP / match.sharpness)
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
@@ -158,8 +135,6 @@ class Sightings:
             sigma_m=line.sigma_m,
             errors=self._errors(match, drive.whole_sigma_m[0]),
             map_sigma_m=middle.map_sigma_m,
-            shows_parallax=match.order == "same" and self._rig.parallax > 0,
-            regions=self._regions(match, line, estimate, scale_sigma, faint),
             faint=faint,
             undated_m=undated_m,
         )
@@ -211,16 +186,13 @@ class Sightings:
             sigma_m=math.sqrt(float(along @ covariance @ along)),
             errors=self._errors(match, drive.whole_sigma_m[0]),
             map_sigma_m=map_error_m(row),
-            shows_parallax=False,
-            regions=None,
             faint=1.0,
             undated_m=undated_m,
             look=look,
         )
 
     def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:
-        apart_m = abs(self._rig.parallax * self._left_m(match)) if match.order == "same" else 0.0
-        return MatchErrors(self._rig.sigma_m(match.direction, match.order), math.hypot(apart_m / 2, whole_m))
+        return MatchErrors(self._rig.sigma_m(match.direction, match.order), whole_m)
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self._rig.left_reverse_m if match.direction == "reverse" else self._rig.left_forward_m
@@ -235,64 +207,8 @@ class Sightings:
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         return OnDrive(self.local(found), along, map_error_m(found))
 
-    def _regions(
-        self, match: PlaceMatch, line: LineMiddle, estimate: RouteEstimate | None, scale_sigma: float, faint: float
-    ) -> RegionLines | None:
-        """The lines of both regions on the ground; what they say of the position across counts `SEES_M` further on."""
-        parallax = match.parallax
-        if parallax is None or not self._rig.parallax:
-            return None
-        spacing_m = self._route.drive(match.place_index).spacing_m
-        in_doubt = bool(self._since(float(parallax.ages.max()))[2:].any())
-        rows = parallax.ages[: ROWS_IN_DOUBT if in_doubt else None]
-        ages = np.append(rows, rows.mean())
-        passed = self._passed_at(match, line, ages)
-        seen = self._passed_at(match, line, ages - self._sees_m / (match.step * spacing_m))
-        if passed is None or seen is None:
-            return None
-        doubt_sigma = DOUBTFUL[1] if estimate is None else estimate.doubt_sigma
-        if estimate is None:
-            here_m = passed.place_m[-1] + self._left_m(match) * left_of(passed.along[-1]) + passed.since_m[-1, :2]
-        else:
-            here_m = estimate.position_m
-        off_m, seen_off_m = (here_m - _truly(one.since_m, estimate) - one.place_m for one in (passed, seen))
-        along_m = np.einsum("nd,nd->n", passed.along, off_m)
-        left_m = np.einsum("nd,nd->n", left_of(seen.along), seen_off_m)
-        driven_m = np.einsum("nd,nd->n", passed.along, _truly(passed.since_m, estimate))
-        doubtful_m = np.einsum("nd,nd->n", passed.along, passed.since_m[:, 2:])
-        further_m, priors = _further(driven_m, doubtful_m, scale_sigma, doubt_sigma)
-        found = []
-        for costs, side in zip(parallax.costs[:, : len(rows)], SIDES, strict=True):
-            lies_m = along_m + side * self._rig.parallax * left_m
-            moved_m = lies_m - further_m
-            found.append(region_line(costs, (moved_m[:, :-1] - moved_m[:, -1:]) / spacing_m, priors))
-        left, right = found
-        if left is None or right is None:
-            return None
-        at, seen_at = (Passed(*(values[-1] for values in one)) for one in (passed, seen))
-        beyond_m = spacing_m * BEYOND_PLACES
-        return RegionLines(at, seen_at, self._rig.parallax, beyond_m, left, right, faint)
-
-    def _passed_at(self, match: PlaceMatch, line: LineMiddle, ages: Vector) -> Passed | None:
-        """What a line passed at some ages in frames (n,), each (n, 2); on straight lines between KNOTS of them."""
-        since_m = line.since_m(ages)
-        knots = np.linspace(since_m.min(), since_m.max(), KNOTS)
-        sign = 1 if match.direction == "forward" else -1
-        found = [self._on_drive(match, line.ends_m - sign * back_m) for back_m in knots]
-        on_drives = [one for one in found if one is not None]
-        if len(on_drives) < len(knots):
-            return None
-        place_m, along = (
-            np.column_stack([np.interp(since_m, knots, axis) for axis in np.array(values).T])
-            for values in ([one.place_m for one in on_drives], [one.along for one in on_drives])
-        )
-        along /= np.hypot(*along.T)[:, np.newaxis]
-        return Passed(place_m, along, np.array([self._since(age) for age in ages]))
-
     def _since(self, frames: float) -> Vector:
-        """The displacement (4,) since so many frames ago; of the future, as it goes on."""
-        if frames < 0:
-            return frames / STRAIGHT * (self._readings.back(0) - self._readings.back(STRAIGHT))
+        """The displacement (4,) since so many frames ago."""
         return self._readings.back(0) - self._readings.back(frames)
 
     def _ahead_m(self, match: PlaceMatch) -> float:
@@ -301,18 +217,3 @@ class Sightings:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
-
-
-def _further(driven_m: Vector, doubtful_m: Vector, scale_sigma: float, doubt_sigma: float) -> tuple[Vector, Vector]:
-    """Meters (k, n) that may have been driven besides since n rows, for k errors of the odometer; how likely each."""
-    further_m, priors = np.zeros((1, len(driven_m))), CERTAIN
-    for sigma, of_m in ((scale_sigma, driven_m), (doubt_sigma, doubtful_m)):
-        if sigma * np.ptp(of_m) > KNOWN_SCALE * np.ptp(driven_m):
-            further_m = (further_m[:, np.newaxis] + sigma * ERRORS[:, np.newaxis] * of_m).reshape(-1, len(of_m))
-            priors = np.outer(priors, ERROR_PRIORS).ravel()
-    return further_m, priors
-
-
-def _truly(moved_m: Vector, estimate: RouteEstimate | None) -> Vector:
-    """Meters (..., 2) of displacements (..., 4) without the errors that were found."""
-    return moved_m[..., :2] if estimate is None else estimate.truly(moved_m)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.localization.claims import SPREAD_M, STRETCH_WRONG
-from edge.localization.look import HOLDS_M, LOOK_CHI2, TURNS_RAD, Look
-from edge.localization.region_lines import Vector
-from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, LEAST_SUPPORT, RouteEstimate
+from edge.localization.look import HOLDS_M, LOOK_CHI2, TURNS_RAD, Look, Vector
+from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, RouteEstimate
 from edge.localization.sighting import Sighting
 
 FADES_M, EXPECTED = 300.0, 1.0
@@ -46,7 +45,7 @@ class Track:
     @property
     def is_looked(self) -> bool:
         """Whether a look said within CORRELATION_M where the vehicle is, and how it is turned."""
-        return self.estimate.since_looks_m < CORRELATION_M
+        return self.estimate.is_measured
 
     @property
     def is_confirmed(self) -> bool:
@@ -72,17 +71,11 @@ class Track:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
         if sighting.look is not None:
             return self._disagrees(sighting.look) <= LOOK_CHI2
-        # Far beside the road, what its regions show means nothing.
         off_m, sigma_m = self.estimate.aside(sighting.passed, road_sigma_m)
-        return off_m <= AGREE_SIGMAS * sigma_m and self._agrees_along(sighting)
+        return off_m <= AGREE_SIGMAS * sigma_m and abs(self.innovation(sighting)) <= AGREE_SIGMAS
 
     def _disagrees(self, look: Look) -> float:
         return look.disagrees(self.estimate.position_m, self.estimate.at_look(look))
-
-    def _agrees_along(self, sighting: Sighting) -> bool:
-        if sighting.regions is not None and not self._begins_drive(sighting):
-            return self.estimate.support(sighting.regions) >= LEAST_SUPPORT
-        return abs(self.innovation(sighting)) <= AGREE_SIGMAS
 
     def innovation(self, sighting: Sighting) -> float:
         """How far along the road a match is from where it is expected, in standard deviations of that.
@@ -115,7 +108,7 @@ class Track:
         if not self._begins_drive(sighting):
             return 0.0
         errors = sighting.errors
-        return math.hypot(errors.line_m, errors.apart_m, sighting.map_sigma_m, self.newest.map_sigma_m)
+        return math.hypot(errors.line_m, errors.whole_m, sighting.map_sigma_m, self.newest.map_sigma_m)
 
     def _begins_drive(self, sighting: Sighting) -> bool:
         now, before = sighting.match, self.newest.match
@@ -132,16 +125,8 @@ class Track:
         if self.estimate.since_looks_m < HOLDS_M:  # then it only shows that the vehicle is still there
             self._added(replace(sighting, whole_sigma_m=self.newest.whole_sigma_m), stamp_ns)
             return
-        # A vehicle that leaves its lane sees less of what the map shows.
-        road_sigma_m *= sighting.faint if sighting.shows_parallax else 1.0
         self.estimate.keep_on_road(sighting.passed, road_sigma_m)
-        # The line of both regions together may be that of one of them, where a vehicle is far beside the map's drive:
-        # it only says where to begin, and where the regions have said nothing for long.
-        said_lately = sighting.shows_parallax and self.estimate.since_regions_m < CORRELATION_M
-        if not self.matches or (sighting.regions is None and not said_lately):
-            self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
-        if sighting.regions is not None:
-            self.estimate.correct_by_regions(sighting.regions)
+        self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
         self._added(sighting, stamp_ns)
 
     def _turn(self, look: Look) -> None:

@@ -134,27 +134,6 @@ class CostMatcher:
             at += end - start
         return costs
 
-    def region_costs(self, query: NDArray[np.float32], start: int, end: int) -> NDArray[np.float64]:
-        """Cosine distance of each region alone, left and right, to the same region of places [start, end).
-
-        (n, 2, D) -> (2, n, end - start). The left region is the sum of what is kept, the right one the difference.
-        """
-        sums, differences = self.encoded(query)
-        of_sums, of_differences = (np.asarray(plane[start:end]) for plane in self._planes)
-        alike = _dots(of_sums, sums) + _dots(of_differences, differences)
-        across = _dots(of_differences, sums) + _dots(of_sums, differences)
-        costs = np.empty((2, *alike.shape))
-        for cost, sign in zip(costs, (1, -1), strict=True):
-            lengths = np.outer(_region_lengths(sums, differences, sign), _region_lengths(of_sums, of_differences, sign))
-            cost[:] = 1.0 - (alike + sign * across) / lengths
-        return costs
-
-
-def _region_lengths(sums: NDArray[np.int8], differences: NDArray[np.int8], sign: int) -> NDArray[np.float64]:
-    """Lengths (n,) of one region of rows (n, D) as they are kept; 1 for a row that is all zero."""
-    regions = sums.astype(np.int32) + sign * differences.astype(np.int32)
-    return _lengths(np.einsum("nd,nd->n", regions, regions, dtype=np.int64))
-
 
 def _blocks(ranges: Sequence[tuple[int, int]], size: int) -> Iterator[tuple[int, int]]:
     """The ranges in pieces of at most `size` places."""

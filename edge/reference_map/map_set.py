@@ -198,12 +198,6 @@ class MapSet:
             costs.append(matcher.costs_of_encoded(encoded[alike], [(start, end) for _, start, end in pieces]))
         return costs[0] if len(costs) == 1 else np.concatenate(costs, axis=2)
 
-    def region_costs(self, query: NDArray[np.float32], start: int, end: int) -> NDArray[np.float64]:
-        """Each region of rows (n, 2, D) alone against places [start, end) of one map, see `CostMatcher`."""
-        index = self.index.map_of(start)
-        first = self.index.starts[index]
-        return self.matchers[index].region_costs(query, start - first, end - first)
-
     def keypoints_of(self, place_index: int) -> NDArray[np.void]:
         """Records (K,) of KEYPOINT of a place of a map that has them; a copy. MapError where that is not possible."""
         index = self.index.map_of(place_index)

@@ -34,27 +34,6 @@ vehicle went on, places of the way back were believed for 40 m, and an honest GP
 
 
 @dataclass(frozen=True, eq=False)
-class Parallax:
-    """The rows of a line with each region alone; see `edge.sequence.parallax`.
-
-    ages: (n,) of the rows, in frames. costs: (2, n, S) of the left and of the right region, moved along the map by a
-    number of places around 0, in the direction of travel; NaN beyond the map.
-    """
-
-    ages: NDArray[np.intp]
-    costs: NDArray[np.float64]
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, Parallax)
-            and np.array_equal(self.ages, other.ages)
-            and np.array_equal(self.costs, other.costs, equal_nan=True)
-        )
-
-    __hash__ = None  # type: ignore[assignment]
-
-
-@dataclass(frozen=True, eq=False)
 class Seen:
     """One look: the keypoints of the frame agree with those of one place of the map, so its camera was near that one's.
 
@@ -107,7 +86,6 @@ class PlaceMatch:
     means off the map, or one of several that look alike. by_votes: the answer without `Travel.reckoned`, None where it
     is this one; whoever judges what the reckoning rests on, goes by `alone`.
     half_width_places: half the number of places around it that are nearly as good.
-    parallax: of the two regions alone, None where it is not known.
     seen: what the frame's keypoints say of where its camera was, of the place that is believed; None where they say
     nothing, or were not asked. has_line: False where no line leads to the place, which is believed by looks alone, as
     of a vehicle that stands; it then is that of `seen`, and slope, distance and the like say nothing.
@@ -128,7 +106,6 @@ class PlaceMatch:
     half_width_places: float = 0.5
     step: float = 1.0
     passed: tuple[float, ...] = ()
-    parallax: Parallax | None = None
     seen: Seen | None = None
     has_line: bool = True
     map: str | None = None

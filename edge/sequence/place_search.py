@@ -22,7 +22,7 @@ from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.reference_map import Drives, MapSet, Ranges
 from edge.sequence import NOTHING_KNOWN, CostView, Direction, Near, PlaceMatch, Travel
-from edge.sequence.parallax import NO_LAGS, Lanes, lags_of, lane_costs
+from edge.sequence.lane import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
 
 SLACK_M = 250.0

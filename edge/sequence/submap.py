@@ -16,7 +16,7 @@ from edge.geodesy import east_north_of
 from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
 from edge.sequence.evidence import Neighborhood, Roads, match_at
-from edge.sequence.parallax import Lanes, lane_costs
+from edge.sequence.lane import Lanes, lane_costs
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]

@@ -24,12 +24,10 @@ from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.toml_file import read_text
 from sim.calibration.offset import (
-    BESIDE_M,
     FEWEST,
     Offset,
     look_key,
     measure_offsets,
-    measure_parallax,
     rig_config,
     rig_key,
     sigma_key,
@@ -100,7 +98,7 @@ def _run(args: argparse.Namespace) -> int:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
         off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
         _print_offsets(offsets, seen)
-        lines |= {**rig_lines(offsets), **_parallax_lines(seen)}
+        lines |= rig_lines(offsets)
         curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence_frames)
         print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     else:
@@ -142,16 +140,6 @@ def rig_lines(offsets: Sequence[Offset]) -> Lines:
     if keys:
         keys += ["sigma_along_m", "sigma_across_m"]
     return {("rig", key): getattr(rig, key) for key in keys}
-
-
-def _parallax_lines(seen: Sequence[Sighting]) -> Lines:
-    """The parallax, where these drives show it."""
-    ratio = measure_parallax(seen)
-    if ratio is None:
-        print(f"parallax: not measured; it needs a drive at least {BESIDE_M:g} m beside the map's, as the other lane")
-        return {}
-    print(f"parallax: {ratio:.2f} m between the regions for each meter beside the map's drive")
-    return {("rig", "parallax"): round(ratio, 2)}
 
 
 def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:

@@ -25,7 +25,6 @@ FEWEST = 10
 STRETCH_M = 80.0
 """Matches so near each other count as one: what stands beside the road there shifts them alike. On two simulated roads
 in both directions, the errors of matches 10 m apart had a correlation of .7, 40 m apart .4, 80 m apart .1."""
-BESIDE_M = 1.5  # of the map's drive, from which parallax can be measured in spite of GPS
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 
 
@@ -105,27 +104,13 @@ def _by_looks(seen: Sequence[Sighting]) -> tuple[float, float]:
     return float(np.median(look_m)), max(LEAST_SIGMA_M, of_median_m)
 
 
-def measure_parallax(seen: Sequence[Sighting]) -> float | None:
-    """Meters by which the left region lags behind the right, for each meter to the left of the map's drive.
-
-    A ratio of medians, so that neither wrong pairs of lines nor GPS change it much. None where fewer than FEWEST
-    matches say, or where the vehicle drove in the same lane as the map, which shows nothing.
-    """
-    known = np.array([(one.lag_m, one.left_m) for one in seen if one.accepted]).reshape(-1, 2)
-    known = known[~np.isnan(known).any(axis=1)]
-    sides = [known[known[:, 1] * side > 0] for side in (-1, 1)]
-    lag_m, left_m = np.median(max(sides, key=len), axis=0) if max(map(len, sides)) >= FEWEST else (0.0, 0.0)
-    ratio = float(lag_m / left_m) if abs(left_m) >= BESIDE_M else 0.0
-    return ratio if ratio > 0 else None
-
-
 def _deviation(values: NDArray[np.float64]) -> float:
     """Standard deviation, estimated by the median absolute deviation, which outliers do not change."""
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def rig_config(offsets: Sequence[Offset]) -> RigConfig:
-    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured, and for `parallax`.
+    """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured.
 
     sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_across_m is at least
     LANE_SIGMA_M, however well these drives kept their lane.

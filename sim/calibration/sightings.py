@@ -15,19 +15,15 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
 from edge.localization.place_fix import LineReadings, line_middle
-from edge.localization.region_lines import BEYOND_PLACES, region_line
 from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
-from edge.sequence import Direction, Order, Parallax, PlaceMatch
+from edge.sequence import Direction, Order, PlaceMatch
 from sim.traverse import traverse
 
 ALIKE_M, ALIKE_SHARE = 3.0, 0.2
 """A line is as long as what was driven if both differ by at most so many meters and that share, of which a tenth is for
 the odometer of a recorded drive."""
-
-CLEAR, CLEAR_PLACES = 0.7, 1.5
-"""How likely the places around the best one must be for it to be clear, and how many places to each side those are."""
 
 OFF_ROUTE_M = 30.0
 """A vehicle further than this from the map's drive was not on it."""
@@ -43,9 +39,8 @@ class Sighting:
     ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
     NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
     own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
-    where the daemon would not use the line. lag_m: meters by which the left region lags behind the right, NaN where
-    they do not say. place_m: of the place along the map's drive. look_m: meters that the camera is ahead of the vehicle
-    by the pose of this frame alone, NaN where it has none.
+    where the daemon would not use the line. place_m: of the place along the map's drive. look_m: meters that the camera
+    is ahead of the vehicle by the pose of this frame alone, NaN where it has none.
     """
 
     direction: Direction
@@ -55,7 +50,6 @@ class Sighting:
     accepted: bool
     left_m: float = float("nan")
     line_sigma_m: float = 0.0
-    lag_m: float = float("nan")
     place_m: float = 0.0
     look_m: float = float("nan")
 
@@ -67,9 +61,9 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
     if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
         raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
-    # Measured without any offset, and with any parallax, so that the regions are matched; the view is the feed's.
+    # Measured without any offset; the view is the feed's.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
-    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig(parallax=1.0))
+    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
     route, readings = Route(recognizer.map_set), LineReadings(config.sequence_frames)
@@ -84,16 +78,10 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             beyond_m, sigma_m = _refined(match, route, readings)
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
-            lag_m = _lag_m(match, route)
             look_m = _look_m(match, drives, item.frame.index, looks_back=camera.view == "rear")
             kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
             place_m = float(places["route_m"][match.place])
-            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, lag_m, place_m, look_m)
-
-
-def _lag_m(match: PlaceMatch, route: Route) -> float:
-    """Meters by which the left region lags behind the right."""
-    return lag_places(match.parallax) * route.drive(match.place_index).spacing_m if match.parallax else float("nan")
+            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, place_m, look_m)
 
 
 def _look_m(match: PlaceMatch, drives: MapDrives, row: int, *, looks_back: bool) -> float:
@@ -168,21 +156,3 @@ def _project(
     share = np.clip(((point - start) * step).sum(axis=1) / length_sq, 0.0, 1.0)
     distance_m = np.linalg.norm(start + share[:, np.newaxis] * step - point, axis=1)
     return distance_m, along_m[:-1] + share * np.diff(along_m)
-
-
-def lag_places(parallax: Parallax) -> float:
-    """By how many places the line of the left region lies behind that of the right one; NaN where it is not clear.
-
-    For a vehicle that stays as far beside the map's drive as it is.
-    """
-    at = []
-    for costs in parallax.costs:
-        line = region_line(costs, np.zeros((1, len(costs))))
-        if line is None:
-            return float("nan")
-        likely = line.likely
-        near = np.abs(BEYOND_PLACES - BEYOND_PLACES[likely.argmax()]) <= CLEAR_PLACES
-        if likely[near].sum() < CLEAR:
-            return float("nan")
-        at.append(float(likely[near] @ BEYOND_PLACES[near] / likely[near].sum()))
-    return at[1] - at[0]

@@ -45,7 +45,6 @@ RIG = RigConfig(
     sigma_forward_swapped_m=4.1,
     ahead_reverse_same_m=-1.0,
     left_reverse_m=3.5,
-    parallax=2.4,
     sigma_reverse_same_m=2.8,
     look_sigma_m=0.05,
 )

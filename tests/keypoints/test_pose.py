@@ -43,6 +43,21 @@ def test_a_pose_aside_is_not_pulled_to_where_the_map_was_driven() -> None:
     assert np.abs(off[[0, 2]]).max() < 0.7, off
 
 
+def test_where_two_poses_explain_as_many_points_each_is_within_the_other_s_covariance() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        world_m, cameras = street(rng, 120), np.array([HOME, (0.0, 1.0, 0.0, 0.02)])
+        points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)
+        picture = np.where(np.arange(120)[:, np.newaxis] % 2, *(seen(world_m, tuple(one)) for one in cameras))
+        known = points.is_known
+        starts = np.array([(3.5, 0.0, 0.0), (0.0, 0.0, 0.0)])
+        pose = pose_of(points[known], with_noise(rng, picture, 0.5)[known], CAMERA, starts)
+        assert pose is not None
+        found = [pose.right_m, pose.ahead_m, pose.turn]
+        for off in found - cameras[:, :3]:
+            assert off @ np.linalg.solve(pose.covariance, off) < 11.3, "99 of 100"
+
+
 def test_too_few_points_and_points_of_another_place_give_none() -> None:
     rng = np.random.default_rng(5)
     world_m = street(rng, 60)

@@ -34,7 +34,7 @@ from edge.localization import (
     Used,
 )
 from edge.localization.events import Frame
-from edge.sequence import Parallax, PlaceMatch
+from edge.sequence import PlaceMatch
 from tests.localization.route_course import HOME, SPACING_M, Stretch, build_maps
 
 S = 1_000_000_000
@@ -209,11 +209,3 @@ def left_m(place: PlaceFix | None) -> float:
     """Meters west of the road."""
     assert place is not None and place.lat_deg is not None and place.lon_deg is not None
     return -east_north_of(place.lat_deg, place.lon_deg, HOME)[0]
-
-
-def regions(beyond_m: float, left_m: float) -> Parallax:
-    """Lines that are clearly so far beyond that of both regions, of a vehicle so far to the left of the map's drive."""
-    steps_m = SPACING_M * np.arange(-20, 21)
-    away_m = [steps_m - beyond_m - side * 2.4 * left_m for side in (-0.5, 0.5)]
-    rows = [np.tile(1 - 0.3 / (1 + (one / 4) ** 2), (LENGTH, 1)) for one in away_m]
-    return Parallax(np.arange(LENGTH), np.array(rows))

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.config import Config, RigConfig, SequenceConfig, TrackingConfig
+from edge.config import CameraConfig, Config, RigConfig, SequenceConfig, TrackingConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
     AGREE_SIGMAS,
@@ -39,10 +39,9 @@ from edge.localization import (
 )
 from edge.localization.events import Frame
 from edge.localization.position_estimator import Entry
-from edge.sequence import PlaceMatch
+from edge.sequence import PlaceMatch, Seen
 from edge.sequence.consensus import probability
 from edge.telemetry.acknowledgements import Sent
-from tests.localization.region_bench import PLACES_APART, RegionViews
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
@@ -50,6 +49,7 @@ CORRELATED_M, GPS_M, LANE_M = 60.0, 72.0, 0.7
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
+LOOKS_EVERY, LOOK_SIGMAS = 4, (0.3, 0.3, math.radians(0.6))  # as on the way home: docs/keypoints.md
 TURN_RADIUS_M = 8.0
 ARRIVES, ANSWERS = 2, 2
 """Steps from an exposure to the answer to its frame, and from a position to an autopilot that has moved by it."""
@@ -118,8 +118,10 @@ class Bench:
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
-        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, parallax=PLACES_APART * course.parallax)
-        self.config = Config(rig=rig, tracking=TrackingConfig(), sequence=SequenceConfig(length=LENGTH))
+        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, look_sigma_m=0.05)
+        camera = CameraConfig(view="rear" if course.looks else "front")
+        tracking, sequence = TrackingConfig(), SequenceConfig(length=LENGTH)
+        self.config = Config(camera=camera, rig=rig, tracking=tracking, sequence=sequence)
         self.events: list[tuple[int, Entry]] = []
         self.drive = Drive(PositionEstimator(self.config), lambda t_ns, entry: self.events.append((t_ns, entry)))
         self.drive.update(0, Maps(maps))
@@ -129,7 +131,6 @@ class Bench:
         self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
         self.wander_m = rng.normal(0.0, course.match_sigma_m)
         self.lane_m = rng.normal(0.0, LANE_M) if course.lane_m is None else course.lane_m
-        self.regions = RegionViews(rng, SPACING_M)
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
         self.step = 0
@@ -142,6 +143,7 @@ class Bench:
         self.followed_at = 0  # the step at which the autopilot has moved by it
         self.bounded_ns = 0
         self.alias_now = False
+        self.unlooked = 0
 
     def run(self) -> Result:
         """The whole drive."""
@@ -301,7 +303,6 @@ class Bench:
         self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, sigma)
         shown = self._shown(s)
         self.history.append(shown)
-        self.regions.add(shown, self.right_m)
         del self.history[:-LENGTH]
         last = next((item for item in reversed(self.history) if item is not None), None)
         if last is None:
@@ -322,10 +323,23 @@ class Bench:
         alias, slope = self.alias_now, round(slope / SPACING_M * 50) / 50
         agreement = 0.5 + 0.17 * self.rng.random() if alias else 0.45 + 0.45 * share
         return PlaceMatch(
-            first + row, first + row, "forward", "same" if self.course.parallax else "swapped",
+            first + row, first + row, "forward", "same" if self.course.looks else "swapped",
             slope, 0.5, 1.2, sharpness=0.2, accepted=agreement >= 0.6, confidence=probability(agreement),
-            parallax=self.regions.parallax(number, row, slope) if self.course.parallax else None,
+            seen=self._seen(shown) if self.course.looks else None,
         )  # fmt: skip
+
+    def _seen(self, shown: tuple[int, float] | None) -> Seen | None:
+        """By one frame in LOOKS_EVERY: where the camera is, which looks back as the map's did."""
+        self.unlooked += 1
+        if shown is None or self.unlooked < LOOKS_EVERY:
+            return None
+        self.unlooked, (number, along_m) = 0, shown
+        first, _, _, places = self.segments[number]
+        begins_m = self.segments[number][1]
+        row = min(round((along_m - begins_m) / SPACING_M), places - 1)
+        right_m, ahead_m = self.rng.normal((-self.right_m, begins_m + row * SPACING_M - along_m), LOOK_SIGMAS[0])
+        covariance = np.diag(np.square(LOOK_SIGMAS))
+        return Seen(first + row, 90, right_m, ahead_m, self.rng.normal(0.0, LOOK_SIGMAS[2]), covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""

@@ -67,7 +67,7 @@ class Course:
     bias_m: float = 1.5
     match_sigma_m: float = 2.5
     laps: int = 1
-    parallax: bool = False
+    looks: bool = False
 
 
 def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:

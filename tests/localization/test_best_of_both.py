@@ -101,7 +101,7 @@ def test_an_error_of_the_scale_is_along_the_way_and_one_of_the_heading_across() 
 
 
 def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_sent(tmp_path: Path) -> None:
-    """Without parallax: the lane would make every position say that the vehicle is on it."""
+    """Without a look: the lane would make every position say that the vehicle is on it."""
     one = Vehicle(Road(tmp_path, Stretch(0.0, 1200.0)))
     one.go(150, gps=True)
     one.go(100)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from edge.localization.odometer import Scale
-from edge.localization.region_lines import Passed, RegionLine, RegionLines, Vector
 from edge.localization.route_estimate import (
     CORRELATION_M,
-    LEAST_SUPPORT,
     MATCH,
     MatchErrors,
+    Passed,
     RouteEstimate,
     VelocityErrors,
 )
@@ -91,100 +87,6 @@ def test_the_road_bounds_what_is_not_known_across_and_never_more() -> None:
     assert np.sqrt(estimate.covariance[2, 2]) == pytest.approx(HEADING_RAD, rel=0.05), "it says nothing of the heading"
 
 
-def lines(*at_m: float, here: float = 0.0, contrast: float = 0.4) -> RegionLines:
-    """Lines of both regions at so many meters beyond that of both together, which lies at `here`; NaN: nowhere."""
-    beyond_m = np.linspace(-32.0, 32.0, 129)
-    anywhere = np.full(129, 1 / 129)
-    each = [anywhere if np.isnan(one) else 0.95 * _bell(beyond_m - one) + 0.05 * anywhere for one in at_m]
-    left, right = (RegionLine(likely, contrast) for likely in each)
-    passed = Passed(np.array([0.0, here]), np.array([0.0, 1.0]), np.zeros(4))
-    return RegionLines(passed, passed, 2.0, beyond_m, left, right)
-
-
-def _bell(away_m: Vector) -> Vector:
-    bell: Vector = np.exp(-(away_m**2) / 2)
-    bell /= bell.sum()
-    return bell
-
-
-def test_the_lines_of_both_regions_say_where_a_vehicle_is_along_and_across() -> None:
-    estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
-    estimate.correct_by_regions(lines(2.0, -2.0))
-    assert estimate.position_m == pytest.approx([2.0, 0.0], abs=0.6), "2 m to the right, and just there"
-    assert np.sqrt(np.diag(estimate.covariance))[:2] == pytest.approx(1.2, abs=0.3)
-
-
-def test_a_region_alone_says_only_what_both_are_together() -> None:
-    """Further along, or further to the left: the uncertainty of each stays, that of their sum does not."""
-    estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
-    estimate.correct_by_regions(lines(math.nan, 3.0))
-    along_and_left = np.array([-1.0, 1.0])
-    assert along_and_left @ estimate.position_m == pytest.approx(3.0, abs=0.7)
-    assert np.sqrt(along_and_left @ estimate.covariance[:2, :2] @ along_and_left) < 2.4
-    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
-
-
-def test_the_less_a_region_s_line_stands_out_the_less_certain_is_a_position_by_it() -> None:
-    sigmas_m = []
-    for contrast in (0.4, 0.25, 0.05, 0.0):
-        estimate = RouteEstimate(np.zeros(2), 9.0 * np.eye(2), ERRORS)
-        estimate.correct_by_regions(lines(0.0, 0.0, contrast=contrast))
-        sigmas_m.append(float(np.sqrt(estimate.covariance[0, 0])))
-    clear, as_clear, faint, none = sigmas_m
-    assert clear == as_clear < 0.5 * faint < 0.5 * none
-    assert none == pytest.approx(3.0, rel=0.05)
-
-
-def test_a_vehicle_far_beside_its_lane_to_which_faint_lines_show_the_lane_stays_uncertain() -> None:
-    """As on a simulated drive: 7 m beyond the lane, 5 lines within 70 m show the lane, with a contrast of 0.06."""
-    sigmas = []
-    for contrast in (0.06, 0.4):
-        estimate = RouteEstimate(np.array([4.0, 0.0]), 33.0 * np.eye(2), ERRORS)
-        for at in range(1, 6):
-            estimate.predict(np.array([0.0, 17.0, 0.0, 0.0]))
-            estimate.correct_by_regions(lines(0.0, 0.0, here=17.0 * at, contrast=contrast))
-        sigmas.append((7.0 - float(estimate.position_m[0])) / float(np.sqrt(estimate.covariance[0, 0])))
-    faint, clear = sigmas
-    assert faint < 3.0 and clear > 6.0, "by what the lines show alone, it would be in its lane"
-
-
-def test_lines_far_from_where_they_are_expected_make_the_position_less_certain_and_many_move_it() -> None:
-    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
-    assert estimate.support(lines(0.0, 0.0)) > 1.0
-    assert estimate.support(lines(math.nan, math.nan)) == pytest.approx(1.0, rel=0.02), "they may be anywhere"
-    assert estimate.support(lines(14.0, 14.0)) < LEAST_SUPPORT
-    before = estimate.mean.copy()
-    estimate.correct_by_regions(lines(14.0, 14.0))
-    assert (estimate.mean == before).all()
-    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 2.0
-    for _ in range(8):
-        estimate.since_regions_m = 16.0
-        estimate.correct_by_regions(lines(14.0, 14.0))
-    assert estimate.position_m == pytest.approx([0.0, 14.0], abs=2.0)
-
-
-def test_a_line_that_contradicts_what_is_expected_is_judged_anew_where_that_is_less_certain() -> None:
-    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
-    estimate.correct_by_regions(lines(7.0, 7.0))
-    assert 2.0 < estimate.position_m[1] < 7.0, "one match moves it, though not all the way"
-    assert np.sqrt(np.diag(estimate.covariance))[:2].min() > 1.2
-
-
-def test_lines_in_a_row_are_one_observation_and_those_far_apart_are_not() -> None:
-    wide = lines(0.0, 0.0)
-    region = RegionLine(_bell(wide.beyond_m / 4), 0.4)
-    wide = replace(wide, left=region, right=region)
-    sigmas_m = []
-    for apart_m in (2.0, 200.0):
-        estimate = RouteEstimate(np.zeros(2), 25.0 * np.eye(2), ERRORS)
-        estimate.correct_by_regions(wide)
-        for _ in range(5):
-            estimate.since_regions_m = apart_m
-            estimate.correct_by_regions(wide)
-        sigmas_m.append(np.sqrt(estimate.covariance[0, 0]))
-    assert sigmas_m[0] > 1.2 * sigmas_m[1]
-
-
 def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -> None:
     estimate = RouteEstimate(np.array([20.0, 0.0]), 30.0**2 * np.eye(2), ERRORS)
     for _ in range(200):
@@ -198,7 +100,7 @@ def test_gps_bounds_the_position_and_says_nothing_of_the_velocity_without_it() -
 def test_another_drive_has_an_error_of_its_own() -> None:
     estimate, _ = drive(1)
     before = estimate.covariance[:2, :2].copy()
-    estimate.begin_drive(MatchErrors(4.0, apart_m=3.0))
+    estimate.begin_drive(MatchErrors(4.0, whole_m=3.0))
     assert np.allclose(estimate.covariance[:2, :2], before)
     assert estimate.mean[MATCH] == estimate.mean[MATCH + 1] == 0.0
     assert estimate.covariance[MATCH, MATCH] == pytest.approx(4.0 + 9.0)

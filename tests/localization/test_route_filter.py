@@ -1,4 +1,4 @@
-"""Where the vehicle is by matches that agree: by lines, regions and reckoning."""
+"""Where the vehicle is by matches that agree: by lines and reckoning."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from tests.localization.events_of import (
     left_m,
     north_m,
     nothing,
-    regions,
     settings,
 )
 from tests.localization.route_course import SPACING_M
@@ -131,39 +130,14 @@ def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
     assert left_m(one.place) == pytest.approx(3.5, abs=0.01), "west, both ways"
 
 
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
-@pytest.mark.parametrize("beside_m", [5.0, 8.0, 0.0])
-def test_parallax_says_how_far_a_vehicle_is_beside_the_maps_drive(
-    road: Road, direction: Direction, beside_m: float
-) -> None:
-    """The lane is 3.5 m to the left; this vehicle is somewhere else, and each meter shows as 2.4 m of lag."""
-    sees, fixes = shown(road, direction=direction, order="same", parallax=regions(0.0, beside_m)), []
-    for parallax in (2.4, 0.0):
-        config = settings(RigConfig(left_forward_m=3.5, left_reverse_m=3.5, parallax=parallax))
-        fixes.append(placed(warm(road, config, 240.0 if direction == "reverse" else 80.0, direction, sees, 80.0)))
-    left = 1 if direction == "forward" else -1
-    measured, not_measured = fixes
-    assert left * left_m(measured) == pytest.approx(beside_m, abs=0.5)
-    assert left * left_m(not_measured) == pytest.approx(3.5, abs=0.01)
-    assert measured.sigma_across_m < not_measured.sigma_across_m
-
-
-def test_the_regions_say_where_a_vehicle_is_along_however_far_off_the_line_of_both_is(road: Road) -> None:
-    """The line of both together is that of one of them, 4 m ahead."""
-    sees = shown(road, 4.0, order="same", parallax=regions(-4.0, 0.0))
-    one = warm(road, settings(RigConfig(parallax=2.4)), 80.0, sees=sees, meters=120.0)
-    assert north_m(one.place) == pytest.approx(one.north_m, abs=0.5)
-
-
 @pytest.mark.parametrize("seen", [{"accepted": False}, {"uniqueness": 0.98}])
 def test_a_match_that_is_not_believed_or_not_the_best_changes_nothing(road: Road, seen: dict[str, Any]) -> None:
-    """It shows a vehicle that is 1 m further left."""
-    config, sees = settings(RigConfig(parallax=2.4)), shown(road, order="same", parallax=regions(0.0, 0.0))
-    one = warm(road, config, 80.0, sees=sees, meters=40.0)
+    """It shows a vehicle that is 4 m further."""
+    one = warm(road, None, 80.0, meters=40.0)
     matches = placed(one).matches
-    one.go(16, shown(road, order="same", parallax=regions(0.0, 1.0), **seen))
+    one.go(16, shown(road, 4.0, **seen))
     found = one.place_at()
-    assert left_m(found) == pytest.approx(0.0, abs=0.5)
+    assert north_m(found) == pytest.approx(one.north_m, abs=0.1)
     assert found is not None and found.matches == matches
     one.go(6, shown(road, **seen))
     assert one.place_at() is None, "20 m without a believed match"
@@ -196,14 +170,10 @@ def test_a_line_that_is_not_sharp_is_not_used(road: Road, sharpness: float, is_u
 
 
 def test_the_fainter_a_line_the_less_certain_the_position(road: Road) -> None:
-    def seen_at(sharpness: float, **seen: Any) -> tuple[float, float]:
-        config, sees = settings(RigConfig(parallax=2.4)), shown(road, sharpness=sharpness, **seen)
-        fix = placed(warm(road, config, sees=sees, meters=20.0))
-        return fix.sigma_along_m, fix.sigma_across_m
+    def seen_at(sharpness: float) -> float:
+        return placed(warm(road, sees=shown(road, sharpness=sharpness), meters=20.0)).sigma_along_m
 
-    both: dict[str, Any] = {"order": "same", "parallax": regions(0.0, 0.0)}
-    assert seen_at(0.06)[0] > 1.5 * seen_at(0.2)[0] and seen_at(0.2) == seen_at(0.3)
-    assert all(faint > 1.2 * sharp for faint, sharp in zip(seen_at(0.06, **both), seen_at(0.2, **both), strict=True))
+    assert seen_at(0.06) > 1.5 * seen_at(0.2) == 1.5 * seen_at(0.3)
 
 
 @pytest.mark.parametrize(("ends_m", "is_used"), [(40, False), (46, True), (392, True), (396, False)])
@@ -268,17 +238,13 @@ def test_a_position_is_less_certain_by_what_the_odometer_may_be_wrong_over_a_who
 # Lost or disputed: which matches are used, and what a position begins from.
 
 
-def beside(road: Road, beside_m: float, further_m: float = 0.0) -> Sees:
-    """Frames whose regions show a vehicle so far to the left."""
-    return shown(road, further_m, order="same", parallax=regions(0.0, beside_m))
-
-
 @pytest.mark.parametrize(("further_m", "expected_m"), [(0.0, 2.0), (80.0, 0.0)])
 def test_a_lost_position_goes_on_only_where_the_next_match_agrees(
     road: Road, further_m: float, expected_m: float
 ) -> None:
-    """A vehicle 2 m beside the map's drive, which only its regions have shown; then 60 m without a match."""
-    one = warm(road, settings(RigConfig(parallax=2.4, sigma_across_m=4.0)), 80.0, sees=beside(road, 2.0))
+    """A vehicle 2 m beside the map's drive, which only GPS has shown; then 60 m without a match."""
+    one = bounded_beside(road)
+    one.go(60)
     one.go(60, nothing)
     assert one.place is None
     one.go(2, shown(road, further_m))
@@ -305,14 +271,14 @@ def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_fo
 
 
 def test_far_beside_the_road_no_match_corrects_a_position(road: Road) -> None:
-    """By its own reckoning the vehicle goes 26 m to the side; its regions would have it at 21 m there."""
-    config = settings(RigConfig(parallax=2.4, sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
+    """By its own reckoning the vehicle goes 26 m to the side."""
+    config = settings(RigConfig(sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
     one = warm(road, config)
     one.aside_m = 1.3
     one.go(40, nothing)
     one.aside_m = 0.0
     one.go(LINE_M, nothing)
-    one.go(8, beside(road, -21.0))
+    one.go(8)
     later = one.place_at()
     assert left_m(later) == pytest.approx(-26.0, abs=1.0)
     assert later is not None and later.matches == 30, "none has agreed since"

@@ -80,21 +80,6 @@ def test_costs_are_those_of_both_orders(seed: int, places: int, rows: int, regio
         assert np.abs(costs[:, 1] - slow_costs(shown[:, ::-1], kept)).max() <= 1
 
 
-@settings(max_examples=40, deadline=None)
-@cases
-def test_costs_of_each_region_alone(seed: int, places: int, rows: int, regions: int, dimensions: int) -> None:
-    rng = np.random.default_rng(seed)
-    reference = rng.normal(size=(places, 2, dimensions)).astype(np.float32)
-    query = rng.normal(size=(rows, 2, dimensions)).astype(np.float32)
-    first = places // 3
-    costs = matcher_of(reference).region_costs(query, first, places)
-    assert costs.shape == (2, rows, places - first)
-    shown, kept = decoded(encode(query)), decoded(encode(reference))[first:]
-    for region in range(2):
-        alone = slow_costs(shown[:, region], kept[:, region]) / COST_ONE
-        assert np.abs(costs[region] - alone).max() <= 1 / COST_ONE
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

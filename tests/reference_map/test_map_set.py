@@ -24,7 +24,7 @@ from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
 from edge.sequence import Near, PlaceMatch, Travel
-from edge.sequence.parallax import NO_LAGS, Lanes
+from edge.sequence.lane import NO_LAGS, Lanes
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from edge_plugins.mapping.builder import MapBuilder, Place

@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 from edge.config import Config, DescriptorConfig, RigConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.reference_map import COST_ONE, MapSet, ModelKey
-from edge.sequence import PlaceMatch, Travel
-from edge.sequence.parallax import NO_LAGS, REACH, Lags, Lanes, lags_of, lane_costs
+from edge.sequence import PlaceMatch
+from edge.sequence.lane import NO_LAGS, Lags, Lanes, lags_of, lane_costs
 from edge.sequence.place_search import PlaceSearch
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 
 PLACES, LENGTH, DIMENSIONS = 120, 10, 64
 LAG = 4
-RIG = RigConfig(left_reverse_m=3.5, parallax=2.4)
+RIG = RigConfig(left_reverse_m=3.5)
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +57,10 @@ def way_home(raw: NDArray[np.float32], left_of_drive: int) -> NDArray[np.float32
 
 def test_lags_are_those_of_the_lanes() -> None:
     assert lags_of(Config(rig=RIG), 2.0) == Lags(alike=0, opposed=LAG)
-    assert lags_of(Config(rig=RigConfig(left_reverse_m=-3.5, parallax=2.4)), 2.0) == Lags(0, -LAG)
-    assert lags_of(Config(rig=RigConfig(left_forward_m=3.5, parallax=2.4)), 2.0) == Lags(LAG, 0)
+    assert lags_of(Config(rig=RigConfig(left_reverse_m=-3.5)), 2.0) == Lags(0, -LAG)
+    assert lags_of(Config(rig=RigConfig(left_forward_m=3.5)), 2.0) == Lags(LAG, 0)
     assert lags_of(Config(rig=RIG), 1.0) == Lags(0, 2 * LAG)
-    assert lags_of(Config(rig=RigConfig(left_reverse_m=3.5)), 2.0) == NO_LAGS, "no parallax was measured"
+    assert lags_of(Config(), 2.0) == NO_LAGS
     assert lags_of(Config(rig=RIG, descriptor=DescriptorConfig(regions="whole")), 2.0) == NO_LAGS
     assert lags_of(Config(rig=RIG, sequence=SequenceConfig(region_order="sequence")), 2.0) == NO_LAGS
 
@@ -122,21 +121,3 @@ def test_a_search_uses_the_lane_where_distance_is_measured(raw: NDArray[np.float
     assert lane is not None and alone is not None
     assert (lane.place_index, lane.direction, lane.order) == (PLACES // 2 - 5 - (3 * LENGTH - 1), "reverse", "same")
     assert lane.uniqueness > 2 * alone.uniqueness
-
-
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
-def test_each_row_of_a_line_is_compared_with_the_place_that_it_shows(
-    direction: str, raw: NDArray[np.float32], maps: MapSet
-) -> None:
-    """Along the drive of the front camera, and back along that of the rear one."""
-    half = PLACES // 2
-    places = range(half, PLACES) if direction == "forward" else range(half - 1, -1, -1)
-    matcher = SequenceMatcher(maps, Config(rig=RigConfig(parallax=2.4), sequence=SequenceConfig(length=LENGTH)))
-    answers = [matcher.push(raw[place], Travel(2.0 * frame)) for frame, place in enumerate(places)]
-    found = [match for match in answers if match is not None and match.parallax is not None]
-    assert found
-    for match in found:
-        assert match.parallax is not None
-        assert (match.direction, len(match.parallax.ages)) == (direction, LENGTH)
-        beyond = np.nan_to_num(match.parallax.costs, nan=np.inf).argmin(axis=2) - REACH
-        assert np.abs(beyond).max() <= 1, "a slope is not exact"

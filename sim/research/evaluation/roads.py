@@ -26,7 +26,6 @@ from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Direction, Reckoning, Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
-from sim.calibration.sightings import lag_places
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within
 from sim.world.camera import open_renderer
@@ -89,15 +88,13 @@ World = tuple[Described, Drives]
 class Beliefs:
     """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
 
-    lag_m: meters by which the left region lags behind the right one, NaN where they do not say. votes_m, by_votes: what
-    is believed without what was reckoned.
+    votes_m, by_votes: what is believed without what was reckoned.
     """
 
     along_m: Floats
     confidence: Floats
     match_m: Floats
     uniqueness: Floats
-    lag_m: Floats
     votes_m: Floats
     by_votes: Floats
 
@@ -178,10 +175,9 @@ def believe(
     odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None without GPS ever. The
     course is known where positions are.
     """
-    # Without a rig there is no lane, but any parallax, so that it is measured.
-    config = Config(rig=rig or RigConfig(parallax=1.0), sampling=sampling)
-    found = np.full((len(query.raw), 7), np.nan)
-    found[:, 1] = found[:, 3] = found[:, 6] = 0.0
+    config = Config(rig=rig or RigConfig(), sampling=sampling)
+    found = np.full((len(query.raw), 6), np.nan)
+    found[:, 1::2] = 0.0
     turn_around = TurnAround()
     with mapped(road, cut) as map_set:
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
@@ -197,9 +193,7 @@ def believe(
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.alone.confidence > 0:
-                found[frame, 5:] = route_m[match.alone.place_index], match.alone.confidence
-            if match is not None and match.parallax is not None:
-                found[frame, 4] = lag_places(match.parallax) * SPACING_M
+                found[frame, 4:] = route_m[match.alone.place_index], match.alone.confidence
             if matcher.best is not None and frame >= config.sequence_frames - 1:
                 found[frame, 2:4] = route_m[matcher.best.place_index], matcher.best.uniqueness
     return Beliefs(*found.T)
@@ -211,13 +205,11 @@ def offset_m(query: Described, whole: Beliefs) -> float:
     return float(np.median((whole.match_m - query.route_m)[unique]))
 
 
-def rig_of(way: Direction, ahead_m: float, whole: Beliefs) -> RigConfig:
+def rig_of(way: Direction, ahead_m: float) -> RigConfig:
     """As `calibrate` would write it; ahead_m: as `offset_m` has it."""
     if way == "forward":
         return RigConfig(ahead_forward_swapped_m=ahead_m)
-    is_known = whole.confidence >= AcceptanceConfig().confidence_from
-    parallax = float(np.nanmedian(whole.lag_m[is_known])) / HOME_LEFT_M
-    return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M, parallax=max(0.0, parallax))
+    return RigConfig(ahead_reverse_same_m=-ahead_m, left_reverse_m=HOME_LEFT_M)
 
 
 @dataclass(frozen=True)
@@ -265,9 +257,8 @@ def judge_world(road: Described, drives: Drives, draws: int = 1) -> Iterator[tup
     """
     for way in DIRECTIONS:
         calibration = drives[CALIBRATION, way]
-        alone = believe(road, calibration, "whole")
-        ahead_m = offset_m(calibration, alone)
-        rig = rig_of(way, ahead_m, alone)
+        ahead_m = offset_m(calibration, believe(road, calibration, "whole"))
+        rig = rig_of(way, ahead_m)
         for cut, light in product(CUTS, LIGHTS[way]):
             query = drives[light, way]
             mapped_m = np.concatenate([road.route_m[start:end] for start, end in kept(cut, len(road.raw))])

@@ -11,7 +11,7 @@ from edge.config import SamplingConfig
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
-from sim.calibration.offset import measure_offsets, measure_parallax, rig_config
+from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
 
 METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
@@ -63,21 +63,3 @@ def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:
     assert (rig.look_ahead_reverse_m, rig.look_ahead_forward_m, rig.look_sigma_m) == (6.0, 0.0, 0.5)
     assert rig_config(measure_offsets(home[200:])).look_sigma_m > 0.5, "few, and far apart"
     assert rig_config(measure_offsets(home[:9])).look_sigma_m == 0.0
-
-
-def test_parallax_is_measured_beside_the_maps_drive_and_not_on_it() -> None:
-    rng = np.random.default_rng(3)
-
-    def drive(left_m: float, wrong: float = 0.0) -> list[Sighting]:
-        beside_m = rng.normal(left_m, 0.5, 200)
-        lag_m = np.where(rng.random(200) < wrong, -8.0, 2.4 * left_m + rng.normal(0.0, 2.0, 200))
-        return [
-            Sighting("reverse", "same", 0.0, 0.9, True, left, lag_m=lag)
-            for left, lag in zip(beside_m, lag_m, strict=True)
-        ]
-
-    assert measure_parallax(drive(3.5, wrong=0.1)) == pytest.approx(2.4, rel=0.1)
-    assert measure_parallax(drive(-3.5)) == pytest.approx(2.4, rel=0.1)
-    assert measure_parallax(drive(0.2)) is None, "the same lane shows nothing"
-    assert measure_parallax([Sighting("reverse", "same", 0.0, 0.9, True, 3.5)] * 50) is None, "no region alone"
-    assert measure_parallax([]) is None

@@ -26,7 +26,7 @@ def run(*words: str) -> int:
 
 
 def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench(Course(stretches=(Stretch(0.0, 300.0),), road_m=300.0), 1, tmp_path)
+    bench = Bench(Course(stretches=(Stretch(0.0, 300.0),), road_m=300.0), 2, tmp_path)
     bench.run()
     (tmp_path / EXCERPT.name).mkdir()
     file = DriveFile(tmp_path / EXCERPT.name / "00.drive", bench.config)
