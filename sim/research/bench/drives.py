@@ -85,7 +85,8 @@ def frames(path: Path, places: int, number: int) -> Iterator[Row]:
 def mapping(folder: Path, places: int) -> Iterator[Row]:
     """A place of a second camera, described, written and made searchable, beside a frame that is recognized.
 
-    And its keypoints, whose thread has all CPU time that is not the caller's. Neighbors show the same points.
+    And its keypoints, whose thread has all CPU time that is not the caller's: at most, since every neighbor shows all of
+    the points again, which no road does.
     """
     network = Network.load(GRID)
     header = LogHeader(model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig())
@@ -115,7 +116,7 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
             found.append((time.process_time_ns() - whole_ns - (thread_ns() - began_ns)) / 1e6)
     size, rival = f"map of {places} places that grows", "a frame recognized on it"
     yield Row("mapping one place", size, Times(tuple(mapped)), None, rival, Times(tuple(recognized)))
-    yield Row("its keypoints, in their thread", size, Times(tuple(found)))
+    yield Row("its keypoints, in their thread", "every point seen by all neighbors", Times(tuple(found)))
 
 
 class Drive:
