@@ -10,6 +10,7 @@ import sys
 import time
 import urllib.request
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -22,6 +23,7 @@ from edge.config import FIRST_NETWORK, DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import ModelInfo
 from edge.descriptor.network import Network
 from edge.feed import read_feed
+from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
 from sim.world.camera import open_renderer
 from sim.world.recording import record_drive
@@ -37,6 +39,7 @@ CONFIG = f"""\
 [camera]
 kind = "feed"
 device = "home"
+fov_deg = {OUT.fov_deg}
 [descriptor]
 model = "{FIRST_NETWORK}"
 [map]
@@ -116,7 +119,11 @@ def write_page_picture(folder: Path) -> None:
         at = Path(passing)
         for name, scenario, fps in (("out", OUT, None), ("home", HOME, 10.0)):
             record_drive(scenario, at / name, fps=fps)
-        build_map([read_feed(at / "out")], at / "map", DescriptorConfig(model=FIRST_NETWORK), SamplingConfig())
+        made_as, key = (
+            (DescriptorConfig(model=FIRST_NETWORK), SamplingConfig()),
+            partial(keypoints_key, fov_deg=OUT.fov_deg),
+        )
+        build_map([read_feed(at / "out")], at / "map", *made_as, keypoints=key)
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         lookback = [sys.executable, "-m", "edge"]
         following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "home", "--no-gps"]

@@ -85,7 +85,7 @@ def frames(path: Path, places: int, number: int) -> Iterator[Row]:
 def mapping(folder: Path, places: int) -> Iterator[Row]:
     """A place of a second camera, described, written and made searchable, beside a frame that is recognized.
 
-    And its keypoints, whose thread has all CPU time that is not the caller's: at most, since every neighbor shows all of
+    And its keypoints, whose thread has all CPU time that is not the caller's: at most, since each neighbor shows all of
     the points again, which no road does.
     """
     network = Network.load(GRID)
