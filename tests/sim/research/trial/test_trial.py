@@ -88,6 +88,7 @@ def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> 
     assert not run.failures, line(name, run)
 
 
+@pytest.mark.long
 def test_old_pictures_of_a_vehicle_that_never_stops_send_no_wrong_position(
     library: RoadLibrary, tmp_path: Path
 ) -> None:
@@ -285,6 +286,7 @@ def test_a_small_rms_counts_only_over_many_drives() -> None:
     assert CourseScore("home", (run_of(error_m=0.5),) * ENOUGH_RUNS).failures == ["rms 0.17 sigma"]
 
 
+@pytest.mark.long
 def test_a_position_of_a_stream_is_judged_by_what_is_known_of_it(library: RoadLibrary, tmp_path: Path) -> None:
     """Whatever its message says, the journal has its own standard deviation: that of one message in about five."""
     run = drive(COURSES["px4-aided"], 1, LENGTH_M, WORLD, tmp_path, library)
