@@ -40,7 +40,9 @@ GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 def laid() -> Draft:
     """The story before it is driven."""
-    return home_at_night(SEED, LENGTH_M, WORLD)
+    draft = home_at_night(SEED, LENGTH_M, WORLD)
+    draft.keypoints = True
+    return draft
 
 
 def drive_story(folder: Path) -> Run:

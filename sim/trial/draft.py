@@ -21,7 +21,7 @@ class Draft:
     """One seeded drive. Seconds count from the start of the drive, meters along its way.
 
     home: the road as seen tonight. gps_until_m: where GPS fails, whatever gps_at says. lon_shift_deg: by which the
-    simulation's origin is moved east.
+    simulation's origin is moved east. keypoints: the map has them, and pictures are rendered.
     """
 
     rng: np.random.Generator
@@ -34,6 +34,7 @@ class Draft:
     gps_at: Callable[[float], GpsReport] = lambda time_s: GpsReport()
     gps_until_m: float = math.inf
     lon_shift_deg: float = 0.0
+    keypoints: bool = False
 
     def __post_init__(self) -> None:
         self.home = Scenario(seed=self.world, length_m=self.length_m, light="night", direction="reverse", drive_seed=2)

@@ -87,14 +87,17 @@ class Drive:
 
     def config(self, connection: str, map_path: Path) -> Config:
         """The defaults, but for the rig; nothing is kept from an earlier drive."""
+        front, rear = CameraConfig(kind="sim", view="front"), CameraConfig(kind="sim", view="rear")
+        if self.draft.keypoints:
+            front, rear = (msgspec.structs.replace(one, fov_deg=self.draft.home.fov_deg) for one in (front, rear))
         return Config(
-            camera=CameraConfig(kind="sim", view="front"),
+            camera=front,
             descriptor=DescriptorConfig(keep_statistics_min=0.0),
             map=MapConfig(path=str(map_path)),
             rig=RIG,
             telemetry=TelemetryConfig(connection=connection, emit="auto", journal=str(self.journal.resolve())),
             plugins={
-                "mapping": MappingConfig(str(map_path), camera=CameraConfig(kind="sim", view="rear")),
+                "mapping": MappingConfig(str(map_path), camera=rear),
                 "page": PageConfig(port=0),
             },
         )

@@ -56,8 +56,9 @@ class Simulation:
         """driven: called with each few meters that the vehicle drove, for a progress bar."""
         self.now_ns = 1_000_000_000_000
         self._draft, self._link, self._driven = draft, link, driven
-        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]))
-        self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]))
+        shown_m = float if draft.keypoints else None  # a picture shows the road where its camera is
+        self._front = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 9]), shown_m=shown_m)
+        self.rear = TrialCamera(lambda: self.now_ns, np.random.default_rng([seed, 12]), shown_m=shown_m)
         """The camera that maps."""
         errors = receiver_errors(3600, 1.0, WANDERS_AT_S, np.random.default_rng([seed, 14]))
         self._gps_errors: list[tuple[float, float]] = errors.tolist()  # read in each step, one by one

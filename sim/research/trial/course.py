@@ -73,7 +73,7 @@ class CourseDraft(Draft):
     on the same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the
     camera, as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the
     camera: of a camera that is lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a
-    map of a folder, which `map learn` learned. keypoints: the map has them, and pictures are rendered.
+    map of a folder, which `map learn` learned.
     """
 
     map: list[Stretch] = field(init=False)
@@ -104,7 +104,6 @@ class CourseDraft(Draft):
     height: float | None = None
     shown_m: Callable[[float], float] = lambda route_m: route_m
     layers: bool = False
-    keypoints: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

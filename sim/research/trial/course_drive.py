@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import UNSET
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -181,8 +180,6 @@ class CourseDrive(Drive):
         replace, mapping = msgspec.structs.replace, config.of(MappingConfig)
         if not draft.maps_live:
             mapping = MappingConfig()
-        elif draft.keypoints and mapping.camera is not UNSET:
-            mapping = replace(mapping, camera=replace(mapping.camera, fov_deg=Scenario().fov_deg))
         return replace(
             config,
             camera=replace(config.camera, kind="stream" if draft.late_s else "sim", fov_deg=Scenario().fov_deg),

@@ -191,7 +191,7 @@ def replayed(shared: Path, tmp_path: Path) -> Callable[[str], tuple[Score, Score
         folder = shared / name
         if not folder.is_dir():
             pytest.skip(f"needs the recorded drive {folder}")
-        (flight,) = replay_all([folder], tmp_path, tmp_path / "views", 1)
+        (flight,) = replay_all([folder], tmp_path, tmp_path / "views", 1, keypoints=True)
         assert isinstance(flight, Flight)
         return flight.then, flight.now
 

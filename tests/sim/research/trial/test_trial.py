@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,7 +83,19 @@ def _render_lanes(folder: Path) -> None:
     found.close()
 
 
-@pytest.mark.parametrize("name", [SMALL[0], *(pytest.param(name, marks=pytest.mark.long) for name in SMALL[1:])])
+KNOWN = {
+    "pictures-3-stop": "without keypoints nothing measures how far aside the vehicle is: 8.7 m off its lane, alone 6.4,"
+    " and with keypoints 1.1 (`dev sim fixes --course pictures-3-stop --keypoints --length-m 500`)"
+}
+"""Courses that fail on maps without keypoints, and why."""
+
+
+def _marked(name: str) -> Any:
+    known = [pytest.mark.xfail(reason=KNOWN[name])] if name in KNOWN else []
+    return pytest.param(name, marks=[*known, *([] if name == SMALL[0] else [pytest.mark.long])])
+
+
+@pytest.mark.parametrize("name", [_marked(name) for name in SMALL])
 def test_a_course_is_passed(name: str, library: RoadLibrary, tmp_path: Path) -> None:
     run = drive(COURSES[name], 1, LENGTH_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
