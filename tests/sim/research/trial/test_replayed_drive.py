@@ -202,7 +202,7 @@ def replayed(shared: Path, tmp_path: Path) -> Callable[[str], tuple[Score, Score
 def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], tuple[Score, Score]]) -> None:
     then, now = (one.row() for one in replayed("flights_eca2e43/ardupilot_a953"))
     assert now["used"] == pytest.approx(then["used"], abs=5)
-    assert now["believed"] == pytest.approx(then["believed"], rel=0.1)
+    assert now["believed"] >= 0.9 * then["believed"]
     assert then["false"] == now["false"] == 0
     assert now["median_m"] == pytest.approx(then["median_m"], abs=0.7)
     assert now["p95_m"] == pytest.approx(then["p95_m"], abs=1.5)
@@ -210,12 +210,12 @@ def test_a_replay_repeats_what_was_recorded(replayed: Callable[[str], tuple[Scor
 
 
 @pytest.mark.soak
-def test_where_nothing_measures_the_velocity_no_place_is_believed(
+def test_where_nothing_measures_the_velocity_no_position_comes(
     replayed: Callable[[str], tuple[Score, Score]],
 ) -> None:
     """PX4 without a velocity aid, by which a frame was used every 45 m and more: its velocity ran away."""
     then, now = replayed("flights_b06f79e/px4_no_aid_person_296_w921")
-    assert then.believed > 0 and now.believed == 0
+    assert then.row()["false"] > 0 and now.row()["false"] == 0
     assert not now.positions
 
 
