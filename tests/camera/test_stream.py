@@ -370,7 +370,7 @@ def is_running(pid: int) -> bool:
     """Not a zombie that nobody waits for, as of a container without an init."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # gone before it is opened, or read
         return False
 
 
