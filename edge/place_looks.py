@@ -83,7 +83,7 @@ class PlaceLooks:
     @property
     def agreeing(self) -> Agreeing | None:
         """The points by which the newest frame shows the place that is believed; None where it was not looked at."""
-        return self._verification.newest if self._newest is not None else None
+        return self._verification.agreeing if self._newest is not None else None
 
     def is_due(self) -> bool:
         """Whether this frame is to be looked at."""

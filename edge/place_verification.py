@@ -46,8 +46,7 @@ class PlaceVerification:
         fov_deg = config.camera.fov_deg
         self._fov_deg = None if isinstance(fov_deg, UnsetType) else fov_deg  # where it is not set, as the map's
 
-        self.newest: Agreeing | None = None
-        """Of the newest look, None where it showed no place; for people."""
+        self._newest: tuple[Keypoints, int, Pose] | None = None
 
     def use_maps(self, map_set: MapSet) -> None:
         """Look for the places of these maps from now on."""
@@ -120,12 +119,17 @@ class PlaceVerification:
                 break
             inliers, place, pose = of_nearer, nearer, self._pose(query, nearer)
         if pose is None or not _is_on_the_road(pose):
-            self.newest = None
+            self._newest = None
             return None
-        self.newest = self._agreeing(query, place, pose)
+        self._newest = query, place, pose
         return self._seen(place, inliers, pose)
 
-    def _agreeing(self, query: Keypoints, place: int, pose: Pose) -> Agreeing:
+    @property
+    def agreeing(self) -> Agreeing | None:
+        """Of the newest look, None where it showed no place; for people, of whom most never ask."""
+        if self._newest is None:
+            return None
+        query, place, pose = self._newest
         assert pose.pairs is not None  # of `look`
         pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 1))
         rows = pose.pairs[pose.agrees]

@@ -2,7 +2,7 @@
 
 Position falls back to Altitude, whatever the vehicle is (`checkModeFallback` in commander/failsafe/failsafe.cpp of PX4
 1.17 and 1.18; PX4#28108 is about rovers), a mode that drives itself to Descend. Each comes back with the position, as
-Hold was recorded to do on 1.18 (../shared/autopilot/px4-1.18-agp.tlog).
+Hold was recorded to do on 1.18.
 """
 
 from __future__ import annotations
