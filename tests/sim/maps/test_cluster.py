@@ -44,6 +44,7 @@ def feeds(make_street: Callable[..., Path], tmp_path_factory: pytest.TempPathFac
 @pytest.fixture(params=[False, pytest.param(True, marks=pytest.mark.soak)], ids=["threads", "processes"])
 def address(request: pytest.FixtureRequest) -> Iterator[str]:
     workers: dict[str, Any] = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    workers["scheduler_kwargs"] = {"dashboard_address": ":0"}  # without it, every scheduler asks for port 8787
     with distributed.LocalCluster(processes=request.param, **workers) as cluster:
         yield cluster.scheduler_address
 
