@@ -5,8 +5,8 @@
 `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
 `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning` integrates the
 vehicle's motion, `own_motion` what no filter has touched of it, and `odometer` says what GPS has shown of the wheels.
-`integrity` is what is known when a position may be published, by what was observed (`claims`), and `refusals` the
-rules; `protection_level` says how far off a position may be, also by what `bound`s it without places.
+`decide` whether a position is published, read first: by the probability of another place (`integrity`), from what was
+observed (`claims`) and `bound`s it without places; by `protection_level`, how far off it may be; and by `refusals`.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Fix, Own
@@ -122,12 +122,6 @@ class Reckoned:
     def distance_m(self) -> float:
         """From the fix."""
         return math.hypot(self.east_m, self.north_m)
-
-    def position(self, fix: PlaceFix) -> VehiclePosition:
-        """At the moment of the fix that it is relative to; standing, since it is of that moment alone."""
-        assert fix.lat_deg is not None and fix.lon_deg is not None
-        lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, self.east_m, self.north_m)
-        return VehiclePosition(fix.stamp_ns, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

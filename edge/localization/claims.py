@@ -53,7 +53,7 @@ Stretch: TypeAlias = list[Observation]
 class Claim:
     """Observations that moved as the vehicle did, oldest first, and the most that has spoken against them.
 
-    likelihood: the least that `Facts.by_reckoning` gave to a fix, 1 / m. may_be_shifted: whether all places
+    likelihood: the least that `ByOwn.likelihood` gave to a fix, 1 / m. may_be_shifted: whether all places
     may be off alike.
     """
 

@@ -142,6 +142,9 @@ class ProtectionLevel:
         return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
 
 
+UNBOUNDED = ProtectionLevel(math.inf, math.inf)
+
+
 class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 

@@ -1,4 +1,4 @@
-"""Whether a position may be published: one argument, from its probability of being of another place.
+"""How probable it is that a position is of another place, and how far off it may be: one argument.
 
 The autopilot has no such checks, and a wrong position does more harm than none. Two hypotheses explain a fix that is
 `distance_m` from where the autopilot believes to be:
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import reduce
 from typing import NamedTuple
 
 from msgspec.structs import replace
@@ -26,10 +26,10 @@ from msgspec.structs import replace
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.bound import Reckoned
+from edge.localization.bound import OwnPosition, Reckoned
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, Limits, Own, ProtectionLevel
+from edge.localization.events import BOUND_WRONG, UNBOUNDED, Own, ProtectionLevel
 from edge.localization.protection_level import UNNOTICED_M, Wrong, protection_level
 from edge.localization.route_estimate import AGREE_SIGMAS
 
@@ -59,158 +59,47 @@ class Best(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Facts:
-    """What is known when a position may be published; `refusals.RULES` are about these.
+class ByOwn:
+    """The autopilot's own position against a place, and how far beside the road own motion has the vehicle.
 
-    now_ns: the moment. fix: the position, None while the vehicle is lost. best: what would be sent, see `better_of`.
-    motion: by the autopilot's velocity at its
-    moment. own: what the autopilot reports, without what is known to be wrong of it. position: the autopilot's own,
-    None where it says nothing. uncertainty_m: its standard deviation, None if unbounded. bound_by_gps, bound_wrong:
-    whether GPS bounded it last, and the probability that what did was wrong. reckoned: where the vehicle is at the
-    position's moment without any place, None if unknown. aside: see `ReckonedTrack`. is_blurred: whether the newest
-    frame's place is recognized, and no line shows where exactly.
+    distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps, wrong:
+    whether GPS bounded it last, and the probability that what did was wrong. aside: see `ReckonedTrack`.
     """
 
-    now_ns: int
-    gates: GatesConfig
-    limits: Limits
-    fix: PlaceFix | None
-    best: Best | None
-    motion: Displacement | None
-    own: Own
-    position: VehiclePosition | None
-    uncertainty_m: float | None
-    bound_by_gps: bool
-    bound_wrong: float
-    reckoned: Reckoned | None
-    claims: Claims
+    distance_m: float | None
+    sigma_m: float | None
+    by_gps: bool
+    wrong: float
     aside: tuple[float, float] | None
-    is_blurred: bool
 
-    @property
-    def place(self) -> PlaceFix:
-        """The position, where there is one."""
-        assert self.fix is not None
-        return self.fix
-
-    @property
-    def age_s(self) -> float:
-        """Since the position's moment."""
-        return (self.now_ns - self.place.stamp_ns) / 1e9
-
-    @cached_property
-    def distance_m(self) -> float | None:
-        """From the autopilot's own position; None where one of them is not known."""
-        if self.position is None or self.fix is None or not self.fix.is_position:
-            return None
-        return distance_from(self.position, self.fix)
-
-    @property
-    def move_m(self) -> float:
-        """By how much the autopilot would move from where it is bounded, 0 where nothing bounds it.
-
-        Such a position, as after a reboot without GPS, is no yardstick: it may be the mere origin.
-        """
-        return 0.0 if self.uncertainty_m is None else self.distance_m or 0.0
-
-    @cached_property
-    def claim(self) -> Claim:
-        """The observations that speak for the position."""
-        if self.fix is None or self.motion is None or not self.fix.is_position:
-            return Claim()
-        return self.claims.of(self.fix, self.motion)
-
-    @cached_property
-    def place_wrong(self) -> float:
-        """Probability that the position is of another place, before anything speaks for or against it."""
-        return self.claims.wrong(self.claim)
-
-    @cached_property
-    def wrong(self) -> float:
-        """Probability that the position is of another place; 1 where nothing was observed.
-
-        An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that is
-        not known says nothing against a place, and nothing for it.
-        """
-        if not self.claim.observations:
-            return 1.0
-        likelihood, is_shift = self.by_reckoning
-        likelihood = min(self.claim.likelihood, 1 / SPREAD_M if math.isinf(likelihood) else likelihood)
-        is_shift |= self.claim.may_be_shifted
-        return wrong_probability(self.place_wrong, likelihood, may_be_shifted=is_shift)
-
-    @property
-    def by_reckoning(self) -> tuple[float, bool]:
-        """How likely the autopilot and own motion make the position, 1 / m; whether all places may be shifted.
-
-        Infinite where nothing bounds it.
-        """
-        fix = self.place
+    def likelihood(self, place: PlaceFix) -> tuple[float, bool]:
+        """How likely both make the position, 1 / m, infinite where nothing bounds it; whether all places may be off."""
         likelihood, is_shift = math.inf, False
-        if self.position is not None and self.uncertainty_m is not None:
-            distance_m = distance_from(self.position, fix)
-            likelihood = likelihood_of(distance_m, math.hypot(self.uncertainty_m, fix.sigma_m), self.bound_wrong)
-            is_shift = self.bound_by_gps and distance_m > AGREE_SIGMAS * fix.sigma_m
+        if self.distance_m is not None and self.sigma_m is not None:
+            likelihood = likelihood_of(self.distance_m, math.hypot(self.sigma_m, place.sigma_m), self.wrong)
+            is_shift = self.by_gps and self.distance_m > AGREE_SIGMAS * place.sigma_m
         if self.aside is not None:
             likelihood, is_shift = min(likelihood, likelihood_of(*self.aside, STRETCH_WRONG)), True
         return likelihood, is_shift
 
-    @cached_property
-    def level(self) -> ProtectionLevel:
-        """By the places of the claim and by what no place had a part in, whatever the autopilot believes now.
+    def contradicts(self, place: PlaceFix) -> bool:
+        """Whether they are further apart than both are uncertain."""
+        return (self.distance_m or 0.0) > AGREE_SIGMAS * math.hypot(self.sigma_m or math.inf, place.sigma_m)
 
-        All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
-        one of its observations on: then that before it bounds the position.
-        """
-        fix, reckoned = self.sent, self.reckoned
-        count = len(self.claims.stretches(self.claim.observations))
-        alike = 2 * UNNOTICED_M / SPREAD_M
-        shifted = MAP_SHIFTED
-        if reckoned is not None:
-            shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
-        all_wrong = Wrong(_wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG)
-        level = self._level(all_wrong, reckoned)
-        for one in self.claims.wrong_together(self.claim.observations):
-            if one.before is not None:
-                newest_wrong = Wrong(_wrong(STRETCH_WRONG, one.before, fix), 0.0, 0.0)
-                level = level.or_more(self._level(newest_wrong, one.before))
-        return level
 
-    def _level(self, wrong: Wrong, reckoned: Reckoned | None) -> ProtectionLevel:
-        gates, speed_mps = self.gates, self.own.speed_mps or 0.0
-        stretch_m = SAME_RECORDING * gates.confirm_m
-        return protection_level(self.sent, wrong, reckoned, speed_mps, gates.risk_per_hour, stretch_m)
-
-    @property
-    def sent(self) -> PlaceFix:
-        """What would be sent of the position."""
-        return self.place if self.best is None else self.best.place
-
-    @property
-    def is_worse(self) -> bool:
-        """Whether the position would make the autopilot's less accurate."""
-        return self.best is None or (not self.own.is_aided and self.place.sigma_m > ACCURATE_M)
-
-    @property
-    def is_contradicted(self) -> bool:
-        """Whether the position is further from the autopilot's own than both are uncertain."""
-        return (self.distance_m or 0.0) > AGREE_SIGMAS * math.hypot(self.uncertainty_m or math.inf, self.place.sigma_m)
-
-    @property
-    def needs_m(self) -> tuple[float, float]:
-        """Standard deviation of the position along the way, and from which on it would be better than the autopilot's.
-
-        Of one that is better in a direction, but whose velocity nothing measures: in all.
-        """
-        if self.best is not None:
-            return self.place.sigma_m, ACCURATE_M
-        return self.place.sigma_along_m, _most_m(self.uncertainty_m or 0.0, 1.0 if self.bound_by_gps else GROWS)
-
-    def observe(self) -> None:
-        """Keep what the position shows of the places, whether or not it may be published now."""
-        if self.motion is not None and self.place.is_position and not self.place.disputed:
-            likelihood, is_shift = self.by_reckoning
-            self.claims.observe(self.place, self.motion, likelihood, may_be_shifted=is_shift)
+def by_own(
+    place: PlaceFix, motion: Displacement | None, own: Own, bound: OwnPosition, aside: tuple[float, float] | None
+) -> ByOwn:
+    """Where nothing bounds the autopilot's position, as after a reboot too: by GPS and motion since."""
+    sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
+    reckoned = None if sigma_m is not None else bound.reckoned(place, motion, own)
+    if reckoned is not None:
+        return ByOwn(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, aside)
+    # One that nothing aids has run away, or is ours.
+    is_known = own.position is not None and own.is_aided and place.is_position
+    distance_m = distance_from(own.position, place) if own.position is not None and is_known else None
+    by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
+    return ByOwn(distance_m, sigma_m, by_gps, wrong, aside)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
@@ -223,6 +112,40 @@ def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: 
     """Probability that a fix is of another place (Bayes), see the module."""
     wrong = place_wrong / SPREAD_M + (MAP_SHIFTED / SHIFT_M if may_be_shifted else 0.0)
     return wrong / (wrong + (1 - place_wrong) * likelihood)
+
+
+def another_place(claim: Claim, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
+    """Probability that a position is of another place than its claim says; infinite where nothing was observed.
+
+    An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that is not
+    known says nothing against a place, and nothing for it.
+    """
+    if not claim.observations:
+        return math.inf
+    likelihood = min(claim.likelihood, 1 / SPREAD_M if math.isinf(likelihood) else likelihood)
+    return wrong_probability(place_wrong, likelihood, may_be_shifted=may_be_shifted or claim.may_be_shifted)
+
+
+def level_of(
+    fix: PlaceFix, claim: Claim, claims: Claims, reckoned: Reckoned | None, speed_mps: float, gates: GatesConfig
+) -> ProtectionLevel:
+    """By the places of a claim and by what no place had a part in, whatever the autopilot believes now.
+
+    All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
+    one of its observations on: then that before it bounds the position. Infinite where nothing was observed.
+    """
+    if not claim.observations:
+        return UNBOUNDED
+    count = len(claims.stretches(claim.observations))
+    alike = 2 * UNNOTICED_M / SPREAD_M
+    shifted = MAP_SHIFTED
+    if reckoned is not None:
+        shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
+    all_wrong = Wrong(_wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG)
+    before = [one.before for one in claims.wrong_together(claim.observations) if one.before is not None]
+    hypotheses = [(all_wrong, reckoned), *((Wrong(_wrong(STRETCH_WRONG, one, fix), 0.0, 0.0), one) for one in before)]
+    limits = speed_mps, gates.risk_per_hour, SAME_RECORDING * gates.confirm_m
+    return reduce(ProtectionLevel.or_more, (protection_level(fix, *one, *limits) for one in hypotheses))
 
 
 def _likelihood(reckoned: Reckoned, fix: PlaceFix, further_m: float = 0.0) -> float:
@@ -246,13 +169,15 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
     return east_m - position.east_mps * apart_s, north_m - position.north_mps * apart_s
 
 
-def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float], *, by_gps: bool) -> Best | None:
+def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by_gps: bool) -> Best | None:
     """Along the way and across it, the better of a fix and the autopilot's own position.
 
-    axes_m: standard deviations of the latter; by_gps: whether GPS bounded it last. None where the fix is better in
-    neither. Where they contradict each other, the fix: it is published only where its place is certain.
+    axes_m: standard deviations of the latter, None where they do not count; by_gps: whether GPS bounded it last. None
+    where the fix is better in neither. Where they contradict each other, the fix: it is published only where its place
+    is certain.
     """
-    assert own.position is not None
+    if axes_m is None or own.position is None or not fix.is_position:
+        return Best(fix)
     assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
     heading_rad = math.radians(fix.heading_deg)
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
@@ -285,6 +210,16 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float], *, by_gps: b
         sigma_across_m=round(own_across_m, 2) if keeps_across else fix.sigma_across_m,
     )
     return Best(place, (keeps_along, keeps_across))
+
+
+def worse_m(place: PlaceFix, best: Best | None, by_own: ByOwn, own: Own) -> tuple[float, float] | None:
+    """Standard deviation of a position, and the largest that makes the autopilot's no worse; None where it does not.
+
+    Along the way; of one that is better in a direction, but whose velocity nothing measures, in all.
+    """
+    if best is None:
+        return place.sigma_along_m, _most_m(by_own.sigma_m or 0.0, 1.0 if by_own.by_gps else GROWS)
+    return (place.sigma_m, ACCURATE_M) if not own.is_aided and place.sigma_m > ACCURATE_M else None
 
 
 def _most_m(own_m: float, grows: float) -> float:

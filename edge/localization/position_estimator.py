@@ -9,7 +9,7 @@ estimator, and also writes the list of the drive where one is asked for.
 
     Frame -> route filter -> GPS by the places -> observed evidence
     Own   -> what bounds the autopilot's own position
-    fix   -> `refusals.RULES` -> Fix | Refusal
+    fix   -> `decide` -> Fix | Refusal
 
 Pure: no link, no clock, no file. Daemon, trial and the replays of recorded drives use it alike.
 """
@@ -23,20 +23,20 @@ from typing import TypeAlias
 from msgspec import Struct
 
 from edge.config import Config
-from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization.bound import Drift, OwnPosition
 from edge.localization.claims import Claims
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
+from edge.localization.decide import Estimate, decide
+from edge.localization.events import Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsVerdict
-from edge.localization.integrity import ONE_MORE, Best, Facts, better_of
+from edge.localization.integrity import by_own
 from edge.localization.odometer import CHANGES
-from edge.localization.refusals import RULES, Refusal, Rule, refusal
+from edge.localization.refusals import RULES, Refusal, Rule
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
-from edge.sequence import PlaceMatch, Reckoning
+from edge.sequence import Reckoning
 
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
@@ -103,14 +103,7 @@ class PositionEstimator:
 
     def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
         """A position that may be published at a moment, or why none may."""
-        place, motion = self._position(t_ns, limits)
-        facts = self._facts(t_ns, place, motion, limits)
-        refused = refusal(facts, self._rules)
-        if refused is not None:
-            return refused
-        bound_wrong = min(BOUND_WRONG, ONE_MORE * facts.place_wrong)
-        best = facts.best or Best(facts.place)
-        return Fix(best.place, facts.level, bound_wrong, motion, best.keeps)
+        return decide(t_ns, self._estimate(*self._asked(t_ns, limits)), limits, self._config.gates, self._rules)
 
     def snapshot(self) -> bytes:
         """What bounds the autopilot's own position, b"" for nothing."""
@@ -163,7 +156,11 @@ class PositionEstimator:
         fix = self._filter.at_exposure()
         self._bound.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
-            self._observe(t_ns, fix, frame.motion, is_evidence=_is_by_votes(frame.match))
+            self._exposed = frame.motion
+            match = frame.match
+            # By votes alone: what is reckoned would else be evidence for what it helped to believe.
+            if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
+                self._observe(fix, frame.motion)
         if frame.in_line:
             self._judge_gps()
 
@@ -175,11 +172,13 @@ class PositionEstimator:
         found = self._bound.drift.way if fix is None else fix.velocity_error
         return Drift(0.0, 0.0, max(self._config.gates.drift_percent / 100, found))
 
-    def _observe(self, t_ns: int, fix: PlaceFix, motion: Displacement | None, *, is_evidence: bool = True) -> None:
+    def _observe(self, fix: PlaceFix, motion: Displacement | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
-        self._exposed = motion
-        if is_evidence:
-            self._facts(t_ns, fix, motion, Limits()).observe()
+        if motion is None or not fix.is_position or fix.disputed:
+            return
+        known = self._estimate(fix, motion)
+        likelihood, is_shift = by_own(fix, motion, known.own, known.bound, known.aside).likelihood(fix)
+        self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
 
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
@@ -209,21 +208,16 @@ class PositionEstimator:
     def _use_used(self, t_ns: int, used: Used) -> None:
         if used.left_m is None or used.fix is None:
             self._bound.sent(t_ns)
-        else:
-            self._bind_by_fix(used.fix, used.left_m)
-
-    def _bind_by_fix(self, fix: Fix, left_m: float) -> None:
-        """The autopilot has used a position: its own is as good as that. Of one that nothing aids, nobody knows."""
-        if self._own.is_aided:
-            self._bound.bind_by_fix(fix, left_m, self._own)
+        elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
+            self._bound.bind_by_fix(used.fix, used.left_m, self._own)
             self._claims.contradict_nothing()
             self._gps.bound()
 
-    def _bind(self, sigma_m: float, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
-        self._bound.bind(sigma_m, self._own, wrong, by_gps=by_gps)
+    def _bind(self, sigma_m: float, *, by_gps: bool = False) -> None:
+        self._bound.bind(sigma_m, self._own, by_gps=by_gps)
         self._claims.contradict_nothing()
 
-    def _position(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
+    def _asked(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
         """The position that is asked for, and the vehicle's motion at its moment."""
         if self._filter is None or limits.unable or self._own.is_doubled:
             return None, None
@@ -233,49 +227,10 @@ class PositionEstimator:
             return self._filter.at(t_ns, self._moved), self._moved
         return self._filter.at_exposure(), self._exposed
 
-    def _best(self, fix: PlaceFix, own: Own, limits: Limits) -> Best | None:
-        """What would be sent of a fix: see `better_of`."""
-        if limits.again is not None:
-            return Best(fix, limits.again.keeps)
-        bound = self._bound.bound
-        axes_m = self._bound.axes_m(own, fix, own.accuracy_m or 0.0) if limits.is_reset else None
-        if axes_m is None or bound is None or own.position is None or not fix.is_position:
-            return Best(fix)
-        return better_of(fix, own, axes_m, by_gps=bound.by_gps)
-
-    def _facts(self, t_ns: int, fix: PlaceFix | None, motion: Displacement | None, limits: Limits) -> Facts:
-        own, bound = self._gps.believed(self._own), self._bound
-        position: VehiclePosition | None = own.position
-        best = None if fix is None else self._best(fix, own, limits)
-        reckoned = None if fix is None else bound.reckoned(fix if best is None else best.place, motion, own)
-        sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
-        is_by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
-        if not own.is_aided:  # its own position has run away, or is ours
-            position = None
-        if sigma_m is None and reckoned is not None and fix is not None:  # as after a reboot too
-            position, sigma_m, is_by_gps, wrong = reckoned.position(fix), reckoned.sigma_m, True, BOUND_WRONG
-        return Facts(
-            now_ns=t_ns,
-            gates=self._config.gates,
-            limits=limits,
-            fix=fix,
-            best=best,
-            motion=motion,
-            own=own,
-            position=position,
-            uncertainty_m=sigma_m,
-            bound_by_gps=is_by_gps,
-            bound_wrong=wrong,
-            reckoned=reckoned,
-            claims=self._claims,
-            aside=None if self._filter is None else self._filter.aside,
-            is_blurred=self._is_recognized and self._filter is not None and self._filter.at_exposure() is None,
-        )
-
-
-def _is_by_votes(match: PlaceMatch | None) -> bool:
-    """Whether a place is believed without what is reckoned: else it would be evidence for what helped to believe it."""
-    return match is not None and match.alone.accepted and match.alone.place_index == match.place_index
+    def _estimate(self, place: PlaceFix | None, motion: Displacement | None) -> Estimate:
+        is_blurred = self._is_recognized and self._filter is not None and self._filter.at_exposure() is None
+        own, aside = self._gps.believed(self._own), None if self._filter is None else self._filter.aside
+        return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred)
 
 
 class Asked(Struct, frozen=True, tag=True):

@@ -22,7 +22,7 @@ from statistics import NormalDist
 from edge.journal.records import PlaceFix
 from edge.localization.bound import Reckoned
 from edge.localization.claims import STRETCH_WRONG, alike_m
-from edge.localization.events import ProtectionLevel
+from edge.localization.events import UNBOUNDED, ProtectionLevel
 from edge.localization.route_estimate import CORRELATION_M
 
 MODEL_ERROR = 1.2
@@ -77,7 +77,7 @@ def protection_level(
     if allowed >= 1:
         return ProtectionLevel(along_m, across_m)
     if reckoned is None or allowed <= wrong.bound or fix.heading_deg is None:
-        return ProtectionLevel(math.inf, math.inf)
+        return UNBOUNDED
     by_reckoning_m = _sigmas((allowed - wrong.bound) / (1 - wrong.bound) / 2) * reckoned.sigma_m
     sin, cos = math.sin(math.radians(fix.heading_deg)), math.cos(math.radians(fix.heading_deg))
     off_along_m = abs(reckoned.east_m * sin + reckoned.north_m * cos)

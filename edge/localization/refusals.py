@@ -8,13 +8,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from msgspec import Struct
 
+from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.events import ProtectionLevel
-from edge.localization.integrity import Facts
+from edge.localization.events import UNBOUNDED, Limits, Own, ProtectionLevel
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The row that the rules check; what has no value was not known.
+
+    own, is_blurred: see `Estimate`. place: the position. age_s: since its moment. distance_m: from the autopilot's own.
+    move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere origin.
+    is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another place,
+    infinite where nothing was observed. level: how far off it may be. worse_m: see there.
+    """
+
+    gates: GatesConfig
+    limits: Limits
+    own: Own
+    is_blurred: bool
+    place: PlaceFix | None = None
+    age_s: float = math.inf
+    distance_m: float | None = None
+    move_m: float = 0.0
+    is_contradicted: bool = False
+    wrong: float = math.inf
+    level: ProtectionLevel = UNBOUNDED
+    worse_m: tuple[float, float] | None = (math.inf, 0.0)
 
 
 class Rule(NamedTuple):
@@ -66,14 +91,14 @@ RULES = (
         "place fits the newest frame better, or the vehicle goes another way",
         "the vehicle is moved to somewhere on the road",
         "test_a_line_that_is_not_sharp_is_not_used",
-        lambda now: now.fix is None and now.is_blurred,
+        lambda now: now.place is None and now.is_blurred,
     ),
     Rule(
         NO_PLACES,
         "no place was recognized lately, or where it was the vehicle is not any more",
         "there is nothing to publish",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.fix is None,
+        lambda now: now.place is None,
     ),
     Rule(
         "too old",
@@ -116,7 +141,7 @@ RULES = (
         "matches or reckoning contradict the estimate",
         "the vehicle follows one of two places",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.place.disputed,
+        lambda now: now.place is not None and now.place.disputed,
     ),
     Rule(
         "impossibly far",
@@ -131,7 +156,7 @@ RULES = (
         "the probability of another place is above `risk`",
         "a wrong map, or a road that resembles it, moves the vehicle",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
-        lambda now: not now.claim.observations or now.wrong > now.gates.risk,
+        lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
         lacks=lambda now: f"{now.distance_m:.0f} m from the autopilot" if now.is_contradicted else "",
     ),
     Rule(
@@ -148,9 +173,9 @@ RULES = (
         "and not twice as certain; any of over 10 m where nothing measures the velocity",
         "a good position is replaced by a worse one",
         "test_a_reset_never_makes_a_position_less_accurate",
-        lambda now: now.is_worse,
+        lambda now: now.worse_m is not None,
         is_certain=True,
-        lacks=lambda now: "{:.1f} m, {:.1f} m needed".format(*now.needs_m),
+        lacks=lambda now: "{:.1f} m, {:.1f} m needed".format(*now.worse_m or ()),
     ),
 )
 """In the order in which they are checked."""
@@ -185,4 +210,4 @@ def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:
     if rule is None:
         return None
     level = facts.level if rule.is_certain else None
-    return Refusal(rule.reason, rule.detail(facts), facts.fix, facts.distance_m, level, rule.lacks(facts))
+    return Refusal(rule.reason, rule.detail(facts), facts.place, facts.distance_m, level, rule.lacks(facts))

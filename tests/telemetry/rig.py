@@ -40,7 +40,7 @@ class ToldEstimator(PositionEstimator):
     def offer(self, t_ns: int, fix: PlaceFix, motion: Displacement | None) -> None:
         """A place that is recognized now."""
         self.offered, self._known = (fix, motion), None
-        self._observe(t_ns, fix, motion)
+        self._observe(fix, motion)
 
     def judge(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS from now on."""
@@ -49,7 +49,7 @@ class ToldEstimator(PositionEstimator):
         self._judge_gps()
         self._known = None
 
-    def _position(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
+    def _asked(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
         if limits.unable or self._own.is_doubled or self.offered is None:
             return None, None
         return self.offered if limits.again is None else (limits.again.place, limits.again.motion)

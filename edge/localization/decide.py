@@ -1,0 +1,76 @@
+"""Whether a position is published: from what is known to a `Fix` or a `Refusal`. Read this first. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from edge.config import GatesConfig
+from edge.journal.records import PlaceFix
+from edge.localization.bound import OwnPosition
+from edge.localization.claims import Claim, Claims
+from edge.localization.dead_reckoning import Displacement
+from edge.localization.events import BOUND_WRONG, Fix, Limits, Own
+from edge.localization.integrity import ONE_MORE, Best, another_place, better_of, by_own, level_of, worse_m
+from edge.localization.refusals import NO_PLACES, RULES, Facts, Refusal, Rule, refusal
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known when a position is asked for.
+
+    place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. own: what
+    the autopilot reports, without what is known to be wrong of it. bound: what bounds its position. claims: what places
+    have shown so far. aside: see `ReckonedTrack`. is_blurred: whether the newest frame's place is recognized, and no
+    line shows where exactly.
+    """
+
+    place: PlaceFix | None
+    motion: Displacement | None
+    own: Own
+    bound: OwnPosition
+    claims: Claims
+    aside: tuple[float, float] | None
+    is_blurred: bool
+
+
+def decide(
+    now_ns: int, known: Estimate, limits: Limits, gates: GatesConfig, rules: Sequence[Rule] = RULES
+) -> Fix | Refusal:
+    """A position that may be published at a moment, or why none may."""
+    place, motion, own, bound, claims = known.place, known.motion, known.own, known.bound, known.claims
+    if place is None:
+        return refusal(Facts(gates, limits, own, known.is_blurred), rules) or Refusal(NO_PLACES)
+
+    # What would be sent: along the way and across it, the better of the place and the autopilot's own position.
+    if limits.again is not None:
+        best: Best | None = Best(place, limits.again.keeps)
+    else:
+        axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
+        best = better_of(place, own, axes_m, by_gps=bound.bound is not None and bound.bound.by_gps)
+    sent = best or Best(place)
+    # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
+    claim = Claim() if motion is None or not place.is_position else claims.of(place, motion)
+    place_wrong = claims.wrong(claim)
+    autopilot = by_own(place, motion, own, bound, known.aside)
+    likelihood, may_be_shifted = autopilot.likelihood(place)
+    wrong = another_place(claim, place_wrong, likelihood, may_be_shifted=may_be_shifted)
+    # How far off it may be, also by GPS and motion since, in which no place has a part.
+    level = level_of(sent.place, claim, claims, bound.reckoned(sent.place, motion, own), own.speed_mps or 0.0, gates)
+
+    facts = Facts(
+        gates,
+        limits,
+        own,
+        known.is_blurred,
+        place,
+        age_s=(now_ns - place.stamp_ns) / 1e9,
+        distance_m=autopilot.distance_m,
+        move_m=0.0 if autopilot.sigma_m is None else autopilot.distance_m or 0.0,
+        is_contradicted=autopilot.contradicts(place),
+        wrong=wrong,
+        level=level,
+        worse_m=worse_m(place, best, autopilot, own),
+    )
+    bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
+    return refusal(facts, rules) or Fix(sent.place, level, bound_wrong, motion, sent.keeps)
