@@ -1,184 +1,35 @@
-"""The Lua script for ArduPilot, run by Lua against a stand-in of the scripting API that records what it calls.
-
-The stand-in has the functions that ArduPilot's documentation lists (libraries/AP_Scripting/docs/docs.lua), with their
-arguments; a call of any other is an error. Messages are real: pymavlink makes and reads them.
-"""
+"""The Lua script that asks for the way home on a switch of the transmitter."""
 
 from __future__ import annotations
 
-import struct
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 pytest.importorskip("lupa")
 
-from lupa import lua53
-
 from edge.reference_map import open_map_set
-from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
+from tests.firmware_config.scripting import HIGH, LOW, MIDDLE, Scripting
 from tests.plugins.home.home_requests import DRIVING_ITSELF
 from tests.plugins.home.test_way_home import straight
 from tests.telemetry.rig import Rig
 
-SCRIPT = Path(__file__).parents[2] / "firmware_config/lookback_home.lua"
-CHANNEL, MANUAL, HOLD, AUTO = 2, 0, 4, 10
+HOLD, AUTO = 4, 10
 SETTLED = 12
 """Steps after which the position of the switch counts."""
-LOW, MIDDLE, HIGH = 0, 1, 2
-API = """
-function(host)
-  local function object(name, methods)
-    local made = {}
-    for method in methods:gmatch("[%w_]+") do
-      made[method] = function(self, ...) assert(self == made, name .. ":" .. method); return host(name, method, ...) end
-    end
-    return made
-  end
-  param = object("param", "add_table add_param get")
-  mavlink = object("mavlink", "init register_rx_msgid receive_chan send_chan")
-  mission = object("mission", "num_commands set_current_cmd")
-  vehicle = object("vehicle", "set_mode get_mode has_ekf_failsafed")
-  battery = object("battery", "has_failsafed")
-  arming = object("arming", "is_armed")
-  rc = object("rc", "get_aux_cached has_valid_input")
-  gcs = object("gcs", "send_text")
-  io, os, package, require, dofile, loadfile = nil, nil, nil, nil, nil, nil
-end
-"""
 
 
-class Scripting:
-    """ArduPilot as the script sees it; `step` calls what the script asked to be called."""
-
-    def __init__(self, switch: int | None = LOW, **parameters: float) -> None:
-        self.parameters: dict[str, float] = {"SYSID_THISMAV": 1.0}
-        self.set_up = parameters
-        self.switch = switch
-        """As the receiver sends it; None before it has ever been heard."""
-        self.is_received = True
-        """Whether the receiver is heard; if not, ArduPilot keeps what it read last, also for 0.2 s afterwards."""
-        self.failsafe = ""
-        self.mode = MANUAL
-        self._cached, self._debounced = switch, 0
-        self.armed = True
-        self.items = 0
-        self.modes: list[int] = []
-        self.texts: list[str] = []
-        self.sent: list[Any] = []
-        self.arrived: deque[bytes] = deque()
-        self.registered: set[int] = set()
-        self.refuses_mode = False
-        self.has_long_ids = False
-        """Whether system IDs have 32 bits, as in later versions."""
-        self._codec = MavlinkCodec(1, 1)
-        runtime = lua53.LuaRuntime(unpack_returned_tuples=True, encoding=None)
-        runtime.eval(API)(self._call)
-        self._next, period_ms = runtime.execute(SCRIPT.read_bytes())
-        assert period_ms == 100
-
-    def step(self, times: int = 1) -> None:
-        for _ in range(times):
-            self._debounced = self._debounced + 1 if self.is_received else 0
-            self._cached = self.switch if self._debounced > 2 else self._cached
-            self._next, period_ms = self._next()
-            assert period_ms == 100, self.texts
-
-    def receive(self, message: Any, system_id: int = 1, component_id: int = 191) -> None:
-        """As `mavlink_message_t` lies in memory: checksum, header, payload with its zeros, checksum and signature."""
-        if message.get_msgId() in self.registered:
-            frame = MavlinkCodec(system_id, component_id).encode(message)
-            header = frame[:6] + b"\0" * (3 if self.has_long_ids else 0) + frame[6:10]
-            payload = frame[10 : 10 + frame[1]].ljust(257, b"\0")
-            self.arrived.append(b"\0\0" + header + payload + b"\0" * (27 if self.has_long_ids else 22))
-
-    def heartbeat(self, **sender: int) -> None:
-        self.receive(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), **sender)
-
-    def answer(self, result: int, items: int = 0, command: int = 31014, to: int = 1, **sender: int) -> None:
-        self.receive(mavlink.MAVLink_command_ack_message(command, result, 0, items, 1, to), **sender)
-
-    def _call(self, name: bytes, method: bytes, *args: Any) -> Any:
-        return getattr(self, f"_{name.decode()}_{method.decode()}")(*args)
-
-    def _param_add_table(self, key: int, prefix: bytes, count: int) -> bool:
-        assert 0 < key <= 200
-        assert count == 4
-        self._prefix = prefix.decode()
-        return True
-
-    def _param_add_param(self, key: int, number: int, name: bytes, default: float) -> bool:
-        assert 1 <= number <= 4
-        full = self._prefix + name.decode()
-        assert len(full) <= 16
-        self.parameters[full] = self.set_up.get(full, float(default))
-        return True
-
-    def _param_get(self, name: bytes) -> float | None:
-        return self.parameters.get(name.decode())
-
-    def _mavlink_init(self, first: int, second: int) -> None:
-        assert 1 <= first <= 25
-        assert 1 <= second <= 25
-
-    def _mavlink_register_rx_msgid(self, message_id: int) -> bool:
-        self.registered.add(message_id)
-        return True
-
-    def _mavlink_receive_chan(self) -> Any:
-        return (self.arrived.popleft(), CHANNEL, 0) if self.arrived else None
-
-    def _mavlink_send_chan(self, channel: int, message_id: int, payload: bytes) -> bool:
-        assert (channel, message_id, len(payload)) == (CHANNEL, 76, 33)
-        *params, command, system, component, confirmation = struct.unpack("<7fHBBB", payload)
-        self.sent.append(mavlink.MAVLink_command_long_message(system, component, command, confirmation, *params))
-        return True
-
-    def _mission_num_commands(self) -> int:
-        return self.items
-
-    def _mission_set_current_cmd(self, index: int) -> bool:
-        return 0 < index < self.items
-
-    def _vehicle_set_mode(self, mode: int) -> bool:
-        assert isinstance(mode, int)
-        self.modes += [] if self.refuses_mode else [mode]
-        return not self.refuses_mode
-
-    def _vehicle_get_mode(self) -> int:
-        return self.mode
-
-    def _vehicle_has_ekf_failsafed(self) -> bool:
-        return self.failsafe == "ekf"
-
-    def _battery_has_failsafed(self) -> bool:
-        return self.failsafe == "battery"
-
-    def _arming_is_armed(self) -> bool:
-        return self.armed
-
-    def _rc_get_aux_cached(self, function: float) -> int | None:
-        assert 300 <= function <= 307
-        return self._cached
-
-    def _rc_has_valid_input(self) -> bool:
-        return self.is_received
-
-    def _gcs_send_text(self, severity: int, text: bytes) -> None:
-        assert 0 <= severity <= 7
-        assert len(text) <= 50
-        self.texts.append(text.decode())
+def opened(switch: int | None = LOW, **parameters: float) -> Scripting:
+    return Scripting("lookback_home.lua", 100, switch, **parameters)
 
 
 def start(**parameters: Any) -> Scripting:
     """The script, enabled, with Lookback connected and the switch low."""
-    scripting = Scripting(LKH_ENABLE=1, **parameters)
+    scripting = opened(LKH_ENABLE=1, **parameters)
     scripting.heartbeat()
     scripting.step(SETTLED)
     return scripting
@@ -219,7 +70,7 @@ def test_the_mode_is_changed_where_the_parameter_asks_for_it() -> None:
 
 
 def test_messages_with_long_system_ids_are_read_as_well() -> None:
-    scripting = Scripting(LKH_ENABLE=1)
+    scripting = opened(LKH_ENABLE=1)
     scripting.has_long_ids = True
     scripting.heartbeat()
     scripting.step(SETTLED)
@@ -347,7 +198,7 @@ def test_an_answer_without_a_request_is_ignored() -> None:
 
 
 def test_nothing_is_requested_unless_enabled() -> None:
-    scripting = Scripting()
+    scripting = opened()
     scripting.heartbeat()
     scripting.step(SETTLED)
     scripting.switch = HIGH
@@ -356,7 +207,7 @@ def test_nothing_is_requested_unless_enabled() -> None:
 
 
 def test_a_switch_that_is_high_at_boot_requests_nothing() -> None:
-    scripting = Scripting(HIGH, LKH_ENABLE=1)
+    scripting = opened(HIGH, LKH_ENABLE=1)
     scripting.heartbeat()
     scripting.step(50)
     assert scripting.sent == []
@@ -395,7 +246,7 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
     rig = Rig(tmp_path, home=HomeConfig(enabled=True))
     maps = open_map_set(map_along(straight(400.0, 60.0)))
     rig.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
-    scripting = Scripting(LKH_ENABLE=1, LKH_MODE=AUTO)
+    scripting = opened(LKH_ENABLE=1, LKH_MODE=AUTO)
     read = 0
 
     def pump(seconds: float) -> None:
