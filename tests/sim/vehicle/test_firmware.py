@@ -1,4 +1,4 @@
-"""The simulated firmware against what the real ones were recorded to say, and against the table of what they do."""
+"""The simulated autopilot against what the real ones were recorded to say, and against the table of what they do."""
 
 from __future__ import annotations
 
@@ -161,6 +161,53 @@ def test_it_says_what_the_real_px4_was_recorded_to_say(shared: Path) -> None:
     told, real = facts(bench.heard), facts(list(recorded(shared, RECORDED["px4"])))
     # PX4's GPS_RAW_INT keeps its last position when the receiver is gone; ours, like ArduPilot's, has zeros.
     assert {**told, "gps_lost": None} == {**real, "gps_lost": None}
+
+
+def test_only_heartbeats_and_timesync_until_streams_are_asked_for() -> None:
+    bench = Bench("ardupilot")
+    bench.drive(4.5)
+    assert {message.get_type() for _, message in bench.heard} == {"HEARTBEAT", "TIMESYNC"}
+    assert len(bench.of("HEARTBEAT")) == 5
+
+
+def test_streams_come_at_the_rate_that_was_asked_for_until_a_reboot() -> None:
+    bench = Bench("ardupilot")
+    assert bench.tell(encoders.stream_request(1, 33, 10.0)) == mavlink.MAV_RESULT_ACCEPTED
+    bench.heard.clear()
+    bench.drive(4.0)
+    positions = bench.of("GLOBAL_POSITION_INT")
+    assert len(positions) == pytest.approx(40, abs=1)
+    assert math.hypot(positions[-1].vx, positions[-1].vy) == pytest.approx(100 * SPEED_MPS, abs=1)
+    bench.autopilot.reboot()
+    bench.heard.clear()
+    bench.drive(4.0)
+    assert not bench.of("GLOBAL_POSITION_INT")
+
+
+def test_timesync_is_answered_on_the_boot_clock() -> None:
+    bench = Bench("ardupilot")
+    bench.drive(2.0)
+    bench.tell(mavlink.MAVLink_timesync_message(0, 123456789))
+    answer = next(message for message in bench.of("TIMESYNC") if message.tc1)
+    assert answer.ts1 == 123456789
+    assert answer.tc1 == pytest.approx(2.01e9, abs=1e6)
+
+
+@pytest.mark.parametrize("changed", [{"z": 0.0}, {"frame": 6}])
+def test_a_fix_with_an_altitude_or_of_another_frame_is_denied(changed: dict[str, Any]) -> None:
+    bench = Bench("ardupilot", gps=False)
+    bench.drive(2.0)
+    command = encoders.external_position(bench.fix(), bench.sending())
+    for name, value in changed.items():
+        setattr(command, name, value)
+    assert bench.tell(command) == mavlink.MAV_RESULT_DENIED
+
+
+def test_a_send_time_off_the_boot_clock_costs_half_a_second_of_travel() -> None:
+    bench = Bench("ardupilot", gps=False)
+    bench.drive(10.0)
+    bench.tell(encoders.external_position(bench.fix(), Sending(1, 0.0, 0.0)))
+    assert bench.autopilot.resets[-1].error_after_m == pytest.approx(0.5 * SPEED_MPS, abs=0.1)
 
 
 @pytest.mark.parametrize(
