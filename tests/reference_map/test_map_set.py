@@ -19,16 +19,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
-from edge.descriptor import NormalizedRows
 from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
-from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence import Near, PlaceMatch
 from edge.sequence.lane import NO_LAGS, Lanes
-from edge.sequence.place_search import PlaceSearch
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.tiles import split_map
+from tests.sequence.test_place_search import Drive, look_at
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800
@@ -83,16 +82,7 @@ def city(known: bool, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def look(city: Path) -> Look:
-    return look_at(city / "whole.map")
-
-
-def look_at(path: Path) -> Look:
-    """What a normalized query shows at a place of a map: the place on another day."""
-    rng = np.random.default_rng(5)
-    half_sum, half_difference = open_map(path).descriptors.astype(np.float32)
-    rows = np.stack([half_sum + half_difference, half_sum - half_difference], axis=1)
-    noise = rng.normal(size=rows.shape).astype(np.float32) * rows.std() * 0.7
-    return lambda place: rows[place] + noise[place]
+    return look_at(open_map(city / "whole.map"))
 
 
 def is_unique(match: PlaceMatch) -> bool:
@@ -100,23 +90,8 @@ def is_unique(match: PlaceMatch) -> bool:
     return match.uniqueness >= CONFIG.acceptance.uniqueness_min
 
 
-class Drive:
-    """Feeds a search with one place after another, as the recognizer does."""
-
-    def __init__(self, maps: MapSet, look: Look, config: Config = CONFIG) -> None:
-        self.search = PlaceSearch(maps, config)
-        self._look = look
-        self._ring: list[np.ndarray] = []
-
-    def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
-        self._ring = [*self._ring, self._look(place)][-LENGTH:]
-        change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
-        self.search.follow(match.place_index if match and is_unique(match) else None)
-        return match
-
-    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
-        return [self.see(place, near(place)) for place in places]
+def drive_on(maps: MapSet, look: Look, config: Config = CONFIG) -> Drive:
+    return Drive(maps, look, config)
 
 
 def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> Near:
@@ -172,8 +147,8 @@ def test_tiles_give_the_same_matches_as_their_map(
         return None if tells == "nothing" else close_to(place, radius_m, off_m)
 
     maps = open_map_set(city / "tiles")
-    whole = Drive(MapSet.of(open_map(city / "whole.map")), look, config)
-    tiles = Drive(maps, look, config)
+    whole = drive_on(MapSet.of(open_map(city / "whole.map")), look, config)
+    tiles = drive_on(maps, look, config)
     for place in places:
         found, expected = tiles.see(place, near(place)), whole.see(place, near(place))
         if found is not None:
@@ -195,7 +170,7 @@ def test_a_position_along_a_drive_crosses_borders(city: Path, place: int, offset
 
 def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look) -> None:
     """With a position, and without once the place is found."""
-    drive = Drive(open_map_set(city / "tiles"), look)
+    drive = drive_on(open_map_set(city / "tiles"), look)
     passed = range(200, 2300)
     matches = drive.go(passed, close_to if known else lambda place: None)
     first = next(at for at, match in enumerate(matches) if match and is_unique(match))
@@ -220,7 +195,7 @@ def test_a_damaged_tile_is_excluded(city: Path, known: bool, look: Look, tmp_pat
     maps = open_map_set(tmp_path / "tiles")
     at_the_start = len(maps.excluded)
     assert at_the_start == (file == "map.json")
-    checksums, drive = maps.checksum_schedule(), Drive(maps, look)
+    checksums, drive = maps.checksum_schedule(), drive_on(maps, look)
     believed: dict[int, int] = {}
     for place in range(700, 1700):
         match = drive.see(place, close_to(place))
@@ -229,7 +204,7 @@ def test_a_damaged_tile_is_excluded(city: Path, known: bool, look: Look, tmp_pat
             damaged_maps = checksums.step(1 << 20, [*drive.search.folders_in_use, *behind])
             if damaged_maps:
                 maps, match = maps.without(damaged_maps), None
-                drive = Drive(maps, look)
+                drive = drive_on(maps, look)
                 break
         if match and is_unique(match):
             believed[place] = match.place_index
@@ -332,8 +307,8 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
         ("there", 0),
         ("unknown", 1499),
     ]
-    there = look_at(tmp_path / "maps" / "there")
-    drive = Drive(maps, lambda place: there(place - 1500))
+    there = look_at(open_map(tmp_path / "maps" / "there"))
+    drive = drive_on(maps, lambda place: there(place - 1500))
 
     def near(place: int) -> Near:
         # The same meridian, told from the other side.
@@ -349,8 +324,8 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     steps_m = np.hypot(*np.diff(meters, axis=0).T)
     np.testing.assert_allclose(steps_m, SPACING_M, rtol=0.01)
     # On a map without positions only a scan finds the vehicle, and then it is followed there, whatever is told.
-    unknown = look_at(tmp_path / "maps" / "unknown")
-    lost = Drive(open_map_set(tmp_path / "maps"), lambda place: unknown(place - 3000))
+    unknown = look_at(open_map(tmp_path / "maps" / "unknown"))
+    lost = drive_on(open_map_set(tmp_path / "maps"), lambda place: unknown(place - 3000))
     answers = lost.go(range(3200, 3400), lambda place: close_to(0))
     believed = [
         (match.place_index, place)

@@ -76,13 +76,14 @@ class Drive:
 
     def __init__(
         self,
-        reference_map: ReferenceMap,
+        maps: MapSet,
         look: Callable[[int], np.ndarray],
         config: Config = CONFIG,
         believed_after: int = 1,
     ) -> None:
         """believed_after: unique matches in a row, from which the place is believed."""
-        self.search = PlaceSearch(MapSet.of(reference_map), config)
+        self.search = PlaceSearch(maps, config)
+        self._uniqueness_min = config.acceptance.uniqueness_min
         self._believed_after, self._unique = believed_after, 0
         self._look = look
         self._ring: list[np.ndarray] = []
@@ -91,7 +92,7 @@ class Drive:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
         match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
-        self._unique = self._unique + 1 if match and is_unique(match) else 0
+        self._unique = self._unique + 1 if match and match.uniqueness >= self._uniqueness_min else 0
         self.search.follow(match.place_index if match and self._unique >= self._believed_after else None)
         return match
 
@@ -108,8 +109,8 @@ def test_around_a_position_the_answers_are_those_of_the_whole_map(
 ) -> None:
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
-    part = Drive(long_map, look)
-    whole = Drive(long_map, look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
+    part = Drive(MapSet.of(long_map), look)
+    whole = Drive(MapSet.of(long_map), look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
     drive = range(1400, 2000)  # longer than a part reaches, so that it moves several times
     parts_used: dict[int, object] = {}
     for place in drive:
@@ -138,7 +139,7 @@ def test_a_place_is_searched_wherever_a_position_may_be_wrong(
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
     drive = range(1400, 2000)
-    matches = Drive(long_map, look).go(drive, lambda place: close_to(place, off_m, 200.0))
+    matches = Drive(MapSet.of(long_map), look).go(drive, lambda place: close_to(place, off_m, 200.0))
     found = zip(matches[LENGTH:], drive[LENGTH:], strict=True)
     assert all(match is not None and abs(match.place - place) <= 1 for match, place in found)
 
@@ -146,7 +147,7 @@ def test_a_place_is_searched_wherever_a_position_may_be_wrong(
 def test_without_a_position_the_map_is_gone_through_and_then_followed(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
-    drive = Drive(long_map, look)
+    drive = Drive(MapSet.of(long_map), look)
     start = 4100
     slices = math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     first = drive.go(range(start, start + LENGTH - 1 + slices))
@@ -172,7 +173,7 @@ def test_of_two_stretches_that_look_alike_neither_is_found_wherever_the_slices_a
     raw = raw_descriptors()
     raw[4000:4300] = raw[1000:1300]
     twice = build(tmp_path / "twice.map", raw, has_positions=False)
-    drive = Drive(twice, look_at(twice))
+    drive = Drive(MapSet.of(twice), look_at(twice))
     assert set(drive.go(range(1050, 1050 + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))))) == {None}
     assert drive.search.part is None
 
@@ -184,7 +185,7 @@ def test_a_wrong_position_is_found_out(
     """What a scan has found goes on to be searched, beside the position or, if that may be anywhere, in its place."""
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
-    drive = Drive(long_map, look)
+    drive = Drive(MapSet.of(long_map), look)
     frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     drive.go(range(500, 500 + frames), lambda place: close_to(place, 6000.0, radius_m))
     places = range(500 + frames, 900)
@@ -201,14 +202,14 @@ def test_what_was_found_is_followed_before_it_can_be_believed(
     """The map has been gone through in ten frames, and what a second time would find is as old as that."""
     config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES * SLICE_SHARE // 10))
     drive = range(1000, 1050)
-    matches = Drive(long_map, look, config, believed_after=15).go(drive)
+    matches = Drive(MapSet.of(long_map), look, config, believed_after=15).go(drive)
     found = [(place, match) for place, match in zip(drive, matches, strict=True) if match is not None]
     assert len(found) == len(drive) - (LENGTH - 1) - 9
     assert all(abs(match.place - place) <= 1 for place, match in found[1:])
 
 
 def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Drive(long_map, look)
+    drive = Drive(MapSet.of(long_map), look)
     drive.go(range(2500, 2700))
     # A jump, as if the vehicle were carried: after a while the whole map is gone through again.
     after = drive.go(range(5000, 5100))
@@ -226,7 +227,7 @@ def test_a_frame_that_says_nothing_is_as_good_as_none(
         return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else look(place)
 
     whole = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES))
-    matches = Drive(long_map, look_or_fail, whole).go(range(1000, 1060))
+    matches = Drive(MapSet.of(long_map), look_or_fail, whole).go(range(1000, 1060))
     assert all(
         match is not None and is_unique(match) and abs(match.place - place) <= 1
         for match, place in zip(matches[LENGTH:], range(1000 + LENGTH, 1060), strict=True)
@@ -234,7 +235,7 @@ def test_a_frame_that_says_nothing_is_as_good_as_none(
 
 
 def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Drive(long_map, look)
+    drive = Drive(MapSet.of(long_map), look)
     drive.go(range(2500, 2600))
     assert drive.search.part is not None
     drive.search.clear()
@@ -246,7 +247,7 @@ def test_after_a_gap_the_position_is_searched_around_again(
 ) -> None:
     if math.isnan(long_map.places["lat_deg"][0]):
         pytest.skip("needs positions")
-    drive = Drive(long_map, look)
+    drive = Drive(MapSet.of(long_map), look)
     drive.go(range(2500, 2530), close_to)
     drive.search.clear()
     drive._ring.clear()
