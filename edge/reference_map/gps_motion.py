@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north
+from edge.geodesy import Origin, east_north, east_north_of
 from edge.reference_map.place_records import sigmas_m
 
 WINDOWS_M = (0.0, 20.0, 50.0, 100.0, 200.0)
@@ -90,6 +90,7 @@ class GpsMotion:
         self._way_m, self._moved, self._number = 0.0, 0j, 0
         self._unknown = 0, 0
         self._last = math.nan, math.nan
+        self._origin: Origin | None = None
 
     def move(self, driven_m: float, heading_deg: float) -> None:
         """The vehicle has driven on, by its odometer, and has a heading now; NaN where not known."""
@@ -121,6 +122,11 @@ class GpsMotion:
     def truly(self, then: Moved, now: Moved) -> complex:
         """Meters moved meanwhile, less what odometer and heading were wrong by so far."""
         return self._bias() * (now.meters - then.meters)
+
+    def disagreement_at(self, lat_deg: float, lon_deg: float, sigma_m: float) -> Disagreement | None:
+        """The same as `disagreement`, of a position in degrees."""
+        self._origin = self._origin or (lat_deg, lon_deg)
+        return self.disagreement(east_north_of(lat_deg, lon_deg, self._origin), sigma_m)
 
     def disagreement(self, point_m: tuple[float, float], sigma_m: float) -> Disagreement | None:
         """Compare a position, east and north, with those before; None where it agrees, and is compared with later."""

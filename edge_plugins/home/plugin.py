@@ -45,7 +45,7 @@ class Home(Plugin):
         maps = self._parts.recognizer.map_set
 
         def driven(mapping: Mapping) -> tuple[MapSet, Start]:
-            return maps.with_newest(mapping.live.whole()), replace(start, route_m=mapping.driven_m())
+            return maps.with_newest(mapping.live.store.whole()), replace(start, route_m=mapping.driven_m())
 
         maps, start = self._parts.plugins.ask("mapping", driven) or (maps, start)
         return plan_way_home(maps, start, self._config, self._parts.config.rig.left_reverse_m)

@@ -1,10 +1,11 @@
 """How maps are made, and live mapping: a drive is searched while it is driven, a fixed distance behind the vehicle.
 
 `builder`    adds place after place, then normalizes and writes the whole set, atomically
-`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole;
-             that of an earlier drive becomes an ordinary map
+`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole
+`earlier_drives`  the files of earlier drives become ordinary maps
 `live_keypoints`  the keypoints of each place, by a thread of their own
-`live_map`   which frames become places; the file and the map in memory (`growing_map`) together
+`drive_store`  the file and the map in memory (`growing_map`) together; what of it is searched
+`live_map`   which frames become places, and where these are
 `outage`     places that were passed while GPS was lost: where they are, once it is back
 `missed_places`  places that were passed without a frame
 `status`     what people are shown of all this

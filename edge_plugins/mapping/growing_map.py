@@ -54,7 +54,7 @@ class GrowingMap(DriveByDrive):
 
         keypoints: what has the records (K,) of KEYPOINT of each row.
         """
-        self._path, self._header = path, MapHeader.begun(model, regions, sampling)
+        self.path, self._header = path, MapHeader.begun(model, regions, sampling)
         self._raw_rows, self._thumbnails, self._keypoints = raw_rows, thumbnails, keypoints
         shape = (regions.count, capacity, model.dimensions)
         memory = mmap.mmap(-1, int(np.prod(shape)), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | MAP_NORESERVE)
@@ -78,6 +78,12 @@ class GrowingMap(DriveByDrive):
     def places(self) -> NDArray[np.void]:
         """Records of PLACE of all places (N,)."""
         return self._places[: self.count]
+
+    @property
+    def mapped_m(self) -> float:
+        """Length of its drives."""
+        route_m, drives = self.places["route_m"], self._header.first(self.count).segments
+        return float(sum(route_m[one.end - 1] - route_m[one.start] for one in drives))
 
     def add(self, raw: NDArray[np.float32], place: Place) -> None:
         """Add one place with its raw descriptor (R, D) to the current segment, and renew some of the others."""
@@ -118,7 +124,7 @@ class GrowingMap(DriveByDrive):
         descriptors = self._descriptors[:, :places]
         matcher = CostMatcher(descriptors, self._inverse[:places])
         return MapSoFar(
-            self._path,
+            self.path,
             header,
             descriptors,
             records,

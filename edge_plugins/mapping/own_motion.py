@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from edge.geodesy import VehiclePosition, east_north_of
+from edge.geodesy import VehiclePosition
 from edge.localization import MAX_SPEED_MPS
 from edge.reference_map.gps_motion import GpsMotion
 from edge.telemetry.vehicle_velocity import CAMERA_FRESH_NS, ODOMETRY, SPEED_FRESH_NS, WHEELS, WHEELS_APART_NS
@@ -73,7 +73,7 @@ class OwnMotion:
     def __init__(self, config: MappingConfig, spacing_m: float) -> None:
         """spacing_m: least way between two comparisons."""
         self._config, self._spacing_m = config, spacing_m
-        self._motion, self._origin = GpsMotion(), (0.0, 0.0)
+        self._motion = GpsMotion()
         self._newest: OwnDriven | None = None
         self._compared_m = math.nan
         self._agrees = True
@@ -93,12 +93,10 @@ class OwnMotion:
             self._motion, self._compared_m, self._agrees = GpsMotion(), math.nan, self._agrees and before is None
         if position is None or abs(own.driven_m - self._compared_m) < self._spacing_m:
             return
-        if math.isnan(self._compared_m):
-            self._origin = position.lat_deg, position.lon_deg
         self._compared_m = own.driven_m
         unknown = self._motion.moved.unknown
         self._motion.move(own.driven_m, math.nan if position.heading_deg is None else position.heading_deg)
         self._agrees &= self._motion.moved.unknown == unknown
         if not why_no_truth(position, self._config):
-            point_m = east_north_of(position.lat_deg, position.lon_deg, self._origin)
-            self._agrees &= self._motion.disagreement(point_m, position.sigma_m or 0.0) is None
+            found = self._motion.disagreement_at(position.lat_deg, position.lon_deg, position.sigma_m or 0.0)
+            self._agrees &= found is None

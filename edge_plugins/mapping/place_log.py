@@ -1,10 +1,8 @@
-"""The file of a map that is being made: opened after any crash, written by a thread of its own, at last a map.
+"""The file of a map that is being made: opened after any crash, and written by a thread of its own.
 
 A process that is killed leaves whole records and at most one that is cut off, which is removed when the file is opened
 again. What is damaged elsewhere is skipped, and stays. Bytes are handed to the kernel with every record, and flushed
 to the disk once a second: a power cut costs the places of the last moments, and a slow disk costs no frame.
-
-The places of an earlier drive become an ordinary map: the same bytes that `lookback map build` would write.
 """
 
 from __future__ import annotations
@@ -32,10 +30,7 @@ from numpy.typing import NDArray
 from edge.errors import MapError, reason
 from edge.files import replacing
 from edge.keypoints.mount import Mount, mount_of_drive
-from edge.reference_map.keypoint_records import record_of
-from edge_plugins.layers.stored import source_of
-from edge_plugins.mapping.builder import MapBuilder, Place
-from edge_plugins.mapping.keypoint_rows import NONE
+from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import (
     FORMAT,
     HEAD,
@@ -61,8 +56,6 @@ FLOATS = np.arange(1 << 16, dtype=np.uint16).view(np.float16).astype(np.float32)
 """Every float16: looked up, a descriptor becomes float32 eight times faster than NumPy converts it."""
 DISK_FULL = "the disk is nearly full"
 SUFFIX = ".growing"
-FEWEST_PLACES = 20
-"""A drive of fewer places is no map: nothing can be recognized on it."""
 log = logging.getLogger(__name__)
 
 
@@ -351,42 +344,3 @@ class PlaceLog:
             self.stopped = reason(error)
             count = len(self.file.places_at)
             log.warning("%s: mapping waits after %d places: %s", self.file.path, count, self.stopped)
-
-
-def complete(file: OpenLog) -> Path | None:
-    """Make the map of an earlier drive and remove its file; None where the drive has too few places for one.
-
-    A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
-    """
-    path = map_of(file.path)
-    if len(file.places_at) < FEWEST_PLACES:
-        log.info("%s: %d places are too few for a map; removed", file.path, len(file.places_at))
-        file.path.unlink(missing_ok=True)
-        return None
-    if not path.exists():
-        _build(file, path)
-        log.info("%s: a map of %d places was made of the drive", path, len(file.places_at))
-    file.path.unlink(missing_ok=True)
-    return path
-
-
-def _build(file: OpenLog, path: Path) -> None:
-    header, key = file.header, file.header.keypoints
-    key_of = None if key is None else lambda height, width: key
-    with MapBuilder(path, header.model, header.regions, header.sampling, keypoints=key_of) as builder:
-        for first, end, drive in file.segments():
-            builder.begin_segment(source_of(path), drive.view, has_odometer=True, whole_sigma_m=0.0)
-            for row in range(first, end):
-                try:
-                    passed = file.place(row)
-                    builder.add(file.raw_of(passed), passed.place)
-                    points = file.points(row)
-                    if builder.keypoints and key and points is None:
-                        builder.keypoints.add_record(record_of(NONE, key), key)
-                    elif builder.keypoints and key and points is not None:
-                        builder.keypoints.add_mapped(points.record, key, points.mount)
-                    if not passed.is_vouched:
-                        builder.doubt()
-                except OSError as error:
-                    raise MapError(f"{file.path}: cannot read it: {error.strerror}") from None
-        builder.finish()

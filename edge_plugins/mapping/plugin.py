@@ -27,6 +27,7 @@ from edge.recognizer import model_key
 from edge.reference_map import MapSoFar, RegionsKey
 from edge.telemetry.position_history import Awaiting
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters
 from edge_plugins.mapping.place_log_records import LogHeader
@@ -93,7 +94,7 @@ class Mapping(Plugin):
         self._counted: Awaiting[OwnDriven] = Awaiting(parts.autopilot.history)
         self._driven: OwnDriven | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
-        self._newest = self.live.so_far()
+        self._newest = self.live.searched.so_far()
         self.paused = ""
         """Why a person has mapping pause; "" where nobody has."""
         self._told: tuple[str, str] = (self.status.state, self.status.why)
@@ -106,8 +107,8 @@ class Mapping(Plugin):
             where = "camera" if camera is UNSET else "mapping.camera"
             log.warning("[%s] fov_deg: is not set, so the map of this drive gets no keypoints", where)
         header = LogHeader(model_key(self._parts.network), RegionsKey.of(config.descriptor), config.sampling)
-        live = LiveMap(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg)
-        self.live = opened.enter_context(closing(live))
+        store = DriveStore(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg)
+        self.live = LiveMap(mapping, opened.enter_context(closing(store)))
         device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
             frames = device = NewestFrame.configured(camera, self._parts.clock_ns)
@@ -130,7 +131,7 @@ class Mapping(Plugin):
 
     def view(self) -> MappingView:
         """The map of this drive, for people."""
-        return replace(self.live.view(), status=self.status)
+        return self.live.searched.view(self.status)
 
     def driven_m(self) -> float | None:
         """How far the vehicle has driven by the odometer of the map of this drive; None where that is not known."""
@@ -165,11 +166,11 @@ class Mapping(Plugin):
     def end(self) -> None:
         """Map what waits for its position, and begin to write the last of it."""
         self._add_placed(at_the_end=True)
-        self.live.end()
+        self.live.store.end()
 
     def wait(self) -> None:
         """Until the threads have done what was handed over, for a simulation whose time passes faster than theirs."""
-        self.live.keypoints.wait()
+        self.live.store.keypoints.wait()
 
     def close(self) -> None:
         """Map what waits for its position, and close the camera and the file."""

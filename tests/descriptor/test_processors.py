@@ -32,7 +32,7 @@ from edge.descriptor.open_network import cosines
 from edge.feed import read_feed
 from edge.journal.records import FrameUsed
 from edge.reference_map.store import open_map
-from edge_plugins.mapping.place_log import FEWEST_PLACES
+from edge_plugins.mapping.earlier_drives import FEWEST_PLACES
 from sim.journal import records_of
 from sim.maps.command import build_map
 from sim.world.camera import open_renderer

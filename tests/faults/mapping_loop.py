@@ -24,6 +24,7 @@ from edge.config import SamplingConfig
 from edge.geodesy import VehiclePosition
 from edge.reference_map import ModelKey, RegionsKey
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader, whole_records
@@ -44,7 +45,7 @@ def open_live(folder: Path, later_s: float = 0.0) -> LiveMap:
     """later_s: seconds from now."""
     config = MappingConfig(folder=str(folder / "maps"), min_free_mb=0.0)
     header = LogHeader(MODEL, REGIONS, SamplingConfig())
-    return LiveMap(config, header, "rear", unix_time_s=lambda: time.time() + later_s, fov_deg=80.0)
+    return LiveMap(config, DriveStore(config, header, "rear", lambda: time.time() + later_s, fov_deg=80.0))
 
 
 def map_until_killed(folder: Path, told: int) -> None:
@@ -58,9 +59,9 @@ def map_until_killed(folder: Path, told: int) -> None:
         mapped.add(raw_of(row), image, position, (row - first) * 2.0)
         mapped.newly_searchable((row - first) * 2.0)
         if row == first:
-            mapped.keypoints.wait()  # the network is open
+            mapped.store.keypoints.wait()  # the network is open
         row = mapped.status.places
-        while mapped.waiting > 3:  # a vehicle is slower than any disk
+        while mapped.store.waiting > 3:  # a vehicle is slower than any disk
             time.sleep(0.0002)
 
 

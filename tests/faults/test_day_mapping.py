@@ -17,6 +17,7 @@ import pytest
 from edge.config import SamplingConfig
 from edge.reference_map import ModelKey, RegionsKey
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.faults.mapping_loop import GPS
@@ -36,13 +37,14 @@ def test_ten_hours_of_mapping(places: int, tmp_path: Path, proc: Any, figures: C
     header = LogHeader(
         ModelKey("test", "0" * 64, "fc6", DIMENSIONS), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
     )
-    mapped = LiveMap(MappingConfig(folder=str(tmp_path / "maps"), min_free_mb=0.0), header, "rear")
+    config = MappingConfig(folder=str(tmp_path / "maps"), min_free_mb=0.0)
+    mapped = LiveMap(config, DriveStore(config, header, "rear"))
     raw = np.abs(np.random.default_rng(0).normal(size=(97, 2, DIMENSIONS))).astype(np.float32)
     image = np.full((48, 64, 3), 90, np.uint8)
     marks = []
     began_s, busy_s = time.monotonic(), 0.0
     for row in range(places):
-        while mapped.waiting > 8:
+        while mapped.store.waiting > 8:
             os.sched_yield()
         start_s = time.thread_time()
         position = replace(GPS, lat_deg=47.0 + row * 2 / 110_800 % 1.0)
@@ -66,4 +68,4 @@ def test_ten_hours_of_mapping(places: int, tmp_path: Path, proc: Any, figures: C
     assert blocks < BLOCKS_PER_PLACE
     if places > TEN_HOURS / 2:  # of a short run, one page more is already a slope
         assert grown_bytes < PLACE_BYTES
-    mapped.close()
+    mapped.store.close()

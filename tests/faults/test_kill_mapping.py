@@ -40,10 +40,10 @@ def test_killed_while_mapping(
     assert places == sorted(places) and found["points"] == sorted(found["points"]), "what was there before stays"
     assert max(found["lost"]) <= MOST_LOST
     mapped = open_live(tmp_path)
-    assert mapped.status.places == mapped.searchable == places[-1]
-    mapped.close()
+    assert mapped.status.places == mapped.searched.count == places[-1]
+    mapped.store.close()
     assert len(logs_in(tmp_path / "maps")) == 1
-    open_live(tmp_path, later_s=86_400.0).close()
+    open_live(tmp_path, later_s=86_400.0).store.close()
     made = open_map(tmp_path / "maps" / mapped.status.name, every_file=True)
     assert made.header.places == places[-1]
     assert made.keypoints is not None and np.isfinite(made.keypoints["sigma"]).any(axis=1).sum() <= found["points"][-1]

@@ -27,6 +27,7 @@ from edge.reference_map import ModelKey, RegionsKey, open_map_set
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import MEASURED_SLOPES, PlaceSearch
 from edge_plugins.mapping import MappingConfig
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log_records import LogHeader
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
@@ -91,13 +92,15 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
     network = Network.load(GRID)
     header = LogHeader(model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig())
     folder.mkdir()
-    live = LiveMap(MappingConfig(folder=str(folder), min_free_mb=0.0), header, "rear", fov_deg=FOV_DEG)
+    mapping = MappingConfig(folder=str(folder), min_free_mb=0.0)
+    store = DriveStore(mapping, header, "rear", fov_deg=FOV_DEG)
+    live = LiveMap(mapping, store)
     config = Config(map=MapConfig(path=str(folder)), sequence=SequenceConfig(directions="forward"))  # where none looks
-    recognizer = open_recognizer(config, network=network, newest=live.so_far())
+    recognizer = open_recognizer(config, network=network, newest=live.searched.so_far())
     rng, mapped, recognized, found = np.random.default_rng(1), [], [], []
     width, height = SIZE_PX
     wide = smooth_picture(rng, (width + PASSED_PX * places, height))
-    with closing(live):
+    with closing(store):
         for place in range(places):
             ahead, back = smooth_picture(rng, SIZE_PX), wide[:, PASSED_PX * place : PASSED_PX * place + width]
             whole_ns = time.process_time_ns()
@@ -112,7 +115,7 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
                 recognizer.grow_maps(recognizer.map_set.with_newest(newest))
             mapped.append((thread_ns() - turned_ns) / 1e6)
             recognized.append((turned_ns - began_ns) / 1e6)
-            live.keypoints.wait()
+            store.keypoints.wait()
             found.append((time.process_time_ns() - whole_ns - (thread_ns() - began_ns)) / 1e6)
     size, rival = f"map of {places} places that grows", "a frame recognized on it"
     yield Row("mapping one place", size, Times(tuple(mapped)), None, rival, Times(tuple(recognized)))

@@ -21,6 +21,7 @@ from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_file import KEYPOINT, MOST_PIXELS, KeypointsKey
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from edge_plugins.mapping.live_keypoints import MOST_PICTURES
 from edge_plugins.mapping.live_map import LiveMap
@@ -37,7 +38,7 @@ BEHIND = 5
 
 def live(folder: Path, later_s: float = 0.0, *, fov_deg: float | None = FOV_DEG) -> LiveMap:
     config, header = MappingConfig(folder=str(folder), min_free_mb=0.0), LogHeader(MODEL, REGIONS, SamplingConfig())
-    return LiveMap(config, header, "rear", lambda: START_S + later_s, fov_deg=fov_deg)
+    return LiveMap(config, DriveStore(config, header, "rear", lambda: START_S + later_s, fov_deg=fov_deg))
 
 
 def drive(mapped: LiveMap, rows: range, *, waits: bool = True) -> None:
@@ -48,7 +49,7 @@ def drive(mapped: LiveMap, rows: range, *, waits: bool = True) -> None:
         at = VehiclePosition(0, row.lat_deg, row.lon_deg, 20.0, row.heading_deg, 5.0, sigma_m=1.0, source="rtk_fixed")
         mapped.add(raw_of(number), IMAGES.read(number), at, row.distance_m)
         if waits:
-            mapped.keypoints.wait()
+            mapped.store.keypoints.wait()
 
 
 def known(records: NDArray[np.void]) -> int:
@@ -63,7 +64,7 @@ def known_of(reference: ReferenceMap) -> list[int]:
 
 def finished(folder: Path) -> ReferenceMap:
     """The map that the next day's start makes of the drive."""
-    live(folder, later_s=86_400.0).close()
+    live(folder, later_s=86_400.0).store.close()
     (path,) = (one for one in folder.iterdir() if one.is_dir())
     return open_map(path, every_file=True)
 
@@ -71,18 +72,18 @@ def finished(folder: Path) -> ReferenceMap:
 def test_a_place_has_points_once_the_drive_has_gone_on_by_ten_meters(tmp_path: Path) -> None:
     mapped = live(tmp_path)
     drive(mapped, range(PLACES))
-    whole = MapSet.of(mapped.whole())
+    whole = MapSet.of(mapped.store.whole())
     points = [known(whole.keypoints_of(row)) for row in range(PLACES)]
     assert min(points[:-BEHIND]) >= 30 and points[-BEHIND:] == [0] * BEHIND, points
     assert whole.headers[0].keypoints_key == keypoints_key(FEED.header.height, FEED.header.width, FOV_DEG)
-    mapped.close()
+    mapped.store.close()
     assert min(known_of(finished(tmp_path))) >= 20, "the last places have those of what lies before them"
 
 
 def test_the_finished_map_has_the_keypoints_that_a_map_of_the_recording_has(tmp_path: Path) -> None:
     mapped = live(tmp_path / "live")
     drive(mapped, range(PLACES))
-    mapped.close()
+    mapped.store.close()
     extract, key_of = KeypointNetwork().extract, partial(keypoints_key, fov_deg=FOV_DEG)
     with MapBuilder(tmp_path / "built", MODEL, REGIONS, SamplingConfig(), keypoints=key_of) as builder:
         builder.begin_segment("out_first", "rear", has_odometer=True)
@@ -103,24 +104,24 @@ def test_the_finished_map_has_the_keypoints_that_a_map_of_the_recording_has(tmp_
 def test_what_was_known_before_a_kill_is_known_after_it_and_the_drive_goes_on(tmp_path: Path) -> None:
     mapped = live(tmp_path / "maps")
     drive(mapped, range(20))
-    while mapped.waiting:
+    while mapped.store.waiting:
         pass
     shutil.copytree(tmp_path / "maps", tmp_path / "killed")
-    before = known_of(mapped.whole())
-    mapped.close()
+    before = known_of(mapped.store.whole())
+    mapped.store.close()
     again = live(tmp_path / "killed", later_s=30.0)
-    assert known_of(again.whole()) == before and before[15:] == [0] * BEHIND
+    assert known_of(again.store.whole()) == before and before[15:] == [0] * BEHIND
     drive(again, range(20, PLACES))
-    points = known_of(again.whole())
+    points = known_of(again.store.whole())
     assert min(points[:15]) >= 30 and min(points[20 : PLACES - BEHIND]) >= 30 and len(points) == PLACES
-    again.close()
+    again.store.close()
     assert known_of(finished(tmp_path / "killed"))[15:20] == [0] * BEHIND, "those of the newest places are lost"
 
 
 def test_points_that_are_damaged_cost_their_place_its_keypoints_and_no_place(tmp_path: Path) -> None:
     mapped = live(tmp_path)
     drive(mapped, range(PLACES))
-    mapped.close()
+    mapped.store.close()
     (file,) = logs_in(tmp_path)
     log = OpenLog(file)
     at, count = log.points_at[3], len(log.places_at)
@@ -139,7 +140,7 @@ def test_points_that_are_damaged_cost_their_place_its_keypoints_and_no_place(tmp
 def test_a_place_that_is_lost_with_its_points_behind_it_begins_a_new_drive(tmp_path: Path) -> None:
     mapped = live(tmp_path)
     drive(mapped, range(PLACES))
-    mapped.close()
+    mapped.store.close()
     (file,) = logs_in(tmp_path)
     log = OpenLog(file)
     at, follows = log.places_at[20], sorted(one for one in log.points_at.values() if one > log.places_at[20])[0]
@@ -177,7 +178,7 @@ def test_a_drive_goes_on_only_with_the_keypoints_that_it_has(tmp_path: Path) -> 
         mapped = live(tmp_path, later_s=30.0 * number, fov_deg=fov_deg)
         assert mapped.status.places == 0
         drive(mapped, range(22))
-        mapped.close()
+        mapped.store.close()
     made = [open_map(path) for path in sorted(tmp_path.iterdir()) if path.is_dir()]
     keys = [one.header.keypoints_key for one in made]
     assert [None if key is None else key.fov_deg for key in keys] == [FOV_DEG, None]
@@ -198,7 +199,7 @@ def test_where_the_computer_is_too_slow_the_map_has_all_places_and_says_once_tha
     drive(mapped, range(12), waits=False)
     assert mapped.status.places == 12
     goes_on.set()
-    mapped.close()
+    mapped.store.close()
     assert [one.message for one in caplog.records if "too slow" in one.message] == [
         "keypoints of the map of this drive: the computer is too slow for those of all places"
     ]

@@ -29,12 +29,14 @@ from edge_plugins.home.way_home import plan_way_home
 from edge_plugins.layers.stored import delete_oldest, stored_maps
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.own_motion import OwnDriven
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
+HEADER = LogHeader(MODEL, REGIONS, SamplingConfig())
 IMAGE = np.full((48, 64, 3), 120, np.uint8)
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="rtk_fixed")
 START_S = 1_790_000_000.0
@@ -48,7 +50,7 @@ def live(folder: Path, unix_s: float = START_S, **changes: object) -> LiveMap:
     config = MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=50.0)
     for key, value in changes.items():
         config = type(config)(**{**{name: getattr(config, name) for name in config.__struct_fields__}, key: value})
-    return LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", lambda: unix_s)
+    return LiveMap(config, DriveStore(config, HEADER, "rear", lambda: unix_s))
 
 
 def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) -> None:
@@ -57,7 +59,7 @@ def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) 
         at = None if position is None else replace(position, lat_deg=position.lat_deg + row * 2 / 110_800)
         mapped.own.compare(OwnDriven(0, row * 2.0, 0), at)
         mapped.add(raw_of(row), IMAGE, at, row * 2.0)
-        while mapped.waiting > 8 and not mapped.status.why:
+        while mapped.store.waiting > 8 and not mapped.status.why:
             os.sched_yield()
 
 
@@ -71,7 +73,7 @@ def test_places_become_searchable_a_fixed_distance_behind(tmp_path: Path) -> Non
     assert so_far.header.places == 17
     assert mapped.newly_searchable(90.0) is None
     assert so_far.places["position_sigma_m"].tolist() == [1.5] * 17
-    mapped.close()
+    mapped.store.close()
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_what_is_no_truth_enters_no_map(
     mapped.add(raw_of(0), IMAGE, position, 0.0)
     assert mapped.status.places == (not why)
     assert why in mapped.status.why
-    mapped.close()
+    mapped.store.close()
     assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
 
 
@@ -102,7 +104,7 @@ def test_gps_that_the_places_call_wrong_enters_no_map(tmp_path: Path) -> None:
     mapped = live(tmp_path, without_gps="continue")
     mapped.add(raw_of(0), IMAGE, GPS, 0.0, "GPS is wrong by 40 m north")
     assert (mapped.status.places, mapped.status.why) == (0, "GPS is wrong by 40 m north")
-    mapped.close()
+    mapped.store.close()
 
 
 def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
@@ -114,7 +116,7 @@ def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
         at = replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800, lon_deg=GPS.lon_deg + off_m / 75_600)
         mapped.add(raw_of(row), IMAGE, at, row * 2.0)
         states.append(mapped.status.state)
-        while mapped.waiting > 8 and not mapped.status.why:
+        while mapped.store.waiting > 8 and not mapped.status.why:
             os.sched_yield()
     first = states.index("waiting")
     assert 150 < first < 200
@@ -123,7 +125,7 @@ def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
     mapped.interrupt()
     mapped.add(raw_of(500), IMAGE, at, 1000.0)
     assert mapped.status.state == "mapping"
-    mapped.close()
+    mapped.store.close()
 
 
 def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
@@ -132,13 +134,13 @@ def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
         at = replace(GPS, lat_deg=GPS.lat_deg + row * 1e-5, lon_deg=180.0 - 2e-5 + row * 1e-5)
         at = replace(at, lon_deg=at.lon_deg - 360.0) if at.lon_deg >= 180.0 else at
         mapped.add(raw_of(row), IMAGE, at, row * 2.0, missed=missed)
-    whole = mapped.whole()
+    whole = mapped.store.whole()
     assert whole.places["route_m"].tolist() == [*np.arange(7) * 2.0, 96.0, 98.0]
     assert whole.places["lat_deg"] == pytest.approx(47.0 + whole.places["route_m"] / 2 * 1e-5)
     east_deg = (whole.places["lon_deg"] - 180.0 + 2e-5 + 180.0) % 360.0 - 180.0
     assert east_deg == pytest.approx(whole.places["route_m"] / 2 * 1e-5, abs=1e-9)
     assert [(segment.start, segment.end) for segment in whole.header.segments] == [(0, 7), (7, 9)]
-    mapped.close()
+    mapped.store.close()
     (log,) = logs_in(tmp_path)
     file = OpenLog(log)
     seen = [file.raw(row).tolist() for row in range(7)]
@@ -153,8 +155,8 @@ def test_places_arrive_later_than_the_odometer(tmp_path: Path) -> None:
     for row in range(60):
         assert (mapped.newly_searchable(row * 2.0 + 6.5) is None) or row > 20
         drive(mapped, range(row, row + 1))
-    assert len(mapped.so_far().header.segments) == 1
-    mapped.close()
+    assert len(mapped.searched.so_far().header.segments) == 1
+    mapped.store.close()
 
 
 def test_a_gap_begins_another_drive_and_the_odometer_may_start_again(tmp_path: Path) -> None:
@@ -165,24 +167,24 @@ def test_a_gap_begins_another_drive_and_the_odometer_may_start_again(tmp_path: P
     drive(mapped, range(70, 75))
     drive(mapped, range(5))  # the odometer began again
     mapped.newly_searchable(1000.0)
-    header = mapped.so_far().header
+    header = mapped.searched.so_far().header
     assert [(one.start, one.end) for one in header.segments] == [(0, 20), (20, 25), (25, 30)]
-    assert (np.diff(mapped.so_far().places["route_m"]) >= 0).all()
-    mapped.close()
+    assert (np.diff(mapped.searched.so_far().places["route_m"]) >= 0).all()
+    mapped.store.close()
 
 
 def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
     first = live(tmp_path)
     drive(first, range(60))
-    first.close()
+    first.store.close()
     (file,) = logs_in(tmp_path)
     os.truncate(file, file.stat().st_size - 1)  # as a power cut would leave it
     again = live(tmp_path, START_S + 600)
-    assert again.status.places == again.searchable == 59
+    assert again.status.places == again.searched.count == 59
     drive(again, range(30))
     assert again.status.name == first.status.name
     assert again.status.places == 89
-    again.close()
+    again.store.close()
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
@@ -198,12 +200,12 @@ def test_a_drive_goes_on_after_a_restart_where_the_vehicle_went_straight(
     """Nobody measured that way, so that the drive does not count as one that moved as its odometer said."""
     first = live(tmp_path)
     drive(first, range(60))
-    first.close()
+    first.store.close()
     again = live(tmp_path, START_S + 600)
     there = GPS.lat_deg + (59 + places) * 2 / 110_800
     drive(again, range(30), replace(GPS, lat_deg=there, heading_deg=turned_deg))
-    header, found = again.whole().header, again.whole().places
-    again.close()
+    header, found = again.store.whole().header, again.store.whole().places
+    again.store.close()
     assert [one.start for one in header.segments] == ([0] if goes_on else [0, 60])
     assert header.segments[0].moved_as_driven == is_checked
     if goes_on:
@@ -222,10 +224,10 @@ def test_how_far_the_vehicle_drove_is_known_from_a_place_on(tmp_path: Path) -> N
     assert mapped.driven_m(3.0) is None, "the odometer began again"
     drive(mapped, range(2, 12))
     assert mapped.driven_m(40.0) == 131.0 + 40.0 - 3.0
-    mapped.close()
+    mapped.store.close()
     mapped = live(tmp_path, unix_s=START_S + 60)
     assert mapped.driven_m(4.0) is None
-    mapped.close()
+    mapped.store.close()
 
 
 def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:
@@ -234,19 +236,19 @@ def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:
     drive(mapped, range(30))
     drive(mapped, range(36, 60))
     assert mapped.newly_searchable(118.0) is not None
-    maps = MapSet.of([mapped.so_far()], tmp_path).with_newest(mapped.whole())
+    maps = MapSet.of([mapped.searched.so_far()], tmp_path).with_newest(mapped.store.whole())
     positions_deg = plan_way_home(maps, None, HomeConfig()).positions_deg
     assert positions_deg[0] == pytest.approx((47.0 + 59 * 2 / 110_800, 8.0), abs=1e-8)
     assert positions_deg[-1] == pytest.approx((47.0, 8.0), abs=1e-8)
-    mapped.close()
+    mapped.store.close()
 
 
 def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
     first = live(tmp_path / "maps")
     drive(first, range(60))
-    first.close()
+    first.store.close()
     assert len(logs_in(tmp_path / "maps")) == 1
-    live(tmp_path / "maps", START_S + 3600).close()
+    live(tmp_path / "maps", START_S + 3600).store.close()
     assert not logs_in(tmp_path / "maps")
     made = open_map(tmp_path / "maps" / first.status.name, every_file=True)
     with MapBuilder(tmp_path / "built", MODEL, REGIONS, SamplingConfig()) as builder:
@@ -267,18 +269,18 @@ def test_the_next_start_makes_a_map_as_map_build_would(tmp_path: Path) -> None:
 def test_a_start_that_takes_long_says_so_before(tmp_path: Path) -> None:
     first = live(tmp_path)
     drive(first, range(60))
-    first.close()
+    first.store.close()
     told: list[float] = []
     config = MappingConfig(folder=str(tmp_path), resume_min=0.0)
-    LiveMap(config, LogHeader(MODEL, REGIONS, SamplingConfig()), "rear", before_long=told.append).close()
+    DriveStore(config, HEADER, "rear", before_long=told.append).close()
     assert told == [pytest.approx(0.6)]
 
 
 def test_too_short_a_drive_leaves_nothing(tmp_path: Path) -> None:
     first = live(tmp_path)
     drive(first, range(5))
-    first.close()
-    live(tmp_path, START_S, resume_min=0.0).close()
+    first.store.close()
+    live(tmp_path, START_S, resume_min=0.0).store.close()
     assert not list(tmp_path.iterdir())
 
 
@@ -288,13 +290,13 @@ def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path
     mapped.add(raw_of(0), IMAGE, GPS, 0.0)
     assert mapped.status.state == "stopped"
     mapped.add(raw_of(1), IMAGE, GPS, 2.0)
-    assert mapped.so_far().header.places == 0
-    mapped.close()
+    assert mapped.searched.so_far().header.places == 0
+    mapped.store.close()
 
 
 def hold_up(mapped: LiveMap, folder: Path) -> None:
     """Map until the disk takes no more: the largest file allowed stands in for it, where the same call fails."""
-    while mapped.waiting:
+    while mapped.store.waiting:
         os.sched_yield()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     (file,) = logs_in(folder)
@@ -315,27 +317,27 @@ def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_p
     newest = mapped.newly_searchable(1000.0)
     assert newest is not None
     assert newest.header.places >= 40
-    mapped.close()
+    mapped.store.close()
     again = live(tmp_path)
     assert 40 <= again.status.places <= 50, "what was written is whole, and nothing is there twice"
-    again.close()
+    again.store.close()
 
 
 def test_mapping_goes_on_when_there_is_room_again(tmp_path: Path) -> None:
-    header = LogHeader(MODEL, REGIONS, SamplingConfig())
-    mapped = LiveMap(MappingConfig(folder=str(tmp_path)), header, "rear", lambda: START_S, retry_s=0.01)
+    config = MappingConfig(folder=str(tmp_path))
+    mapped = LiveMap(config, DriveStore(config, HEADER, "rear", lambda: START_S, retry_s=0.01))
     drive(mapped, range(40))
     hold_up(mapped, tmp_path)
     while mapped.status.why:
         drive(mapped, range(45, 46))
     drive(mapped, range(46, 70))
-    mapped.close()
+    mapped.store.close()
     again = live(tmp_path)
     assert again.status.places == mapped.status.places > 60
-    starts = [one.start for one in again.whole().header.segments]
+    starts = [one.start for one in again.store.whole().header.segments]
     assert starts[0] == 0
     assert len(starts) > 1, "no line runs over what was not mapped"
-    again.close()
+    again.store.close()
 
 
 def test_a_full_disk_at_the_first_place_is_tried_again(tmp_path: Path) -> None:
@@ -349,7 +351,7 @@ def test_a_full_disk_at_the_first_place_is_tried_again(tmp_path: Path) -> None:
     assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
     drive(mapped, range(5, 30))
     assert (mapped.status.state, mapped.status.places) == ("mapping", 25)
-    mapped.close()
+    mapped.store.close()
 
 
 READ_ONLY = """
@@ -359,7 +361,7 @@ from tests.plugins.mapping.test_live_map import live
 subprocess.run(["mount", "--bind", "-o", "ro", sys.argv[1], sys.argv[1]], check=True)
 subprocess.run(["mount", "-o", "remount,bind,ro", sys.argv[1]], check=True)
 mapped = live(Path(sys.argv[1]))
-print(mapped.searchable, mapped.status.state, mapped.status.why)
+print(mapped.searched.count, mapped.status.state, mapped.status.why)
 """
 
 
@@ -368,7 +370,7 @@ def test_a_drive_on_a_disk_that_became_read_only_is_searched(tmp_path: Path) -> 
         pytest.skip("this user may not make a mount namespace")
     first = live(tmp_path)
     drive(first, range(30))
-    first.close()
+    first.store.close()
     command = ["unshare", "-rm", sys.executable, "-c", READ_ONLY, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
     assert done.stdout == "30 waiting Read-only file system\n", done.stderr
@@ -379,15 +381,15 @@ def test_of_two_daemons_only_one_maps_in_a_folder(tmp_path: Path) -> None:
     first = live(tmp_path)
     with pytest.raises(ConfigError, match=r"^\[mapping\] folder: .*: another daemon maps there; stop it first$"):
         live(tmp_path)
-    first.close()
-    live(tmp_path).close()
+    first.store.close()
+    live(tmp_path).store.close()
 
 
 def make_drive(folder: Path, unix_s: float) -> Path:
     mapped = live(folder, unix_s, resume_min=0.0, quota_mb=1e6)
     drive(mapped, range(30))
-    mapped.close()
-    live(folder, unix_s, resume_min=0.0, quota_mb=1e6).close()
+    mapped.store.close()
+    live(folder, unix_s, resume_min=0.0, quota_mb=1e6).store.close()
     path = folder / mapped.status.name
     os.utime(path / "map.json", (unix_s, unix_s))
     return path
@@ -424,9 +426,9 @@ def test_the_quota_deletes_retired_drives_and_then_the_oldest(tmp_path: Path) ->
 
 def test_of_the_drives_of_a_road_the_newest_are_searched_from_the_next_start_on(tmp_path: Path) -> None:
     paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(3)]
-    live(tmp_path, START_S + 9000, layers=0).close()
+    live(tmp_path, START_S + 9000, layers=0).store.close()
     assert len(open_map_set(tmp_path).names) == 3
-    live(tmp_path, START_S + 9000, layers=1).close()
+    live(tmp_path, START_S + 9000, layers=1).store.close()
     assert open_map_set(tmp_path).names == (paths[2].name,)
 
 
@@ -451,11 +453,11 @@ def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path, monkeypatch: 
             mapped.add(raw_of(row), IMAGE, replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800), row * 2.0)
             row += 1
     assert (mapped.status.state, mapped.status.why) == ("waiting", "the disk is too slow")
-    while mapped.waiting:
+    while mapped.store.waiting:
         time.sleep(0.01)
     drive(mapped, range(row, row + 20))
     assert mapped.status.state == "mapping"
-    mapped.close()
+    mapped.store.close()
     again = live(tmp_path)
     assert again.status.places == mapped.status.places
-    again.close()
+    again.store.close()

@@ -162,7 +162,7 @@ def opened(config: Config, parts: ExitStack, world: World, front: Camera, rear: 
 
 
 def waiting(mapping: Mapping) -> int:
-    return mapping.live.waiting
+    return mapping.live.store.waiting
 
 
 def drive(

@@ -29,12 +29,12 @@ def add(mapped: LiveMap, points: Drive, rows: range, fault: str = "", **changes:
     for row in rows:
         position = None if changes.get("source") == "none" else replace(at(points, row), **changes)
         mapped.add(raw_of(row), IMAGE, position, float(points[1][row]), fault)
-        while mapped.waiting > 8:
+        while mapped.store.waiting > 8:
             os.sched_yield()
 
 
 def segments(mapped: LiveMap) -> list[tuple[int, int]]:
-    return [(one.start, one.end) for one in mapped.whole().header.segments]
+    return [(one.start, one.end) for one in mapped.store.whole().header.segments]
 
 
 @pytest.mark.parametrize("places", [10, 50, 150])
@@ -56,14 +56,14 @@ def test_places_of_an_outage_are_where_they_were_within_what_they_say(tmp_path: 
         assert (mapped.status.state, mapped.status.why, mapped.status.places) == ("waiting", "no GPS", FROM)
         add(mapped, points, range(FROM + places, FROM + places + 20))
         assert segments(mapped) == [(0, FROM + places + 20)]
-        found = mapped.whole().places[FROM : FROM + places]
+        found = mapped.store.whole().places[FROM : FROM + places]
         off_m = [
             np.hypot(*(np.array(east_north_of(lat, lon, ORIGIN)) - point))
             for lat, lon, point in zip(found["lat_deg"], found["lon_deg"], points[0][FROM:], strict=False)
         ]
         assert found["position_sigma_m"].max() <= 5.0
         in_sigmas.extend(off_m / np.hypot(found["position_sigma_m"], SIGMA_M))
-        mapped.close()
+        mapped.store.close()
     assert np.sqrt(np.mean(np.square(in_sigmas))) < 1.0
     assert max(in_sigmas) < 3.0
 
@@ -77,11 +77,11 @@ def test_gps_that_moves_otherwise_for_a_while_is_bridged(tmp_path: Path) -> None
     burst[FROM : FROM + 20] = np.column_stack([east_m + 15.0, north_m])
     add(mapped, (burst, *points[1:]), range(FROM, FROM + 40))
     assert segments(mapped) == [(0, FROM + 40)]
-    found = mapped.whole().places[FROM : FROM + 20]
+    found = mapped.store.whole().places[FROM : FROM + 20]
     off_m = [east_north_of(lat, lon, ORIGIN)[0] for lat, lon in zip(found["lat_deg"], found["lon_deg"], strict=True)]
     assert np.abs(off_m - east_m).max() < 5.0
     assert {POSITION_SOURCES[number] for number in found["position_source"]} == {"dead_reckoning"}
-    mapped.close()
+    mapped.store.close()
 
 
 def test_places_between_bursts_of_multipath_are_where_they_were_within_what_they_say(tmp_path: Path) -> None:
@@ -101,12 +101,12 @@ def test_places_between_bursts_of_multipath_are_where_they_were_within_what_they
         add(mapped, (burst, *points[1:]), range(400))
         assert segments(mapped) == [(0, mapped.status.places)]
         assert mapped.status.places > 350
-        found = mapped.whole().places
+        found = mapped.store.whole().places
         for place in found:
             row = round(place["route_m"] / points[1][1])
             off_m = np.hypot(*(np.array(east_north_of(place["lat_deg"], place["lon_deg"], ORIGIN)) - points[0][row]))
             in_sigmas.append(off_m / np.hypot(place["position_sigma_m"], SIGMA_M))
-        mapped.close()
+        mapped.store.close()
     assert np.mean(np.array(in_sigmas) > 3.0) < 0.001
     assert np.sqrt(np.mean(np.square(in_sigmas))) < 1.0
 
@@ -117,8 +117,8 @@ def test_frames_without_any_position_count_as_places_without_a_frame(tmp_path: P
     add(mapped, points, range(FROM, FROM + 3), source="none")
     add(mapped, points, range(FROM + 3, FROM + 20))
     assert segments(mapped) == [(0, FROM + 20)]
-    assert np.diff(mapped.whole().places["route_m"]).max() < 1.1 * points[1][1]
-    mapped.close()
+    assert np.diff(mapped.store.whole().places["route_m"]).max() < 1.1 * points[1][1]
+    mapped.store.close()
 
 
 def test_places_without_a_frame_are_where_the_vehicle_went(tmp_path: Path) -> None:
@@ -135,14 +135,14 @@ def test_places_without_a_frame_are_where_the_vehicle_went(tmp_path: Path) -> No
             missed = len(gap) if row == gap.stop else 0
             mapped.add(raw_of(row), IMAGE, position, float(driven_m[row]), missed=missed)
     assert segments(mapped) == [(0, 180)]
-    found = mapped.whole().places
+    found = mapped.store.whole().places
     found_m = np.array(
         [east_north_of(lat, lon, ORIGIN) for lat, lon in zip(found["lat_deg"], found["lon_deg"], strict=True)]
     )
     assert np.hypot(*(found_m - points).T).max() < 0.5
     middle_m = (points[gap.start - 1] + points[gap.stop]) / 2
     assert np.hypot(*(points - middle_m).T).min() > 5.0
-    mapped.close()
+    mapped.store.close()
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_what_is_not_bridged(tmp_path: Path, places: int, changes: dict[str, Any
     before, (first, end) = segments(mapped)
     assert (before, first) == ((0, FROM), FROM)
     assert end >= FROM + 19, "after 500 m, the first place may still be in doubt"
-    mapped.close()
+    mapped.store.close()
 
 
 def test_an_odometer_that_was_silent_ends_an_outage(tmp_path: Path) -> None:
@@ -172,9 +172,9 @@ def test_an_odometer_that_was_silent_ends_an_outage(tmp_path: Path) -> None:
     add(mapped, points, range(FROM, FROM + 10), source="dead_reckoning", sigma_m=None)
     mapped.interrupt()
     add(mapped, points, range(FROM + 10, FROM + 30))
-    found = mapped.whole().places
+    found = mapped.store.whole().places
     gap = np.flatnonzero(np.isnan(found["heading_deg"]))
     assert segments(mapped) == [(0, len(found))], "the way was short and straight, by GPS"
     assert (gap[0], gap[-1]) == (FROM, len(found) - 21)
     assert "dead_reckoning" not in {POSITION_SOURCES[number] for number in found["position_source"]}
-    mapped.close()
+    mapped.store.close()

@@ -43,11 +43,11 @@ def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_f
         if row in counted:
             mapped.own.compare(OwnDriven(now.stamp_ns, float(points[1][row]), int(row >= gaps_from)), now)
         mapped.add(raw_of(row), IMAGE, now, float(by_gps_m[row]))
-        while mapped.waiting > 8:
+        while mapped.store.waiting > 8:
             os.sched_yield()
-    growing = mapped.whole().header.segments
-    mapped.close()
-    live(folder, START_S + 3600).close()
+    growing = mapped.store.whole().header.segments
+    mapped.store.close()
+    live(folder, START_S + 3600).store.close()
     finished = read_header(folder / mapped.status.name).segments
     assert len(growing) == len(finished) == 1
     assert finished[0].end == PLACES, "what GPS measures itself ends no mapping"
