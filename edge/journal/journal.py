@@ -24,7 +24,7 @@ import msgspec
 import edge
 from edge.errors import ConfigError, reason
 from edge.files import DISK_ERRORS
-from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record
+from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record, as_written
 
 log = logging.getLogger(__name__)
 FILES = 10
@@ -91,7 +91,7 @@ class Journal:
 
     def encoded(self, record: Record) -> bytes:
         """A record of this moment as a line. TypeError or ValueError, of msgspec, where a field of it has none."""
-        return msgspec.json.encode({"unix_s": self.now_s, **msgspec.to_builtins(record)}) + b"\n"
+        return msgspec.json.encode({"unix_s": self.now_s, **as_written(record)}) + b"\n"
 
     def write(self, record: Record) -> bool:
         """Append a record of this moment; False, and reported, when it does not fit on the disk."""

@@ -11,7 +11,8 @@ Places are given in map coordinates everywhere: `place` is a row of a map, and `
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -20,9 +21,9 @@ SCHEMA = 2
 """1: journals without `journal_opened`, in which `map_excluded` was called `map_left_out`."""
 
 
-def unit(name: str, about: str) -> Meta:
-    """The unit of a field, "" for what has none, and what it is."""
-    return Meta(description=about, extra={"unit": name})
+def unit(name: str, about: str, digits: int | None = None) -> Meta:
+    """The unit of a field, "" for what has none, and what it is. digits: after the point, as the journal has it."""
+    return Meta(description=about, extra={"unit": name, "digits": digits})
 
 
 Direction = Annotated[
@@ -33,14 +34,30 @@ Order = Annotated[
 ]
 MapName = Annotated[str | UnsetType, unit("", "name of the map; only where [map] path is a folder of maps")]
 Place = Annotated[int, unit("row", "row of the place in its map")]
-Latitude = Annotated[float | None, unit("deg", "latitude (WGS 84), null where the map has no positions")]
-Longitude = Annotated[float | None, unit("deg", "longitude (WGS 84), null where the map has no positions")]
-Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from north, null where not known")]
-Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none")]
+Latitude = Annotated[float | None, unit("deg", "latitude (WGS 84), null where the map has no positions", 9)]
+Longitude = Annotated[float | None, unit("deg", "longitude (WGS 84), null where the map has no positions", 9)]
+Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from north, null where not known", 2)]
+Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none", 3)]
 
 
 class Record(msgspec.Struct, frozen=True, tag_field="event"):
     """A record whose key `event` names it; those of a plug-in are beside what writes them, and begin with its name."""
+
+
+def as_written(record: Record) -> dict[str, Any]:
+    """The keys of a record, its numbers as exact as the journal has them."""
+    fields: dict[str, Any] = msgspec.to_builtins(record)
+    for name, digits in _digits(type(record)):
+        if isinstance(value := fields.get(name), float):
+            fields[name] = round(value, digits)
+    return fields
+
+
+@cache
+def _digits(kind: type[Record]) -> tuple[tuple[str, int], ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    told = ((name, one.extra["digits"]) for name, hint in hints.items() for one in getattr(hint, "__metadata__", ()))
+    return tuple((name, digits) for name, digits in told if digits is not None)
 
 
 class JournalOpened(Record, frozen=True, tag="journal_opened"):
@@ -124,11 +141,11 @@ class PlaceFix(Record, frozen=True, tag="place"):
     lat_deg: Latitude
     lon_deg: Longitude
     heading_deg: Heading
-    sigma_along_m: Annotated[float, unit("m", "one standard deviation along the route")]
-    sigma_across_m: Annotated[float, unit("m", "one standard deviation across the route")]
+    sigma_along_m: Annotated[float, unit("m", "one standard deviation along the route", 2)]
+    sigma_across_m: Annotated[float, unit("m", "one standard deviation across the route", 2)]
     direction: Direction
     order: Order
-    uniqueness: Annotated[float, unit("", "uniqueness of the newest accepted match, see `frame`")]
+    uniqueness: Annotated[float, unit("", "uniqueness of the newest accepted match, see `frame`", 4)]
     matches: Annotated[int, unit("", "accepted matches that agree with the vehicle's motion")] = 1
     map: MapName = UNSET
     segment: Annotated[int, unit("", "number of the drive in its map, or in all maps of the folder together")] = 0
@@ -136,8 +153,8 @@ class PlaceFix(Record, frozen=True, tag="place"):
     checked_m: Annotated[
         float | UnsetType, unit("m", "how far apart its positions are, if all moved as its odometer and heading said")
     ] = UNSET
-    confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1")] = 0.0
-    velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it")] = 0.0
+    confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1", 3)] = 0.0
+    velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it", 4)] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
     by_lane: Annotated[bool, unit("", "whether nothing but the lane says where across the route it is")] = False
     points: Annotated[
@@ -179,18 +196,18 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
 
     place: Place
     way: Annotated[str, unit("", "the message that carried it, as in `way`")]
-    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)")]
-    lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)")]
-    sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth")]
+    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)", 9)]
+    lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)", 9)]
+    sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth", 3)]
     send_boot_s: Annotated[float, unit("s", "the autopilot's time since boot when it was sent")]
     age_s: Annotated[float, unit("s", "time from the moment of the position to sending")]
     distance_m: Distance
     again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
     map: MapName = UNSET
     level_along_m: Annotated[
-        float | None, unit("m", "protection level along the route, null where nothing bounds the position")
+        float | None, unit("m", "protection level along the route, null where nothing bounds the position", 2)
     ] = None
-    level_across_m: Annotated[float | None, unit("m", "protection level across the route")] = None
+    level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
     points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
 
 
@@ -207,7 +224,7 @@ class FixChecked(Record, frozen=True, tag="fix_checked"):
 
     place: Place
     moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]
-    remaining_m: Annotated[float, unit("m", "how far it still is from where the fix puts it")]
+    remaining_m: Annotated[float, unit("m", "how far it still is from where the fix puts it", 2)]
     map: MapName = UNSET
 
 
@@ -222,10 +239,10 @@ class GpsJudged(Record, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 
     state: Annotated[str, unit("", "cannot say, agrees, doubtful, disagrees, wrong, map wrong, or not recognized")]
-    east_m: Annotated[float | None, unit("m", "GPS less places, to the east, null where not known")] = None
-    north_m: Annotated[float | None, unit("m", "the same to the north")] = None
+    east_m: Annotated[float | None, unit("m", "GPS less places, to the east, null where not known", 1)] = None
+    north_m: Annotated[float | None, unit("m", "the same to the north", 1)] = None
     doubt: Annotated[
-        float | None, unit("", "evidence that GPS is wrong, as a share of what it takes to call it so, 0 to 1")
+        float | None, unit("", "evidence that GPS is wrong, as a share of what it takes to call it so, 0 to 1", 2)
     ] = None
 
 

@@ -204,10 +204,10 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
     lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -kept_m * kept[0], -kept_m * kept[1])
     place = replace(
         fix,
-        lat_deg=round(lat_deg, 9),
-        lon_deg=round(lon_deg, 9),
-        sigma_along_m=round(own_along_m, 2) if keeps_along else fix.sigma_along_m,
-        sigma_across_m=round(own_across_m, 2) if keeps_across else fix.sigma_across_m,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        sigma_along_m=own_along_m if keeps_along else fix.sigma_along_m,
+        sigma_across_m=own_across_m if keeps_across else fix.sigma_across_m,
     )
     return Best(place, (keeps_along, keeps_across))
 

@@ -96,12 +96,12 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
         lat_deg=position.lat_deg if position else None,
         lon_deg=position.lon_deg if position else None,
         heading_deg=position.heading_deg if position else None,
-        sigma_along_m=round(math.hypot(max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M), map_m), 2),
-        sigma_across_m=round(math.hypot(rig.sigma_across_m, map_m), 2),
+        sigma_along_m=math.hypot(max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M), map_m),
+        sigma_across_m=math.hypot(rig.sigma_across_m, map_m),
         direction=match.direction,
         order=match.order,
-        uniqueness=round(match.uniqueness, 4),
-        confidence=round(match.confidence, 3),
+        uniqueness=match.uniqueness,
+        confidence=match.confidence,
         map=UNSET if match.map is None else match.map,
     )
 

@@ -234,6 +234,6 @@ class PositionUse:
             self.command.pause.failed(now_ns)
 
     def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
-        self._publisher.record(FixChecked(fix.place, moved, round(off_m, 2), fix.map))
+        self._publisher.record(FixChecked(fix.place, moved, off_m, fix.map))
         if not moved:
             self._publisher.warn(f"Lookback: {what}, position {off_m:.0f} m off")

@@ -132,11 +132,7 @@ class GpsNews:
         if verdict.state == before or (not before and verdict.state == "cannot say"):
             return False
         self._published = verdict.state
-        east_m, north_m, doubt = (
-            None if value is None else round(value, digits)
-            for value, digits in ((verdict.east_m, 1), (verdict.north_m, 1), (verdict.doubt, 2))
-        )
-        self._publisher.record(GpsJudged(verdict.state, east_m, north_m, doubt))
+        self._publisher.record(GpsJudged(verdict.state, verdict.east_m, verdict.north_m, verdict.doubt))
         if verdict.state in GPS_TEXTS and (verdict.state != "agrees" or before == "wrong"):
             self._publisher.warn(GPS_TEXTS[verdict.state].format(verdict.where))
         return verdict.state == "wrong"

@@ -148,8 +148,7 @@ class PositionSender:
         fix, before = refused.fix, self._withheld
         self._refused = refused
         if fix is not None and (before is None or str(refused) != before.reason):
-            distance_m = None if refused.distance_m is None else round(refused.distance_m, 3)
-            self._withheld = FixWithheld(fix.place, str(refused), distance_m, fix.map)
+            self._withheld = FixWithheld(fix.place, str(refused), refused.distance_m, fix.map)
             self._publisher.record(self._withheld)
 
     def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
@@ -187,7 +186,7 @@ class PositionSender:
                 fix.sigma_m,
                 sending.boot_s,
                 sending.age_s,
-                round(distance_from(own, fix), 3) if own else None,
+                distance_from(own, fix) if own else None,
                 sent.is_again,
                 fix.map,
                 *level_m(sent.fix.level),

@@ -44,11 +44,11 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     """
 
     stamp_ns: Annotated[int, unit("ns", "the exposure of the position; the moment itself where it is withheld")]
-    speed_mps: Annotated[float, unit("m/s", "speed of the vehicle")]
-    driven_m: Annotated[float | None, unit("m", "distance driven since the start of the run")] = None
+    speed_mps: Annotated[float, unit("m/s", "speed of the vehicle", 2)]
+    driven_m: Annotated[float | None, unit("m", "distance driven since the start of the run", 2)] = None
     withheld: Annotated[str, unit("", 'why no position would have been published; "" where one would')] = ""
-    gps_lat_deg: Annotated[float | None, unit("deg", "latitude of the autopilot at stamp_ns, null: unknown")] = None
-    gps_lon_deg: Annotated[float | None, unit("deg", "its longitude")] = None
+    gps_lat_deg: Annotated[float | None, unit("deg", "latitude of the autopilot at stamp_ns, null: unknown", 9)] = None
+    gps_lon_deg: Annotated[float | None, unit("deg", "its longitude", 9)] = None
     gps_sigma_m: Annotated[
         float | None, unit("m", "one standard deviation of its distance from the truth, as the receiver reports it")
     ] = None
@@ -56,8 +56,8 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     lat_deg: Latitude = None
     lon_deg: Longitude = None
     heading_deg: Heading = None
-    sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along the route")] = None
-    sigma_across_m: Annotated[float | None, unit("m", "one standard deviation across the route")] = None
+    sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along the route", 2)] = None
+    sigma_across_m: Annotated[float | None, unit("m", "one standard deviation across the route", 2)] = None
     direction: Direction | None = None
     order: Order | None = None
     map: MapName = UNSET
@@ -132,16 +132,10 @@ class Shadow:
 
 
 def _compared(one: _Waiting, own: VehiclePosition | None) -> ShadowPosition:
-    driven_m = None if one.driven_m is None else round(one.driven_m, 2)
-    found = ShadowPosition(one.stamp_ns, round(one.speed_mps, 2), driven_m)
+    found = ShadowPosition(one.stamp_ns, one.speed_mps, one.driven_m)
     if own is not None:
-        found = replace(
-            found,
-            gps_lat_deg=round(own.lat_deg, 9),
-            gps_lon_deg=round(own.lon_deg, 9),
-            gps_sigma_m=own.sigma_m,
-            gps_source=own.source,
-        )
+        gps = {"gps_lat_deg": own.lat_deg, "gps_lon_deg": own.lon_deg}
+        found = replace(found, **gps, gps_sigma_m=own.sigma_m, gps_source=own.source)
     if not isinstance(one.answer, Fix):
         return replace(found, withheld=one.answer)
     place = one.answer.place
@@ -149,7 +143,7 @@ def _compared(one: _Waiting, own: VehiclePosition | None) -> ShadowPosition:
         found,
         lat_deg=place.lat_deg,
         lon_deg=place.lon_deg,
-        heading_deg=None if place.heading_deg is None else round(place.heading_deg, 1),
+        heading_deg=place.heading_deg,
         sigma_along_m=place.sigma_along_m,
         sigma_across_m=place.sigma_across_m,
         direction=place.direction,

@@ -264,6 +264,14 @@ def test_every_kind_of_record_is_read_as_it_was_written(path: Path) -> None:
     assert list(records_of(path, FixAnswered)) == [FixAnswered(4, "ACCEPTED")]
 
 
+def test_the_journal_rounds_what_rules_decide_by_as_it_is(path: Path) -> None:
+    journal = Journal(path)
+    journal.write(PlaceFix(9, 4, -27.12345678949, None, 89.996, 2.004999, 1.5, "forward", "same", 1.23456))
+    journal.close()
+    (written,) = records_of(path, PlaceFix)
+    assert written == PlaceFix(9, 4, -27.123456789, None, 90.0, 2.0, 1.5, "forward", "same", 1.2346)
+
+
 def test_what_is_not_known_is_passed_on_as_it_is(path: Path) -> None:
     write(path, "one")
     with path.open("ab") as file:
