@@ -51,6 +51,6 @@ class Draft:
         self.way = way
         self.legs = list(legs) or [Leg(way.length_m - 2)]
 
-    def road(self, **changes: int | str) -> Scenario:
+    def road(self, **changes: float | str) -> Scenario:
         """The road as seen tonight, with changes: another `seed`, the other `direction`."""
         return msgspec.structs.replace(self.home, **changes)

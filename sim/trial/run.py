@@ -131,13 +131,14 @@ class Drive:
 
 
 def map_scenario(home: Scenario, camera: tuple[View, LightName, int] = ("rear", "day", 1)) -> Scenario:
-    """The drive that makes the map of a road; camera: view, light and seed of the drive."""
+    """The drive that makes the map of a road, by a level camera; camera: its view, the light and the drive's seed."""
     view, light, drive_seed = camera
-    return msgspec.structs.replace(home, view=view, light=light, direction="forward", drive_seed=drive_seed)
+    level = msgspec.structs.replace(home, camera_down_deg=0.0, camera_right_deg=0.0)
+    return msgspec.structs.replace(level, view=view, light=light, direction="forward", drive_seed=drive_seed)
 
 
 def _track(draft: Draft, simulation: Simulation) -> Track:
-    time_s, along_m, left_m, east_m, north_m, error_m, gps = np.array(simulation.rows).T
+    time_s, along_m, left_m, east_m, north_m, error_m, gps, _ = np.array(simulation.rows).T
     end_east_m, end_north_m, _ = draft.way.at(draft.legs[-1].to_m)
     end_off_m = math.hypot(east_m[-1] - end_east_m, north_m[-1] - end_north_m)
     return Track(time_s, along_m, left_m, error_m, gps != 0, end_off_m)

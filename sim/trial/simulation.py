@@ -104,7 +104,7 @@ class Simulation:
         self._driven(driver.along_m - (self.rows[-1][1] if self.rows else 0.0))
         pose, error_m, has_gps = driver.pose, self.autopilot.estimate.error_m, self.gps(self.time_s()).usable
         at_m = driver.along_m, driver.left_m, pose.east_m, pose.north_m
-        self.rows.append((self.time_s(), *at_m, error_m, has_gps))
+        self.rows.append((self.time_s(), *at_m, error_m, has_gps, math.degrees(driver.heading_rad)))
         # One whose odometer is wrong may go past the end of its way, where it sees what is to be seen there.
         last_m = len(way.route_m) - 1
         row = min(int(driver.along_m), last_m)

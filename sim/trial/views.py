@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from edge.config import DescriptorConfig
 from edge.descriptor.network import Network, pictures_for
 from edge.files import replacing
+from edge.keypoints import Keypoints
 from sim import Pose
 from sim.world.camera import open_renderer
 from sim.world.drive import Drive
@@ -40,8 +41,12 @@ class RoadViews:
         self.drive: Drive = scenario.drive()
         self._scenario, self._network = scenario, network
         self._renderer: Renderer | None = None
+        self.keypoints: dict[tuple[float, float], Keypoints] = {}
+        """Of pictures of the map's drive, by `picture`'s arguments, for whoever finds them."""
         keys = ("seed", "length_m", "light", "view", "direction", "drive_seed")
         known_by = [network.info.sha256[:12], *(f"{getattr(scenario, key):}" for key in keys)]
+        mounted = scenario.camera_down_deg, scenario.camera_right_deg
+        known_by += [f"{one:g}" for one in mounted if any(mounted)]
         self._path = folder / f"{'_'.join(known_by)}.npz"
         self._known: dict[Cell, NDArray[np.float16]] = {}
         if self._path.exists():

@@ -134,33 +134,47 @@ class Bench:
                 yield None
 
 
-def tables(
-    roads: Sequence[int], map_of: Callable[[int, str], ReferenceMap], drive_of: Callable[[int, str, LightName], Path]
-) -> Iterator[str]:
-    """On the maps of some roads, then off them."""
-    bench, seen = Bench(), dict[str, list[Mapped]]()
-    yield "| drive | light | first belief after | standing | believed | wrong |"
-    yield "|---|---|---|---|---|---|"
-    for drive, lights in LIGHTS.items():
-        seen[drive] = []
-        for road in roads:
-            reference = map_of(road, "front" if drive == "front" else "rear")
-            mapped = Mapped(reference, {})
+class Tables:
+    """What is believed on the maps of some roads, and off them; draws: each finds the drives that it has."""
+
+    def __init__(
+        self,
+        roads: Sequence[int],
+        map_of: Callable[[int, str], ReferenceMap],
+        draws: Sequence[Callable[[int, str, LightName], Path]],
+    ) -> None:
+        self._roads, self._map_of, self._draws, self._bench = roads, map_of, draws, Bench()
+
+    def on_map(self, only: Sequence[LightName] | None = None) -> Iterator[str]:
+        """Rows of the table by drive and light; only: some lights."""
+        yield "| drive | light | first belief after | standing | believed | wrong |"
+        yield "|---|---|---|---|---|---|"
+        for drive, lights in LIGHTS.items():
+            for light in (one for one in lights if only is None or one in only):
+                seen = [one for draw in self._draws for one in self._mapped(drive, (light,), draw)]
+                yield f"| {drive} | {light} | {' | '.join(_on_map(self._bench, seen, light))} |"
+
+    def off_map(self) -> Iterator[str]:
+        """Rows of the table by where the vehicle is, of the first draw."""
+        seen = {drive: list(self._mapped(drive, OFF_MAP_LIGHTS, self._draws[0])) for drive in LIGHTS}
+        yield "| a road that is not mapped | frames | believed without keypoints | with them |"
+        yield "|---|---|---|---|"
+        for where in (NOWHERE, *LAYOUTS):
+            confidences = [
+                np.concatenate(list(_off_map(self._bench, seen, where, looks=looks))) for looks in (False, True)
+            ]
+            least = Config().acceptance.confidence_from
+            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
+            yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
+
+    def _mapped(
+        self, drive: str, lights: Sequence[LightName], draw: Callable[[int, str, LightName], Path]
+    ) -> Iterator[Mapped]:
+        for road in self._roads:
+            mapped = Mapped(self._map_of(road, "front" if drive == "front" else "rear"), {})
             for light in lights:
-                mapped.drives[light] = Filmed(drive_of(road, drive, light), mapped.origin)
-            seen[drive].append(mapped)
-        for light in lights:
-            yield f"| {drive} | {light} | {' | '.join(_on_map(bench, seen[drive], light))} |"
-    yield from [
-        "",
-        "| a road that is not mapped | frames | believed without keypoints | with them |",
-        "|---|---|---|---|",
-    ]
-    for where in (NOWHERE, *LAYOUTS):
-        confidences = [np.concatenate(list(_off_map(bench, seen, where, looks=looks))) for looks in (False, True)]
-        least = Config().acceptance.confidence_from
-        cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
-        yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
+                mapped.drives[light] = Filmed(draw(road, drive, light), mapped.origin)
+            yield mapped
 
 
 def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator[str]:

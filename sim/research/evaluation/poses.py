@@ -5,7 +5,8 @@
     python -m sim.research.evaluation.poses 9601 --folder DRIVES --light dusk --map-mounted 3 0
 
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
-What is believed: see `looks`. What is made stays in the folder, and is not made again.
+What is believed: see `looks`; --off-map prints what is believed where no place is right. What is made stays in the
+folder, and is not made again.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ DRIVES: dict[str, tuple[View, Scenario]] = {
 """The view of the map's camera, and the drive on it: half a meter beside, and in the lane of the way home."""
 LIGHTS: tuple[LightName, ...] = ("dusk", "night", "snow")
 AROUND = 2
+DRAWS = 100
+"""Between the seeds of two draws of a drive: of its speed, other cars, lit windows and noise."""
 
 
 def main() -> None:
@@ -54,19 +57,29 @@ def main() -> None:
     parser.add_argument("roads", nargs="+", type=int, metavar="SEED")
     parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
     parser.add_argument("--believed", action="store_true", help="what the recognizer believes, in place of poses")
+    parser.add_argument("--off-map", action="store_true", help="what it believes where no place is right; not written")
+    draws = "drives of each light on each road, for what is believed (default 1)"
+    parser.add_argument("--draws", type=int, default=1, metavar="N", help=draws)
     parser.add_argument("--write", type=Path, metavar="PAGE")
-    parser.add_argument("--light", choices=LIGHTS, action="append", help="only this one")
+    lights = sorted({*LIGHTS, *(light for some in looks.LIGHTS.values() for light in some)})
+    parser.add_argument("--light", choices=lights, action="append", help="only this one")
     for option, whose in (("--map-mounted", "the map's"), ("--mounted", "the other")):
         about = f"degrees by which {whose} camera looks down, and to the right"
         parser.add_argument(option, type=float, nargs=2, default=(0.0, 0.0), metavar=("DOWN", "RIGHT"), help=about)
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    if args.believed:
-        publish(
-            "looks", looks.tables(args.roads, partial(_long_map, args.folder), partial(_long, args.folder)), args.write
+    mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
+    if args.believed or args.off_map:
+        tables = looks.Tables(
+            args.roads,
+            partial(_long_map, args.folder, mounts[0]),
+            [partial(_long, args.folder, mounts[1], draw) for draw in range(args.draws)],
         )
+        if args.believed:
+            publish("looks", tables.on_map(args.light), args.write)
+        if args.off_map:
+            print("\n".join(tables.off_map()))
     else:
-        mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
         cases = product(DRIVES, args.light or LIGHTS, args.roads)
         publish("poses", _poses(args.folder, cases, mounts), args.write)
 
@@ -77,13 +90,14 @@ def _poses(folder: Path, cases: Iterable[tuple[str, LightName, int]], mounts: tu
     yield from (_row(folder, *case, *mounts) for case in cases)
 
 
-def _long(folder: Path, road: int, drive: str, light: LightName) -> Path:
-    scenario = replace(DRIVES[drive][1], seed=road, light=light, length_m=looks.LENGTH_M)
-    return _drive(folder / f"{road}_{looks.LENGTH_M:g}m_{drive}_{light}", scenario, looks.SPACING_M)
+def _long(folder: Path, mounted: _Mount, draw: int, road: int, drive: str, light: LightName) -> Path:
+    made = mounted.of(replace(DRIVES[drive][1], seed=road, light=light, length_m=looks.LENGTH_M))
+    name = f"{road}_{looks.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(draw)
+    return _drive(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), looks.SPACING_M)
 
 
-def _long_map(folder: Path, road: int, view: View) -> ReferenceMap:
-    return _map(folder, road, view, _Mount(0.0, 0.0), looks.LENGTH_M)
+def _long_map(folder: Path, mounted: _Mount, road: int, view: View) -> ReferenceMap:
+    return _map(folder, road, view, mounted, looks.LENGTH_M)
 
 
 class _Mount(NamedTuple):

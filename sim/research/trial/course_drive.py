@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig
+from edge.journal.records import FrameUsed, PlaceFix
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.link import Link
 from edge_plugins.mapping import MappingConfig
@@ -21,9 +22,10 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from edge_plugins.motion.height import WINDOWS_MOST
 from sim import ORIGIN_ALT_M, Pose, geodetic
+from sim.journal import records_of
 from sim.research.trial.course import Course, CourseDraft, drafted
 from sim.research.trial.course_map import build_map
-from sim.research.trial.course_rules import CourseRun, failures, within_protection_level
+from sim.research.trial.course_rules import WRONG_M, CourseRun, failures, within_protection_level
 from sim.trial.cameras import TrialCamera, View
 from sim.trial.driver import Driver, Leg
 from sim.trial.records import Array, Run
@@ -32,6 +34,7 @@ from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
 from sim.vehicle.gps import NO_FIX, GpsReport
+from sim.vehicle.position_inputs import east_north_m
 from sim.world.scenario import Scenario
 from sim.world.sensor import CAMERA_HIGH_M
 
@@ -184,7 +187,7 @@ class CourseDrive(Drive):
             config,
             camera=replace(config.camera, kind="stream" if draft.late_s else "sim", fov_deg=Scenario().fov_deg),
             gates=GatesConfig(doubted_gps=draft.doubted_gps),
-            telemetry=replace(config.telemetry, emit=draft.emit, origin=origin),
+            telemetry=replace(config.telemetry, emit=draft.emit, origin=origin, journal_frames=True),
             plugins={**config.plugins, "motion": MotionConfig(use=draft.motion), "mapping": mapping},
         )
 
@@ -217,8 +220,30 @@ class CourseDrive(Drive):
             texts=texts,
             source_set=autopilot.inputs.source_set,
             lane_m=self._from_lane_m(run),
+            **self._looked(simulation),
         )
         return dataclasses.replace(told, failures=failures(told, (*self.draft.rules, within_protection_level)))
+
+    def _looked(self, simulation: Simulation) -> dict[str, Any]:
+        """How far headings are off, and how many frames were believed, by the journal: fields of CourseRun."""
+        rows = np.array(simulation.rows)
+
+        def true(stamp_ns: int, *columns: int) -> list[float]:
+            return [float(np.interp(simulation.time_s(stamp_ns / 1e9), rows[:, 0], rows[:, one])) for one in columns]
+
+        turned_deg = [
+            math.remainder(one.heading_deg - true(one.stamp_ns, 7)[0], 360.0)
+            for one in records_of(self.journal, PlaceFix)
+            if one.points and one.heading_deg is not None
+        ]
+        frames = list(records_of(self.journal, FrameUsed))
+        off_m = [
+            math.dist(east_north_m(one.lat_deg, one.lon_deg, self.draft.lon_shift_deg), true(one.stamp_ns, 3, 4))
+            for one in frames
+            if one.accepted and one.lat_deg is not None and one.lon_deg is not None
+        ]
+        wrong = sum(one > WRONG_M for one in off_m)
+        return {"turned_deg": np.array(turned_deg), "used": len(frames), "believed": len(off_m), "wrong": wrong}
 
     def _from_lane_m(self, run: Run) -> Array:
         """How far positions are from where the map would have the vehicle, whose errors are those of its places."""

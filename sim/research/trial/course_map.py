@@ -76,7 +76,9 @@ def _drive_stretch(
         at_m = draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m
         builder.add(looks_at.raw(*at_m), _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
         if builder.keypoints and finder:
-            builder.keypoints.add(finder.extract(looks_at.picture(*at_m), MOST))
+            if at_m not in looks_at.keypoints:
+                looks_at.keypoints[at_m] = finder.extract(looks_at.picture(*at_m), MOST)
+            builder.keypoints.add(looks_at.keypoints[at_m])
     return np.column_stack([places_m, off_m])
 
 

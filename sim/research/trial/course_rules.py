@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Array, Run, lane_off_m, lost_s
 
-FALSE_M = 40.0
+FALSE_M, WRONG_M = 40.0, 20.0
+"""Of a position from the truth, and of the place that a frame is believed to show."""
 LINE_M = 80.0
 FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S = 3.0
@@ -42,6 +43,8 @@ class CourseRun(Run):
     after_m: the autopilot's error after each position that moved it. texts: STATUSTEXT, with its time and severity.
     source_set: of ArduPilot's filter, at the end. lane_m: how far positions (n, 2) are along the way and across it from
     where the map, with its errors, would have the vehicle: from the lane that was taught. Of none on several drives.
+    turned_deg: how far the headings of places (n,) are off that rest on looks. used, believed, wrong: frames, see
+    WRONG_M.
     """
 
     expected: NDArray[np.bool_]
@@ -49,6 +52,10 @@ class CourseRun(Run):
     texts: tuple[tuple[float, int, str], ...] = ()
     source_set: int = 1
     lane_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    turned_deg: Array = field(default_factory=lambda: np.empty(0))
+    used: int = 0
+    believed: int = 0
+    wrong: int = 0
     failures: tuple[Failure, ...] = ()
 
     @property

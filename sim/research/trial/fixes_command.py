@@ -18,7 +18,7 @@ from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_keypoints
-from sim.research.trial.table import HEADER, CourseScore, in_short, line, looks_table, put_between
+from sim.research.trial.table import HEADER, CourseScore, in_short, line, looks_table, odometers_table, put_between
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -27,12 +27,16 @@ LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
 class Planned(NamedTuple):
-    """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`."""
+    """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`.
+
+    odometer: percent by which the wheels are wrong, see `drafted`.
+    """
 
     course: str
     seed: int
     world: int
     keypoints: bool = False
+    odometer: float | None = None
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -52,8 +56,8 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--length-m", type=float, default=LENGTH_M, metavar="M", help=length)
     roads = f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})"
     parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
-    odometer = "by which the wheels are wrong, for courses that do not say so themselves (default 3)"
-    parser.add_argument("--odometer", type=float, metavar="PERCENT", help=odometer)
+    odometer = "by which the wheels are wrong, for courses that do not say so themselves (default 3); several: compared"
+    parser.add_argument("--odometer", type=_percents, default=(None,), metavar="PERCENTS", help=odometer)
     keypoints = "drive each on a map with keypoints as well, and compare both with the lane that was taught"
     parser.add_argument("--keypoints", action="store_true", help=keypoints)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
@@ -72,19 +76,20 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     runs = drive_all(plan(args), args)
-    scores = compare_looks(runs) if args.keypoints else judge(runs)
-    print("\n" + "\n".join([HEADER, *(score.row() for score in scores)]))
-    if args.keypoints:
-        print("\n" + looks_table(scores))
+    scores = compare(runs) if args.keypoints or len(args.odometer) > 1 else judge(runs)
+    name, table = "results", in_short(scores)
+    if len(args.odometer) > 1:
+        name, table = "odometers", odometers_table(scores)
+    elif args.keypoints:
+        name, table = "keypoints", looks_table(scores)
+    print("\n" + "\n".join([HEADER, *(score.row() for score in scores), *(["", table] if name != "results" else [])]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
-        what += "" if args.odometer is None else f" --odometer {args.odometer:g}"
-        what += " --keypoints" * args.keypoints
-        table = looks_table(scores) if args.keypoints else in_short(scores)
-        name = "keypoints" if args.keypoints else "results"
+        odometers = ",".join(f"{one:g}" for one in args.odometer if one is not None)
+        what += f" --odometer {odometers}" * bool(odometers) + " --keypoints" * args.keypoints
         put_between(name, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
@@ -99,7 +104,10 @@ def plan(args: argparse.Namespace) -> list[Planned]:
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
     maps = (False, True) if args.keypoints else (False,)
     return [
-        Planned(name, seed, args.worlds[turn % len(args.worlds)], one) for name, seed, turn in drives for one in maps
+        Planned(name, seed, args.worlds[turn % len(args.worlds)], has_keypoints, odometer)
+        for name, seed, turn in drives
+        for odometer in args.odometer
+        for has_keypoints in maps
     ]
 
 
@@ -125,16 +133,15 @@ def judge(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     return scores
 
 
-def compare_looks(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
-    """Each course without keypoints, and with them."""
-    return [
-        CourseScore(
-            f"{name}, {what}",
-            tuple(run for one, run in runs.items() if one.course == name and one.keypoints == has_keypoints),
-        )
-        for name in dict.fromkeys(one.course for one in runs)
-        for has_keypoints, what in ((False, "lines"), (True, "looks"))
-    ]
+def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
+    """Each course by its odometers, without keypoints and with them."""
+    found: dict[str, list[CourseRun]] = {}
+    for one, run in runs.items():
+        odometer = "" if one.odometer is None else f", {one.odometer:g} %"
+        found.setdefault(f"{one.course}{odometer}, {'looks' if one.keypoints else 'lines'}", []).append(run)
+    names = [one.course for one in runs]
+    of_course = sorted(found, key=lambda name: names.index(name.split(", ")[0]))
+    return [CourseScore(name, tuple(found[name])) for name in of_course]
 
 
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, CourseRun]:
@@ -142,7 +149,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     args.output.mkdir(parents=True, exist_ok=True)
     worlds = list(dict.fromkeys(one.world for one in planned))
     parts = [[one for one in planned if one.world in worlds[job :: args.jobs]] for job in range(args.jobs)]
-    of_part = partial(drive_part, length_m=args.length_m, folder=args.output, odometer=args.odometer)
+    of_part = partial(drive_part, length_m=args.length_m, folder=args.output)
     if args.jobs == 1:
         found = [of_part(planned)]
     else:
@@ -151,9 +158,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     return {one: run for runs in found for one, run in runs.items()}
 
 
-def drive_part(
-    planned: Sequence[Planned], length_m: float, folder: Path, odometer: float | None = None
-) -> dict[Planned, CourseRun]:
+def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:
     """Drives in one process."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     library, runs = RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views"), {}
@@ -162,8 +167,9 @@ def drive_part(
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
             course = on_keypoints(COURSES[one.course]) if one.keypoints else COURSES[one.course]
-            runs[one] = drive(course, one.seed, length_m, one.world, journals, library, odometer)
+            runs[one] = drive(course, one.seed, length_m, one.world, journals, library, one.odometer)
             which = ", keypoints" * one.keypoints
+            which += "" if one.odometer is None else f", {one.odometer:g} %"
             print(line(f"{one.course}{which}", runs[one]), flush=True)
     finally:
         library.save()
@@ -176,6 +182,11 @@ def _worlds(text: str) -> tuple[int, ...]:
     return tuple(int(world) for world in text.split(","))
 
 
+def _percents(text: str) -> tuple[float, ...]:
+    """Separated by commas."""
+    return tuple(float(percent) for percent in text.split(","))
+
+
 def _check(args: argparse.Namespace) -> None:
     for name in args.course.split(","):
         if name not in ("all", *COURSES):
@@ -186,7 +197,8 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError("--runs: at least 1")
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
-    if args.odometer is not None and not 0 <= args.odometer <= 50:
-        raise ConfigError(f"--odometer: {args.odometer:g} is not between 0 and 50")
+    for percent in args.odometer:
+        if percent is not None and not 0 <= percent <= 50:
+            raise ConfigError(f"--odometer: {percent:g} is not between 0 and 50")
     if not SHORTEST_M <= args.length_m <= 20000:
         raise ConfigError(f"--length-m: {args.length_m:g} is not between {SHORTEST_M:g} and 20000")

@@ -33,7 +33,8 @@ def line(name: str, run: CourseRun) -> str:
     lanes = ", ".join(f"{lane_off_m(track):.1f} m" for track in (run.track, run.alone))
     return (
         f"{name:<26} seed {run.seed:3d} road {run.world:3d}  {len(sent.time_s):4d} positions  {_spread(sent.error_m)}"
-        f"  first after {run.first_after_m:.0f} m  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
+        f"  first after {run.first_after_m:.0f} m  believed {run.believed} of {run.used}, wrong {run.wrong}"
+        f"  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
     )
 
 
@@ -123,11 +124,13 @@ def looks_table(scores: Sequence[CourseScore]) -> str:
     """
     head = (
         "| course | drives | positions | from the truth | from the taught lane: along | across"
-        " | in sigmas, rms / largest | cross-track 95 %, alone | first after |\n|---|---|---|---|---|---|---|---|---|"
+        " | heading, rms | in sigmas, rms / largest | cross-track 95 %, alone | first after | believed | wrong |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|---|"
     )
     rows = []
     for one in scores:
         lane_m, sigmas = np.concatenate([run.lane_m for run in one.runs]), one.sigmas
+        turned_deg, used = np.concatenate([run.turned_deg for run in one.runs]), sum(run.used for run in one.runs)
         cells = (
             one.name,
             f"{len(one.runs)}",
@@ -135,12 +138,32 @@ def looks_table(scores: Sequence[CourseScore]) -> str:
             _spread(np.concatenate([run.sent.error_m for run in one.runs]), 2),
             _spread(np.abs(lane_m[:, 0]), 2),
             _spread(np.abs(lane_m[:, 1]), 2),
+            f"{_rms(turned_deg):.2f} deg" if len(turned_deg) else "-",
             f"{_rms(sigmas):.2f} / {sigmas.max():.1f}" if len(sigmas) else "-",
             _beside([abs(run.track.left_m) for run in one.runs], [abs(run.alone.left_m) for run in one.runs]),
             f"{np.nanmedian([run.first_after_m for run in one.runs]):.0f} m",
+            f"{sum(run.believed for run in one.runs)} of {used}",
+            f"{sum(run.wrong for run in one.runs)}",
         )
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join([head, *rows])
+
+
+def odometers_table(scores: Sequence[CourseScore]) -> str:
+    """What the autopilot made of positions, with Lookback and without; scores: of courses by odometer."""
+    both = "median / 95 %, alone"
+    rows = [f"| course | drives | autopilot's error, {both} | cross-track, {both} |\n|---|---|---|---|"]
+    for one in scores:
+        tracks = [(run.track, run.alone) for run in one.runs]
+        error_m = [np.concatenate([pair[which].error_m for pair in tracks]) for which in range(2)]
+        left_m = [np.concatenate([np.abs(pair[which].left_m) for pair in tracks]) for which in range(2)]
+        cells = (", ".join(_halves(found_m) for found_m in of) for of in (error_m, left_m))
+        rows.append(f"| {one.name} | {len(tracks)} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _halves(off_m: Array) -> str:
+    return " / ".join(f"{one:.1f}" for one in np.percentile(off_m, (50, 95))) + " m"
 
 
 def _short(rows: str) -> str:

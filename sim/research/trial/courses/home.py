@@ -9,7 +9,7 @@ from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, Stretch
 from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
-from sim.research.trial.ways import turned_twice
+from sim.research.trial.ways import beside, turned_twice
 from sim.trial.driver import Leg
 from sim.trial.take_me_home import SET_OFF_M, home_by, out_and_home
 from sim.trial.way import along
@@ -42,6 +42,24 @@ def _repeat(draft: CourseDraft, value: str) -> None:
     draft.home = draft.road(light=value, direction="forward")
     draft.map = [Stretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
     draft.drive(along(draft.home, 0.0, draft.length_m))
+
+
+@course("G", "repeat-beside-{}", 6, 8)
+def _repeat_beside(draft: CourseDraft, value: float) -> None:
+    """As repeat-dusk, so many meters beside the lane of the map; a person drives."""
+    _repeat(draft, "dusk")
+    left_m = value * draft.rng.choice((-1.0, 1.0))
+    draft.map = [replace(draft.map[0], left_m=0.0)]
+    draft.drive(beside(draft.way, lambda m: left_m))
+    draft.steers = False
+
+
+@course("G", "home-{}", "right-3", "right-8", "down-3")
+def _home_knocked(draft: CourseDraft, value: str) -> None:
+    """The main task at dusk, with a camera that was knocked by so many degrees since the map was made."""
+    way, degrees = value.split("-")
+    draft.home = draft.road(light="dusk", **{f"camera_{way}_deg": float(degrees)})
+    draft.drive(along(draft.home, draft.length_m, 0.0))
 
 
 @course("G", "home-dusk", rules=(*USUAL, close, sends, resumes))

@@ -30,6 +30,7 @@ from sim.research.trial.table import (
     in_short,
     line,
     looks_table,
+    odometers_table,
     put_between,
 )
 from sim.research.trial.ways import joined, placed
@@ -331,12 +332,30 @@ def test_keypoints_are_compared_course_by_course_with_lines() -> None:
     lane_m = np.column_stack([np.full(50, 0.2), np.full(50, -0.1)])
     runs = {one: run_of(lane_m=lane_m if one.keypoints else 10 * lane_m) for one in planned}
     names = [f"{name}, {what}" for name in ("home", "person") for what in ("lines", "looks")]
-    table = [row.split(" | ") for row in looks_table(command.compare_looks(runs)).splitlines()[2:]]
+    table = [row.split(" | ") for row in looks_table(command.compare(runs)).splitlines()[2:]]
     assert [row[0].lstrip("| ") for row in table] == names and {row[1] for row in table} == {"2"}
     assert [row[4:6] for row in table[:2]] == [
         ["2.00 / 2.00 / 2.00 m", "1.00 / 1.00 / 1.00 m"],
         ["0.20 / 0.20 / 0.20 m", "0.10 / 0.10 / 0.10 m"],
     ]
+
+
+def test_headings_and_beliefs_of_drives_are_counted_together() -> None:
+    runs = tuple(run_of(turned_deg=np.full(2, one), used=50, believed=40, wrong=3) for one in (-1.0, 7.0))
+    row = looks_table([CourseScore("home, looks", runs)]).splitlines()[2].split(" | ")
+    assert row[6] == "5.00 deg" and row[-2:] == ["80 of 100", "6 |"]
+
+
+def test_odometers_are_compared_course_by_course() -> None:
+    planned = command.plan(_options(["--course", "home,person", "--odometer", "0.3,8", "--worlds", "7,8"]))
+    assert len(planned) == 20 and [one.odometer for one in planned[:3]] == [0.3, 8.0, 0.3]
+    assert [one.world for one in planned[:4]] == [7, 7, 8, 8]
+    track = replace(straight(), error_m=np.full(600, 4.0))
+    runs = {one: run_of(track=track) if one.odometer == 8.0 else run_of() for one in planned}
+    table = [row.split(" | ") for row in odometers_table(command.compare(runs)).splitlines()[2:]]
+    names = [f"| {name}, {odometer} %, lines" for name in ("home", "person") for odometer in ("0.3", "8")]
+    assert [row[0] for row in table] == names and {row[1] for row in table} == {"5"}
+    assert [row[2] for row in table[:2]] == ["5.0 / 5.0 m, 5.0 / 5.0 m", "4.0 / 4.0 m, 5.0 / 5.0 m"]
 
 
 @pytest.mark.long
