@@ -15,18 +15,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
+import numpy as np
 from msgspec import structs
 
 from edge.config import Config, RigConfig
-from edge.geodesy import east_north_of, moved, moved_left
+from edge.geodesy import Origin, east_north_of, moved, moved_left
 from edge.localization.bound import Anchor
 from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
 from edge.localization.gps_comparison import Comparison
+from edge.localization.gps_drag import SECOND_M
 from edge.localization.gps_referee import DOUBTFUL, GpsReferee, GpsVerdict
+from edge.localization.look import HOLDS_M, Look
 from edge.localization.own_motion import Departure, GpsTrack
 from edge.localization.place_fix import heads_along, line_middle, map_error_m, match_position, position_on_route
-from edge.localization.route_estimate import CORRELATION_M
+from edge.localization.route_estimate import CORRELATION_M, left_of
+from edge.localization.sighting import Sighting, Sightings
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
@@ -48,10 +53,12 @@ class GpsJudge:
 
     def __init__(self, config: Config) -> None:
         gates = config.gates
-        self._rig, self._length = config.rig, config.sequence_frames
+        self._config, self._rig = config, config.rig
         self._acts = gates.doubted_gps != "report"
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
         self._route: Route | None = None
+        self._sightings: Sightings | None = None
+        self._since_look_m = math.inf
         self._unseen_road: UnseenRoad | None = None
         self._track, self._departed = GpsTrack(gates.drift_percent / 100), Departure()
         self._is_unseen = False
@@ -63,7 +70,8 @@ class GpsJudge:
 
     def use_route(self, route: Route) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
-        self._route, self._unseen_road = route, UnseenRoad(route, self._rig)
+        self._route, self._sightings = route, Sightings(route, self._config)
+        self._unseen_road = UnseenRoad(route, self._rig)
 
     def reset(self) -> None:
         """No frame from before counts. What is known of GPS stays."""
@@ -76,18 +84,20 @@ class GpsJudge:
 
         anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
         """
-        assert self._route is not None and self._unseen_road is not None
+        assert self._route is not None and self._sightings is not None and self._unseen_road is not None
         # What GPS has helped to believe does not vouch for it.
         match, gps = frame.match.alone if frame.match else None, frame.gps
         if own.gps_sigma_m is None and anchor is not None:
             self._referee.keep_until_lost(anchor)
         comparison = None
         if match is not None:
-            comparison = compare(match, gps, self._route, self._rig, self._length, undated_m)
+            comparison = compare(match, gps, self._sightings, self._route, self._rig, undated_m)
+            comparison = self._unless_held(comparison, frame.missed)
         if comparison is not None:
             heading_deg = None if own.position is None else own.position.heading_deg
             heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
-            comparison = replace(comparison, motion=frame.without_gps) if heads else None
+            known = replace(comparison, motion=frame.without_gps, stamp_s=frame.stamp_ns / 1e9)
+            comparison = known if heads else None
         before = self._referee.verdict.state
         verdict = self._referee.update(comparison, frame.missed)
         self._track.add(gps, frame.without_gps)
@@ -95,6 +105,15 @@ class GpsJudge:
         self._unseen_road.update(match, _where(gps, own, frame), doubt)
         self._use_departure(self._unseen_road)
         return self._referee.verdict.state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
+
+    def _unless_held(self, comparison: Comparison | None, missed: int) -> Comparison | None:
+        """What a line says soon after a look is nothing new."""
+        if comparison is None:
+            return None
+        self._since_look_m += (1 + missed) * comparison.spacing_m
+        if comparison.look_sigma_m is not None:
+            self._since_look_m = 0.0
+        return comparison if self._since_look_m == 0 or self._since_look_m > HOLDS_M else None
 
     def _use_departure(self, road: UnseenRoad) -> None:
         """Not recognized where GPS has the vehicle: has GPS gone there as the vehicle has?"""
@@ -156,37 +175,85 @@ class GpsJudge:
         return structs.replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
 
 
+class _Place(NamedTuple):
+    """Where a match has the vehicle, its direction of travel, and one standard deviation along it, across, and each.
+
+    map_m: of the map in each direction, which is in the others. look_m: of a look without that, None of a line.
+    """
+
+    lat_deg: float
+    lon_deg: float
+    heading_rad: float
+    along_m: float
+    left_m: float
+    map_m: float
+    look_m: float | None = None
+
+
 def compare(
-    match: PlaceMatch, gps: GpsFix | None, route: Route, rig: RigConfig, length: int, undated_m: float = 0.0
+    match: PlaceMatch, gps: GpsFix | None, sightings: Sightings, route: Route, rig: RigConfig, undated_m: float = 0.0
 ) -> Comparison | None:
     """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
 
-    length: frames in a sequence. undated_m: see `Sighting`.
+    undated_m: see `Sighting`.
     """
-    if not match.accepted or line_middle(match, route, length) is None:
+    if not match.accepted:
         return None
+    looked, place = sightings.looked(match, undated_m), None
+    if looked is not None and looked.look is not None and sightings.origin is not None:
+        place = _by_look(looked, looked.look, sightings.origin)
+    elif line_middle(match, route, sightings.length) is not None:
+        place = _by_line(match, route, rig, undated_m)
+    if place is None:
+        return None
+    gps_m, off_along_m, off_left_m = 0.0, None, None
+    sin, cos = math.sin(place.heading_rad), math.cos(place.heading_rad)
+    if gps is not None:
+        east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, (place.lat_deg, place.lon_deg))
+        gps_m, off_along_m, off_left_m = gps.sigma_m, east_m * sin + north_m * cos, north_m * sin - east_m * cos
+    drive = route.drive(match.place_index)
+    return Comparison(
+        lat_deg=place.lat_deg,
+        lon_deg=place.lon_deg,
+        spacing_m=drive.spacing_m,
+        heading_rad=place.heading_rad,
+        off_along_m=off_along_m,
+        off_left_m=off_left_m,
+        along_sigma_m=math.hypot(place.along_m, gps_m),
+        left_sigma_m=math.hypot(place.left_m, gps_m),
+        each_sigma_m=max(place.along_m, place.left_m, gps_m),
+        shape=drive.recording if drive.checked_m > 0 and (place.look_m or match.confidence >= SHAPED) else "",
+        look_sigma_m=place.look_m,
+        slow_sigma_m=math.hypot(place.map_m, gps_m),
+        place_sigma_m=0.0 if place.look_m is None else math.hypot(place.look_m, place.map_m, SECOND_M),
+    )
+
+
+def _by_look(looked: Sighting, look: Look, origin: Origin) -> _Place:
+    along, spread = looked.passed.along, look.covariance + look.whole + look.map_sigma_m**2 * np.eye(2)
+    left = left_of(along)
+    return _Place(
+        *moved(*origin, float(look.position_m[0]), float(look.position_m[1])),
+        heading_rad=math.atan2(along[0], along[1]),
+        along_m=math.hypot(math.sqrt(float(along @ spread @ along)), looked.undated_m),
+        left_m=math.sqrt(float(left @ spread @ left)),
+        map_m=look.map_sigma_m,
+        look_m=math.sqrt(float(np.trace(look.covariance)) / 2),
+    )
+
+
+def _by_line(match: PlaceMatch, route: Route, rig: RigConfig, undated_m: float) -> _Place | None:
     place = match_position(match, route, rig)
     if place is None or place.heading_deg is None:
         return None
-    drive, lane_m = route.drive(match.place_index), rig.left_m(match.direction)
-    lat_deg, lon_deg = moved_left(place.lat_deg, place.lon_deg, place.heading_deg, lane_m)
-    heading_rad = math.radians(place.heading_deg)
-    match_m, map_m, gps_m = rig.sigma_m(match.direction, match.order), map_error_m(place), gps.sigma_m if gps else 0.0
-    place_m = math.hypot(match_m, map_m, undated_m, drive.whole_sigma_m[0])
-    off_along_m = off_left_m = None
-    if gps is not None:
-        off_along_m, off_left_m = along_and_left_m(gps, place, lane_m)
-    return Comparison(
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        spacing_m=drive.spacing_m,
-        heading_rad=heading_rad,
-        off_along_m=off_along_m,
-        off_left_m=off_left_m,
-        along_sigma_m=math.hypot(place_m, gps_m),
-        left_sigma_m=math.hypot(rig.sigma_across_m, map_m, gps_m, drive.whole_sigma_m[1]),
-        each_sigma_m=max(place_m, rig.sigma_across_m, gps_m),
-        shape=drive.recording if drive.checked_m > 0 and match.confidence >= SHAPED else "",
+    whole_along_m, whole_across_m = route.drive(match.place_index).whole_sigma_m
+    match_m, map_m = rig.sigma_m(match.direction, match.order), map_error_m(place)
+    return _Place(
+        *moved_left(place.lat_deg, place.lon_deg, place.heading_deg, rig.left_m(match.direction)),
+        heading_rad=math.radians(place.heading_deg),
+        along_m=math.hypot(match_m, map_m, undated_m, whole_along_m),
+        left_m=math.hypot(rig.sigma_across_m, map_m, whole_across_m),
+        map_m=map_m,
     )
 
 

@@ -7,7 +7,8 @@ Two hypotheses explain the difference between GPS and a recognized place (a `Com
 
     score(now) = log(wrong / honest) + max(0, score one correlation length ago)
 
-is Page's CUSUM over sightings that are CORRELATION_M apart. They disagree at log((1 - missed) / false_call), and agree
+is Page's CUSUM over sightings that are CORRELATION_M apart. Where looks say that GPS is dragged (`drag_evidence`), that
+counts if it is more. They disagree at log((1 - missed) / false_call), and agree
 when the same sum, with min in the place of max, falls to log(missed / (1 - false_call)): Wald's boundaries.
 docs/integrity.md has the derivation.
 
@@ -22,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -33,6 +34,8 @@ from edge.geodesy import east_north
 from edge.localization.bound import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
+from edge.localization.gps_drag import MEMORY_S, drag_evidence
+from edge.localization.look import HOLDS_M
 from edge.localization.own_motion import Calibrated, calibrated
 from edge.localization.route_estimate import CORRELATION_M
 
@@ -41,8 +44,8 @@ GpsVerdictState: TypeAlias = Literal[
 ]
 DOUBTFUL = 3.0
 """Score (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
-NEWEST = 3
-"""Of so many comparisons in a row the one counts that says least."""
+NEWEST, NEWEST_LOOKS = 3, 2
+"""Of so many comparisons in a row the one counts that says least; of those with looks, where GPS is dragged by them."""
 DEPARTS_M, DEPARTS, UNSTEADY = 20.0, 1.5, 0.25
 """How far GPS departs over three stretches of a recording that keeps its shape, at least, and for each meter that it
 was off in the first: on another street that looks the same, it is that far off all along. By which share of that it may
@@ -82,14 +85,22 @@ class GpsVerdict:
 
 @dataclass(frozen=True)
 class _Sample:
-    """A comparison, the meters driven by then, the evidence in it, the most in the newest ones, and the two sums."""
+    """A comparison, the meters driven by then, the evidence in it, the most in the newest ones, and the two sums.
+
+    drag: evidence in the looks by then. high: the more of that and of Page's sum.
+    """
 
     comparison: Comparison
     at_m: float
     evidence: float
     most: float
-    high: float
+    summed: float
     low: float
+    drag: float
+
+    @property
+    def high(self) -> float:
+        return max(self.summed, self.drag)
 
 
 @dataclass(frozen=True)
@@ -199,6 +210,7 @@ class GpsReferee:
             off_left_m=float(left_m),
             along_sigma_m=math.hypot(now.along_sigma_m, along),
             left_sigma_m=math.hypot(now.left_sigma_m, left),
+            look_sigma_m=None,
         )
 
     def _begin_anew(self) -> None:
@@ -216,7 +228,7 @@ class GpsReferee:
         high, low = self._sums(comparison, self._samples)
         if len(self._samples) >= NEWEST:
             # The sum lags: places that are displaced since have agreed for up to 120 m.
-            if low <= self._agree and self._samples[-1].most < 0:
+            if low <= self._agree and self._samples[-1].most < 0 and self._samples[-1].drag <= 0:
                 self._settled = "agrees"
                 self._keep_agreed(comparison)
             elif high >= self._disagree and self._settled != "wrong":
@@ -229,14 +241,20 @@ class GpsReferee:
         recent = [sample.evidence for sample in list(samples)[1 - NEWEST :]] + [evidence]
         before = next((one for one in reversed(samples) if self._at_m - one.at_m >= CORRELATION_M), None)
         # A sum far beyond a boundary would hide a change for long.
-        high = min(min(recent) + max(0.0, before.high if before else 0.0), 2 * self._disagree)
+        summed = min(min(recent) + max(0.0, before.summed if before else 0.0), 2 * self._disagree)
         low = max(max(recent) + min(0.0, before.low if before else 0.0), 2 * self._agree)
-        samples.append(_Sample(comparison, self._at_m, evidence, max(recent), high, low))
-        return high, low
+        looks, drag = [one.comparison for one in samples if one.comparison.look_sigma_m is not None], -math.inf
+        if comparison.look_sigma_m is not None:
+            drag = drag_evidence([*looks, comparison])
+        elif looks and comparison.stamp_s - looks[-1].stamp_s <= MEMORY_S:
+            drag = samples[-1].drag  # a line adds nothing
+        samples.append(_Sample(comparison, self._at_m, evidence, max(recent), summed, low, drag))
+        return samples[-1].high, low
 
     def _keep_agreed(self, comparison: Comparison) -> None:
         agreed = self._agreed
-        if len(agreed) > 1 and math.hypot(*meters_from(agreed[-2].comparison, agreed[-1].comparison)) < CORRELATION_M:
+        apart_m = CORRELATION_M if comparison.look_sigma_m is None else HOLDS_M
+        if len(agreed) > 1 and math.hypot(*meters_from(agreed[-2].comparison, agreed[-1].comparison)) < apart_m:
             agreed.pop()
         agreed.append(_Agreed(comparison, self._at_m))
         self._calibrated.clear()
@@ -252,7 +270,7 @@ class GpsReferee:
         while grows > 1 and samples[grows - 1].high > 0.0:
             grows -= 1
         began_m = samples[max(0, grows - NEWEST)].at_m  # as many, until it shows
-        newest = samples[-NEWEST:]
+        newest = samples[-(NEWEST if samples[-1].drag < self._disagree else NEWEST_LOOKS) :]
         agreed = [one.comparison for one in self._agreed if one.at_m < began_m]
         is_gps = is_map = leans = False
         for row in range(len(agreed)):
@@ -266,12 +284,17 @@ class GpsReferee:
         is_gps |= not is_map and self._has_departed(samples[grows:], {one.shape for one in agreed})
         return "disagrees" if is_gps == is_map else "wrong" if is_gps else "map wrong", leans
 
-    def _has_departed(self, grows: Sequence[_Sample], agreed: Collection[str]) -> bool:
+    def _has_departed(self, grows: Sequence[_Sample], agreed: Set[str]) -> bool:
         """Whether GPS moved away steadily from a recording that keeps its shape, and with which it agreed before.
 
         A street beside that looks the same keeps its distance, and one that leads away is not recognized so far aside.
+        By looks, GPS that keeps its distance is not dragged, and a vehicle on a road that leads away is seen aside.
         """
-        if not grows or self._at_m - grows[0].at_m < 2 * CORRELATION_M:
+        if not grows:
+            return False
+        if grows[-1].drag >= self._disagree:
+            return grows[-1].comparison.shape in agreed - {""}
+        if self._at_m - grows[0].at_m < 2 * CORRELATION_M:
             return False
         middle = min(grows, key=lambda one: abs(2 * one.at_m - grows[0].at_m - self._at_m))
         first, half, last = (one.comparison for one in (grows[0], middle, grows[-1]))
@@ -324,7 +347,7 @@ def _calibrated(agreed: Sequence[Comparison], drift: float) -> list[Calibrated |
     lat_deg, lon_deg = np.array([(one.lat_deg, one.lon_deg) for one in agreed]).T
     places = east_north(lat_deg, lon_deg)
     at_m = np.stack([places, places + [offset_m(one) for one in agreed]], axis=2)
-    sigma_m = np.array([one.each_sigma_m for one in agreed])
+    sigma_m = np.array([(one.place_sigma_m or one.each_sigma_m, one.each_sigma_m) for one in agreed])
     known: list[int] = []
     motions: list[Displacement] = []
     shown: list[Calibrated | None] = []

@@ -133,7 +133,8 @@ def calibrated(before: Sequence[Displacement], at_m: Vector, sigma_m: Vector, dr
     """By some moments, the oldest first; None where the newest is not by gyros.
 
     at_m: meters east and north at each of them, by witnesses that agreed but for an offset that stays: (n, 2,
-    witnesses), each to sigma_m (n,) in each direction. drift: one standard deviation of the speed's scale, as a share.
+    witnesses), each to sigma_m (n, witnesses) in each direction. drift: one standard deviation of the speed's scale, as
+    a share.
     Least squares of where the vehicle was at the newest, of the errors of heading and scale, and of the bias of the
     gyros, the last three with what is known of them anyway.
     """
@@ -141,15 +142,17 @@ def calibrated(before: Sequence[Displacement], at_m: Vector, sigma_m: Vector, dr
     moved = _moved(newest, before)
     if newest.gyros is None or moved is None:
         return None
-    mean_m = at_m[moved.rows].mean(axis=2)
+    known_m, precisions = at_m[moved.rows], sigma_m[moved.rows] ** -2.0
+    apart_m = known_m.mean(axis=0) - known_m.mean(axis=(0, 2))[:, None]
+    total = precisions.sum(axis=1)
+    mean_m = ((known_m - apart_m) * precisions[:, None, :]).sum(axis=2) / total[:, None]
     unknown_m = np.array([newest.unknown_sigma_since(before[row]) for row in moved.rows])
-    weights = 1 / (sigma_m[moved.rows] ** 2 / count + unknown_m**2)
+    weights = 1 / (1 / total + unknown_m**2)
     weighted = moved.design * weights[:, None, None]
     information = np.diag([0.0, 0.0, COMPASS_RAD**-2, drift**-2, BIAS_RADPS**-2])
     information += np.tensordot(weighted, moved.design, ((0, 1), (0, 1)))
     covariance = np.linalg.inv(information)
     found = covariance @ np.tensordot(weighted, mean_m - moved.by_m, ((0, 1), (0, 1)))
-    apart_m = np.tensordot(weights, at_m[moved.rows] - mean_m[:, :, None], 1) / weights.sum()
     return Calibrated(newest, found, covariance, apart_m, (count - 1) / float(weights.sum()))
 
 
@@ -234,7 +237,7 @@ class GpsTrack:
                 continue
             here = gps.lat_deg, gps.lon_deg
             fixes_m = np.array([east_north_of(one.lat_deg, one.lon_deg, here) for _, one, _ in before])
-            sigmas_m = math.sqrt(ALIKE_FIXES) * np.array([one.sigma_m for _, one, _ in before])
+            sigmas_m = math.sqrt(ALIKE_FIXES) * np.array([[one.sigma_m] for _, one, _ in before])
             shown = calibrated([one for *_, one in before], fixes_m[:, :, None], sigmas_m, self._drift)
             where = None if shown is None else shown.predicted(motion)
             length_m = math.hypot(*fixes_m[-1])

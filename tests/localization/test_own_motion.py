@@ -54,7 +54,7 @@ def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> No
         own.turn(10 * S + step * S // 10, 0.0, 0.0, (SPEED_MPS, 0.0))
     after = own.displacement(11 * S)
     assert before is not None and after is not None and after.leg != before.leg
-    at_m, sigma_m = np.zeros((1, 2, 2)), np.ones(1)
+    at_m, sigma_m = np.zeros((1, 2, 2)), np.ones((1, 2))
     shown = calibrated([before], at_m, sigma_m, 0.05)
     assert shown is not None and shown.predicted(after) is None
 
@@ -70,7 +70,7 @@ def test_places_that_agreed_show_the_bias_of_the_gyros() -> None:
     now = own.displacement(S + 1199 * S // 10)
     known = [one for one in moments if one is not None]
     assert now is not None and len(known) == 13
-    shown = [calibrated(known[-rows:], np.array(at_m[-rows:]), np.full(rows, 3.0), 0.05) for rows in (13, 1)]
+    shown = [calibrated(known[-rows:], np.array(at_m[-rows:]), np.full((rows, 2), 3.0), 0.05) for rows in (13, 1)]
     assert shown[0] is not None and shown[1] is not None
     found, alone = shown[0].predicted(now), shown[1].predicted(now)
     assert found is not None and alone is not None

@@ -1,0 +1,129 @@
+"""GPS against looks: how far a drag goes before it is called, and what of an honest GPS never is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from edge.config import RigConfig
+from edge.localization.gps_comparison import Comparison
+from edge.localization.gps_drag import drag_evidence
+from edge.sequence import PlaceMatch, Seen
+from sim.research.trial import gps_histories
+from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, settings
+from tests.localization.route_course import HOME, SPACING_M, Stretch
+
+LENGTH_M, FROM_S = 1200.0, 60.0
+EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
+"""Frames from look to look; how far off one is; which share of them is a second solution, and by how much."""
+DISAGREE = 6.9
+"""log((1 - gps_missed) / gps_false_call), by default."""
+SETTINGS = settings(RigConfig(look_sigma_m=0.01))
+
+
+class Said(NamedTuple):
+    """The verdict on GPS after a frame, and how far GPS is off by then."""
+
+    state: str
+    off_m: float
+
+
+@pytest.fixture(scope="module")
+def long_road(tmp_path_factory: pytest.TempPathFactory) -> Road:
+    """Mapped to a meter east and north, by wheels that agreed."""
+    stretch = Stretch(0, LENGTH_M, sigma_m=math.sqrt(2), recording="out", has_odometer=True)
+    return Road(tmp_path_factory.mktemp("long road"), stretch)
+
+
+def drive(
+    road: Road, history: gps_histories.History, seed: int, odometer: float | None = 0.97, twin_m: float = 0.0
+) -> list[Said]:
+    """Home on the map of a rear camera. odometer: what it measures of a meter, None if it is not known.
+
+    twin_m: from the middle on, looks have the vehicle that far beside where it is, as on a street that looks the same.
+    """
+    rng = np.random.default_rng([seed, 29])
+    one, said = Vehicle(road, SETTINGS, LENGTH_M - 10.0, "reverse"), []
+    one.odometer = odometer or 1.0
+    one.frame = {} if odometer else {"without_gps": None}
+    count = round((LENGTH_M - 20.0) / SPACING_M)
+    time_s = np.arange(count) * FRAME_NS / 1e9
+    true_m = np.column_stack([np.zeros(count), one.north_m - SPEED_MPS * time_s])
+    offsets_m = history(time_s, true_m, rng)
+    map_m = gps_histories.usual(time_s, rng) / 1.2
+    for frame, (off_m, mapped_m) in enumerate(zip(offsets_m, map_m, strict=True)):
+        one.move()
+        beside_m = mapped_m[0] + rng.normal(0.0, LOOK_M) + SECOND_M * (rng.random() < SECOND)
+        beside_m += twin_m if 2 * frame > count else 0.0
+        shown = looked(one.north_m, -beside_m, mapped_m[1] + rng.normal(0.0, LOOK_M), is_look=frame % EVERY == 0)
+        gps = None if np.isnan(off_m[0]) else gps_at(one.north_m + off_m[1], off_m[0])
+        said.append(Said(one.show(shown, gps).state, float(np.hypot(*off_m))))
+    return said
+
+
+def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> PlaceMatch:
+    """A line that ends 4 m off, and a look that is that far off."""
+    place = round(at_m / SPACING_M)
+    covariance = np.diag(np.square([LOOK_M, LOOK_M, math.radians(0.5)]))
+    ahead_m = place * SPACING_M - at_m - north_m  # towards the south, where both cameras look
+    seen = Seen(place, 90, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
+    return match(place + 2, "reverse", order="same", seen=seen)
+
+
+def called_m(said: list[Said], state: str = "wrong") -> float:
+    """How far GPS was off when it was called."""
+    return next((one.off_m for one in said if one.state == state), math.inf)
+
+
+@pytest.mark.parametrize(
+    ("rate_mps", "way", "most_m"),
+    [(0.5, "left", 18.0), (1.0, "left", 12.5), (1.0, "along", 12.5), (2.0, "right", 18.0)],
+)
+@pytest.mark.parametrize("odometer", [0.97, None])
+def test_a_drag_is_called_a_few_meters_off(
+    long_road: Road, rate_mps: float, way: str, most_m: float, odometer: float | None
+) -> None:
+    """Also where own motion is not known, by a recording that keeps its shape; GPS itself is off by 1.2 m before."""
+    offs_m = [called_m(drive(long_road, gps_histories.drag(rate_mps, way, FROM_S), seed, odometer)) for seed in (1, 2)]
+    assert max(offs_m) < most_m
+
+
+HONEST: dict[str, Callable[[], gps_histories.History]] = {
+    "open sky": lambda: lambda time_s, true_m, rng: gps_histories.usual(time_s, rng),
+    "3 m": lambda: lambda time_s, true_m, rng: 2.5 * gps_histories.usual(time_s, rng),
+    "multipath": lambda: gps_histories.multipath,
+}
+
+
+@pytest.mark.parametrize(("kind", "odometer"), [*((kind, None) for kind in HONEST), ("multipath", 0.97)])
+def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer: float | None) -> None:
+    for seed in (1, 2):
+        said = drive(long_road, HONEST[kind](), seed, odometer)
+        assert called_m(said) == called_m(said, "map wrong") == math.inf
+
+
+@pytest.mark.parametrize("odometer", [0.97, None])
+@pytest.mark.parametrize("twin_m", [8.0, 25.0])
+def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(
+    long_road: Road, twin_m: float, odometer: float | None
+) -> None:
+    assert called_m(drive(long_road, HONEST["open sky"](), 1, odometer, twin_m)) == math.inf
+
+
+def test_multipath_is_no_drag_by_looks_alone() -> None:
+    """Bursts of 10 m, whatever own motion and a recording's shape would say: one look each second for 40 km."""
+    rng, time_s = np.random.default_rng([1, 31]), np.arange(5000.0)
+    offsets_m = gps_histories.multipath(time_s, np.zeros((5000, 2)), rng) + gps_histories.usual(time_s, rng)
+    offsets_m += rng.normal(0.0, LOOK_M, (5000, 2)) + SECOND_M * (rng.random((5000, 1)) < SECOND)
+    looks = [
+        Comparison(
+            *HOME, SPACING_M, 0.0, off[0], off[1], 3.2, 3.2, 3.0, stamp_s=s, look_sigma_m=LOOK_M, slow_sigma_m=3.2
+        )
+        for s, off in zip(time_s, offsets_m.tolist(), strict=True)
+        if not math.isnan(off[0])
+    ]
+    assert max(drag_evidence(looks[row - 30 : row]) for row in range(30, len(looks))) < DISAGREE
