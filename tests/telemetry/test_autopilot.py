@@ -11,7 +11,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import TelemetryConfig
-from edge.errors import ConfigError
 from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
@@ -161,16 +160,6 @@ def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -
 
 
 @external
-def test_an_autopilot_that_does_not_answer_is_noted_and_not_given_up(rig: Rig) -> None:
-    rig.run(4.0)
-    rig.autopilot.reject_fixes_with = SILENT
-    assert rig.send_position(rig.fix())
-    rig.run(3.0)
-    assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
-    assert rig.connection.positions.enabled
-
-
-@external
 def test_an_answer_to_a_fix_of_another_companion_is_not_ours(rig: Rig) -> None:
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
@@ -252,11 +241,6 @@ def test_a_flood_of_texts_is_thinned(rig: Rig) -> None:
     assert len(rig.received("STATUSTEXT")) == 2, "two a second"
     rig.run(9.1)
     assert [message.text for message in rig.received("STATUSTEXT")] == [f"line {number}" for number in range(92, 100)]
-
-
-def test_a_malformed_connection_is_refused_at_once() -> None:
-    with pytest.raises(ConfigError, match=r"\[telemetry\] connection"):
-        AutopilotConnection(TelemetryConfig(connection="serial:/dev/ttyACM0"))
 
 
 @pytest.mark.parametrize("recording", ["ardurover-4.6.3-nogps", "px4-1.18-agp"])

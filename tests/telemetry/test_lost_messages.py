@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
 from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE
+from edge.telemetry.encoders import SENSOR_ENABLE
 from edge.telemetry.firmware import GPS_SET
 from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
@@ -46,37 +46,15 @@ def lost_gps(open_rig: OpenRig) -> Rig:
     return rig
 
 
-def test_a_fix_with_a_lost_answer_is_sent_once_more(lost_gps: Rig) -> None:
-    lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
-    assert lost_gps.send_position(lost_gps.fix())
-    lost_gps.run(4.0)
-    assert [record.again for record in lost_gps.journalled(FixSent)] == [False, True]
-    assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
-
-
-def test_a_fix_is_not_sent_again_once_gps_is_back(lost_gps: Rig) -> None:
+@pytest.mark.parametrize("since", ["GPS is back", "it is stale", "the vehicle is off the map"])
+def test_a_fix_without_an_answer_is_not_sent_again_since(since: str, lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.send_position(lost_gps.fix())
-    lost_gps.wire.loses = loses_answers(EXTERNAL_POSITION_ESTIMATE)
-    lost_gps.autopilot.gps = True
-    lost_gps.run(4.0)
-    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
-
-
-def test_a_fix_is_not_sent_again_once_it_is_stale(lost_gps: Rig) -> None:
-    lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.send_position(lost_gps.fix(age_s=4.5))
+    assert lost_gps.send_position(lost_gps.fix(age_s=4.5 if since == "it is stale" else 0.5))
+    lost_gps.autopilot.gps = since == "GPS is back"
+    lost_gps.unable = "off the map" if "map" in since else ""
     lost_gps.run(4.0)
     assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
     assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
-
-
-def test_a_fix_is_not_sent_again_once_the_vehicle_is_off_the_map(lost_gps: Rig) -> None:
-    lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.send_position(lost_gps.fix())
-    lost_gps.unable = "off the map"
-    lost_gps.run(4.0)
-    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
 
 
 @pytest.fixture

@@ -34,20 +34,6 @@ def replay(frames: Iterator[tuple[int, bytes]], vehicle: Vehicle) -> Iterator[tu
         vehicle.expire(now_ns)
 
 
-@pytest.mark.parametrize("recording", RECORDINGS)
-def test_the_boot_clock_is_right_to_20_ms(read_tlog: ReadTlog, recording: str) -> None:
-    """TIMESYNC requests carry the boot clock: each is predicted before it is read."""
-    vehicle = Vehicle()
-    errors_s = [
-        boot_s - message.ts1 / 1e9
-        for now_ns, message in replay(read_tlog(recording), vehicle)
-        if message.get_type() == "TIMESYNC" and (boot_s := vehicle.boot_time_s(now_ns)) is not None
-    ]
-    assert len(errors_s) >= 7
-    assert max(map(abs, errors_s)) < 0.020
-    assert (vehicle.connected, vehicle.system_id, vehicle.session.autopilot) == (True, 1, RECORDINGS[recording])
-
-
 def test_the_boot_clock_agrees_with_the_wall_clock_of_px4(read_tlog: ReadTlog) -> None:
     """SYSTEM_TIME pairs both clocks of the autopilot, whose wall clock was the recorder's."""
     vehicle = Vehicle()
