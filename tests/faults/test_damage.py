@@ -66,6 +66,8 @@ def test_every_truncation_of_a_small_map(
             cuts += 1
         file.write_bytes(whole + b"\0")
         assert refused(path), f"{file.name} with a byte more"
+        file.unlink()
+        assert refused(path), f"without {file.name}"
         file.write_bytes(whole)
     open_map(path, every_file=True)
     figures(f"{cuts} truncations refused")

@@ -239,20 +239,6 @@ def test_another_model_is_refused_by_its_checksum(
     assert "but the model here is" in why
 
 
-def test_a_map_made_with_another_model_is_refused(
-    street: Path, write_config: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Everything holds, down to the header's own checksum, but the model's."""
-    path = tmp_path / "other.map"
-    shutil.copytree(street / "map", path)
-    header = read_header(path)
-    model = msgspec.structs.replace(header.model, sha256="1" * 64)
-    (path / HEADER).write_bytes(encode_header(msgspec.structs.replace(header, model=model, header_sha256="")))
-    line = refused(write_config(map={"path": str(path)}), capsys)
-    assert "made with" in line
-    assert "1" * 12 in line
-
-
 NETWORK = {"socket", "socketserver", "http", "urllib", "ssl", "ftplib", "smtplib", "asyncio", "xmlrpc", "requests"}
 NETWORK |= {"serial", "httpx", "aiohttp", "websockets", "telnetlib", "imaplib", "poplib", "multiprocessing", "uvicorn"}
 SPEAKS = {

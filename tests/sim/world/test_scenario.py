@@ -47,11 +47,3 @@ def test_what_is_wrong_is_one_line_with_file_and_key(tmp_path: Path, text: str, 
     assert message.startswith(f"{path}: ")
     assert key in message
     assert "\n" not in message
-
-
-def test_a_missing_or_binary_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"gone\.toml: cannot read it: No such file"):
-        load_scenario(tmp_path / "gone.toml")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="not UTF-8"):
-        load_scenario(tmp_path / "binary.toml")
