@@ -174,15 +174,9 @@ def make_street(
 ) -> Callable[..., Path]:
     """Makes a folder with the `feed` of a drive along the street, and the `map` made of it."""
 
-    def make(
-        frames: range = range(80),
-        *,
-        period_ms: int = 50,
-        sampling: SamplingConfig | None = None,
-        is_located: bool = True,
-    ) -> Path:
+    def make(frames: range = range(80), *, period_ms: int = 50, sampling: SamplingConfig | None = None) -> Path:
         folder = tmp_path_factory.mktemp("street")
-        feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms, is_located=is_located))
+        feed = read_feed(write_traverse(folder / "feed", frames, period_ms=period_ms))
         build_map([feed], folder / "map", DescriptorConfig(), sampling or SamplingConfig(), network=network)
         return folder
 
@@ -230,15 +224,8 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
                         if np.isfinite(point_m).all()
                         else (np.nan, np.nan)
                     )
-                    place = Place(
-                        row,
-                        lat_deg,
-                        lon_deg,
-                        alt_m(row),
-                        heading_deg(row),
-                        float(route_m),
-                        position_sigma_m=sigma_m(row),
-                    )
+                    known = lat_deg, lon_deg, alt_m(row), heading_deg(row), float(route_m)
+                    place = Place(row, *known, position_sigma_m=sigma_m(row))
                     new.add(rng.random((1, 4), dtype=np.float32), place)
             new.finish()
         return path

@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ DEFAULTS = {
     "px4": dict.fromkeys(PX4, (0.0, mavlink.MAV_PARAM_TYPE_INT32)),
 }
 """What a test does not set is answered as well, as by a real autopilot, so that doctor need not wait for it."""
+Diagnose = Callable[..., Callable[[str, str], str]]
 WHEELS = {"EK3_SRC1_VELXY": 7.0, "WENC_TYPE": 1.0, "WENC_POS_Y": -0.2, "WENC_RADIUS": 0.1, "WENC_CPR": 3200.0}
 
 
@@ -101,42 +103,53 @@ def told(findings: list[Finding], what: str, level: str) -> str:
     return " | ".join(f"{one.words} -> {one.remedy}" for one in findings if (one.what, one.level) == (what, level))
 
 
-def test_all_is_well(fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path) -> None:
-    real = mavlink.MAV_PARAM_TYPE_REAL32
+@pytest.fixture
+def diagnose(fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path) -> Diagnose:
+    """Examines an autopilot with some parameters, and a config with some sections; gives `told` of what is found."""
+
+    def examined(
+        values: dict[str, float],
+        firmware: str = "ardupilot",
+        *,
+        emit: str = "auto",
+        wait_s: float = 5.0,
+        sections: dict[str, Any] | None = None,
+        kind: int = mavlink.MAV_PARAM_TYPE_REAL32,
+        **options: Any,
+    ) -> Callable[[str, str], str]:
+        connection = fly({name: (value, kind) for name, value in values.items()}, firmware, **options)
+        config = write_config(telemetry={"connection": connection, "emit": emit}, **(sections or {}))
+        return partial(told, list(examine(config, wait_s, tmp_path / "dev")))
+
+    return examined  # fmt: skip
+
+
+def test_all_is_well(diagnose: Diagnose) -> None:
     values = {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 7.0, "EK3_SRC1_POSXY": 3.0, **WHEELS}
-    connection = fly({name: (value, real) for name, value in values.items()})
-    config = write_config(telemetry={"connection": connection, "emit": "external_position"}, motion={"use": "report"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert [one for one in findings if one.level == "bad"] == []
-    assert "ArduPilot 4." in told(findings, "autopilot", "good")
-    assert "texts are shown as of system 1; the values" in told(findings, "autopilot", "good")
-    assert "AHRS_OPTIONS = 7" in told(findings, "parameter", "good")
-    assert "EK3_SRC1_POSXY = 3, GPS" in told(findings, "parameter", "good")
-    assert "WENC_POS_Y = -0.2" in told(findings, "parameter", "good")
-    assert "velocity without GPS: wheel encoders" in told(findings, "autopilot", "good")
-    assert "80 places, all checksums match" in told(findings, "map", "good")
-    assert "160 x 120 pixels" in told(findings, "camera", "good")
-    assert "two regions take" in told(findings, "model", "good")
-    assert "30 % of the picture are ground" in told(findings, "motion", "good")
-    assert "speeds up to 36 m/s" in told(findings, "motion", "good")
-    assert "height is not known yet -> drive 40 m with GPS" in told(findings, "motion", "note")
-
-
-def test_a_wrong_parameter_says_why_and_what_to_set(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
-    real = mavlink.MAV_PARAM_TYPE_REAL32
-    connection = fly({"AHRS_EKF_TYPE": (3.0, real), "AHRS_OPTIONS": (0.0, real)})
-    config = write_config(telemetry={"connection": connection, "emit": "auto"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    words = told(findings, "parameter", "bad")
-    assert "AHRS_OPTIONS = 0: else a rover" in words
-    assert "set its bits 3" in words
+    found = diagnose(values, emit="external_position", sections={"motion": {"use": "report"}})
+    assert not any(found(what, "bad") for what in ("autopilot", "parameter", "map", "camera", "model", "motion"))
+    for what, words in (
+        ("autopilot", "ArduPilot 4."),
+        ("autopilot", "texts are shown as of system 1; the values"),
+        ("parameter", "AHRS_OPTIONS = 7"),
+        ("parameter", "EK3_SRC1_POSXY = 3, GPS"),
+        ("parameter", "WENC_POS_Y = -0.2"),
+        ("autopilot", "velocity without GPS: wheel encoders"),
+        ("map", "80 places, all checksums match"),
+        ("camera", "160 x 120 pixels"),
+        ("model", "two regions take"),
+        ("motion", "30 % of the picture are ground"),
+        ("motion", "speeds up to 36 m/s"),
+    ):
+        assert words in found(what, "good")
+    assert "height is not known yet -> drive 40 m with GPS" in found("motion", "note")
 
 
 @pytest.mark.parametrize(
     ("emit", "values", "words"),
     [
+        ("auto", {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}, "AHRS_OPTIONS = 0: else a rover"),
+        ("auto", {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}, "set its bits 3"),
         (
             "external_position",
             {"EK3_SRC1_POSXY": 0.0, **WHEELS},
@@ -159,63 +172,41 @@ def test_a_wrong_parameter_says_why_and_what_to_set(
         ),
     ],
 )
-def test_sources_that_do_not_fit_are_named(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path, emit: str, values: Any, words: str
-) -> None:
-    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()})
-    config = write_config(telemetry={"connection": connection, "emit": emit})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert words in f"{told(findings, 'parameter', 'bad')} | {told(findings, 'autopilot', 'bad')}"
+def test_parameters_that_do_not_fit_are_named(diagnose: Diagnose, emit: str, values: Any, words: str) -> None:
+    found = diagnose(values, emit=emit)
+    assert words in f"{found('parameter', 'bad')} | {found('autopilot', 'bad')}"
 
 
-def test_a_px4_that_nothing_but_gps_gives_a_velocity(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
-    connection = fly({"EKF2_EV_CTRL": (0.0, mavlink.MAV_PARAM_TYPE_INT32)}, "px4")
-    config = write_config(telemetry={"connection": connection, "emit": "auto"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert "no velocity aid" in told(findings, "autopilot", "bad")
-    assert "px4_velocity_aid.params" in told(findings, "autopilot", "bad")
-
-
-def test_the_mode_that_a_px4_rover_falls_back_to_is_named(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_the_mode_that_a_px4_rover_falls_back_to_is_named(diagnose: Diagnose) -> None:
     def found(level: str, ev_control: float) -> str:
-        values = {"EKF2_EV_CTRL": ev_control, "EKF2_NOAID_TOUT": 8e6}
-        connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
-        config = write_config(telemetry={"connection": connection, "emit": "auto"})
-        return told(list(examine(config, 5.0, tmp_path / "dev")), "parameter", level)
+        return diagnose({"EKF2_EV_CTRL": ev_control, "EKF2_NOAID_TOUT": 8e6}, "px4")("parameter", level)
 
     words = "EKF2_NOAID_TOUT (8 s) after GPS it leaves Position for Altitude, which rovers lack"
     assert f"{words}, and a mission for Descend -> put Stabilized or Manual on a switch" in found("note", 0.0)
     assert "it stays in Position" in found("good", 4.0)
 
 
-def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_what_keeps_positions_from_replacing_a_wrong_gps_is_named(diagnose: Diagnose) -> None:
+    """On a PX4 that nothing but GPS gives a velocity."""
     values = {"EKF2_EV_CTRL": 0.0, "EKF2_GPS_MODE": 0.0}
-    connection = fly({name: (value, mavlink.MAV_PARAM_TYPE_REAL32) for name, value in values.items()}, "px4")
-    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "send"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert '[gates] doubted_gps = "send" sends no position' in told(findings, "autopilot", "bad")
-    assert "PX4 goes back to GPS between positions" in told(findings, "parameter", "bad")
-    assert 'PX4 goes on using a GPS that is wrong, and ignores positions far from it -> set "switch"' in told(
-        findings, "parameter", "bad"
-    )
+    found = diagnose(values, "px4", sections={"gates": {"doubted_gps": "send"}})
+    assert "no velocity aid" in found("autopilot", "bad")
+    assert "px4_velocity_aid.params" in found("autopilot", "bad")
+    assert '[gates] doubted_gps = "send" sends no position' in found("autopilot", "bad")
+    assert "PX4 goes back to GPS between positions" in found("parameter", "bad")
+    words = 'PX4 goes on using a GPS that is wrong, and ignores positions far from it -> set "switch"'
+    assert words in found("parameter", "bad")
+
+
+SWITCH = {"gates": {"doubted_gps": "switch"}}
 
 
 @pytest.mark.parametrize(("firmware", "works"), [("px4", True), ("px4-1.17", False)])
-def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path, firmware: str, works: bool
-) -> None:
-    connection = fly({"EKF2_EV_CTRL": (4.0, mavlink.MAV_PARAM_TYPE_REAL32)}, firmware)
-    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "switch"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert ("its GPS can be switched" in told(findings, "parameter", "good")) == works
+def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(diagnose: Diagnose, firmware: str, works: bool) -> None:
+    found = diagnose({"EKF2_EV_CTRL": 4.0}, firmware, sections=SWITCH)
+    assert ("its GPS can be switched" in found("parameter", "good")) == works
     ignored = "ignores positions far from it -> it needs the released PX4 1.18"
-    assert (ignored in told(findings, "parameter", "bad")) != works
+    assert (ignored in found("parameter", "bad")) != works
 
 
 @pytest.mark.parametrize(
@@ -227,43 +218,27 @@ def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(
     ],
 )
 def test_a_wrong_gps_is_replaced_only_where_a_witness_is_heard(
-    fly: Callable[..., str],
-    write_config: Callable[..., Path],
-    tmp_path: Path,
-    firmware: str,
-    motion: str,
-    level: str,
-    words: str,
+    diagnose: Diagnose, firmware: str, motion: str, level: str, words: str
 ) -> None:
     errors = OdometryErrors() if firmware == "ardupilot" else OdometryErrors("velocity sensor")
-    connection = fly({"EKF2_EV_CTRL": (4.0, mavlink.MAV_PARAM_TYPE_REAL32)}, firmware, errors=errors)
-    telemetry, gates = {"connection": connection, "emit": "auto"}, {"doubted_gps": "switch"}
-    config = write_config(telemetry=telemetry, gates=gates, motion={"use": motion})
-    assert words in told(list(examine(config, 8.0, tmp_path / "dev")), "autopilot", level)
+    sections = {**SWITCH, "motion": {"use": motion}}
+    found = diagnose({"EKF2_EV_CTRL": 4.0}, firmware, wait_s=8.0, sections=sections, errors=errors)
+    assert words in found("autopilot", level)
 
 
-def test_a_px4_that_was_left_without_its_gps_is_named(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
-    connection = fly({}, "px4", source_set=2)
-    config = write_config(telemetry={"connection": connection, "emit": "auto"}, gates={"doubted_gps": "switch"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert "PX4 is set not to use its GPS, which works -> add 1 to EKF2_SENS_EN" in told(findings, "parameter", "bad")
+def test_a_px4_that_was_left_without_its_gps_is_named(diagnose: Diagnose) -> None:
+    found = diagnose({}, "px4", sections=SWITCH, source_set=2)
+    assert "PX4 is set not to use its GPS, which works -> add 1 to EKF2_SENS_EN" in found("parameter", "bad")
 
 
-def test_integers_of_px4_come_as_bytes(
-    fly: Callable[..., str], write_config: Callable[..., Path], tmp_path: Path
-) -> None:
-    kind = mavlink.MAV_PARAM_TYPE_INT32
-
+def test_integers_of_px4_come_as_bytes(diagnose: Diagnose) -> None:
     def as_float(number: int) -> float:
         return float(struct.unpack("<f", struct.pack("<i", number))[0])
 
-    connection = fly({"EKF2_AGP0_CTRL": (as_float(1), kind), "EKF2_AGP0_ID": (as_float(2), kind)}, "px4")
-    config = write_config(telemetry={"connection": connection, "emit": "global_position_sensor"})
-    findings = list(examine(config, 5.0, tmp_path / "dev"))
-    assert "EKF2_AGP0_CTRL = 1" in told(findings, "parameter", "good")
-    assert "EKF2_AGP0_ID = 2: it must equal [telemetry] sensor_id -> set it to 1" in told(findings, "parameter", "bad")
+    values = {"EKF2_AGP0_CTRL": as_float(1), "EKF2_AGP0_ID": as_float(2)}
+    found = diagnose(values, "px4", emit="global_position_sensor", kind=mavlink.MAV_PARAM_TYPE_INT32)
+    assert "EKF2_AGP0_CTRL = 1" in found("parameter", "good")
+    assert "EKF2_AGP0_ID = 2: it must equal [telemetry] sensor_id -> set it to 1" in found("parameter", "bad")
 
 
 def test_no_port_no_camera_no_map(write_config: Callable[..., Path], tmp_path: Path) -> None:
