@@ -77,20 +77,18 @@ class Errors:
         covariance = self.covariance + unknown_m**2 * np.eye(2)
         return Errors(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
 
-    def bound_by(self, fix: Fix, drift: Drift) -> Errors:
-        """After the autopilot has used a position of ours: only what that kept goes on from before."""
+    def bound_by(self, fix: Fix) -> Errors:
+        """After the autopilot has used a position of ours: only what that kept goes on from before.
+
+        By how much, not by which way: nobody knows how a velocity is wrong besides, and on a bend that goes on growing.
+        """
         place = fix.place
         assert place.heading_deg is not None
         axes = _axes(place.heading_deg)
         keeps, sigmas_m = np.array(fix.keeps), np.array([place.sigma_along_m, place.sigma_across_m])
-        set_by = axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
-        kept, before = axes[keeps].T @ axes[keeps], self
-        if not drift.scale and drift.way:
-            # Nobody knows how the velocity is wrong: what it is off by goes on growing with the way, not with its root.
-            least = np.linalg.eigvalsh(self.covariance)[0] * np.eye(2)
-            grown_m = np.sqrt(np.maximum(0.0, np.diag(axes @ (self._covariance(drift) - least) @ axes.T)))
-            before = Errors(least, by_way=axes.T @ np.diag(grown_m / drift.way) @ axes)
-        return Errors(kept @ before.covariance @ kept + set_by, kept @ before.by_velocity, kept @ before.by_way)
+        kept, set_by = axes[keeps].T @ axes[keeps], axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
+        by_way = axes[keeps].T @ np.diag(np.linalg.norm(axes[keeps] @ self.by_way, axis=1)) @ axes[keeps]
+        return Errors(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
 
     def _covariance(self, drift: Drift) -> Matrix:
         by_velocity, by_way = self.by_velocity * (drift.scale, drift.heading_rad), drift.way * self.by_way
@@ -230,7 +228,7 @@ class OwnPosition:
         if own.driven_m is None or left_m > place.sigma_m or place.heading_deg is None:
             return
         assert self.bound is not None
-        self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix, self.drift))
+        self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix))
 
     def move(self, own: Own) -> None:
         """The vehicle has moved on."""

@@ -84,7 +84,7 @@ def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
     for drift, share in ((Drift(0.0, 0.0, 0.04), 0.04), (Drift(0.01, 0.02, 0.0), 0.02)):
         errors = Errors(9.0 * np.eye(2))
         for _ in range(100):
-            errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix, drift)
+            errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix)
         across_m = math.hypot(3.0, share * 800.0)
         assert errors.along_and_across_m(90.0, drift) == pytest.approx((4.0, across_m))
         assert errors.along_and_across_m(0.0, drift) == pytest.approx((across_m, 4.0)), "after a bend"
