@@ -20,7 +20,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
 import msgspec
@@ -42,7 +41,6 @@ from edge_plugins.motion.camera_motion import MotionMeasured
 from edge_plugins.motion.velocity_sender import VelocityChanged
 from sim.journal import JournalLine
 from sim.world.scenario import Scenario
-from tests.docs.forked_lookback import forked_lookback
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -112,25 +110,18 @@ until_on_the_map() {
 page looks for in it; it must end well."""
 
 
-@pytest.fixture(scope="session")
-def programs() -> Iterator[Path]:
-    """A folder with the program `lookback`."""
-    with TemporaryDirectory() as folder, forked_lookback(Path(folder)):
-        yield Path(folder)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command_works(page: Path, programs: Path, tmp_path: Path, make_once: Callable[..., Path]) -> None:
+def test_every_command_works(page: Path, tmp_path: Path, make_once: Callable[..., Path]) -> None:
     def run_readme(folder: Path) -> None:
-        (folder / "printed.txt").write_text(run_page(README, folder, programs), encoding="utf-8")
+        (folder / "printed.txt").write_text(run_page(README, folder), encoding="utf-8")
 
     if page == README:
         output = (make_once("readme", run_readme) / "printed.txt").read_text(encoding="utf-8")
     else:
         if AFTER_README in page.read_text(encoding="utf-8"):
             shutil.copytree(make_once("readme", run_readme), tmp_path, dirs_exist_ok=True)
-        output = run_page(page, tmp_path, programs)
+        output = run_page(page, tmp_path)
     printed = re.search(PRINTS.get(page.stem, ""), output)
     assert printed
     if page == README:
@@ -156,7 +147,7 @@ def test_every_command_that_is_shown_exists_with_its_options(page: Path) -> None
                 raise AssertionError(f"{page.name}: {line}") from refused
 
 
-def run_page(page: Path, folder: Path, programs: Path) -> str:
+def run_page(page: Path, folder: Path) -> str:
     """The environment is active already; `make` and the steps on a vehicle are not for a test."""
     text = BLOCK.sub(lambda block: "" if is_not_for_a_test(block) else block[0], page.read_text(encoding="utf-8"))
     for shown, tried in SHORTER.items():
@@ -164,16 +155,16 @@ def run_page(page: Path, folder: Path, programs: Path) -> str:
     text = text.replace(". .venv/bin/activate ", ": ").replace("\nlookback run ", "\nuntil_on_the_map lookback run ")
     if found := re.search(r"^grep (\w+) journal\.jsonl", text, re.MULTILINE):
         text = text.replace("until_on_the_map", f"AWAITED={found[1]} until_on_the_map")
-    return run_in(folder, PRELUDE + script_of(text, page, folder), programs)
+    return run_in(folder, PRELUDE + script_of(text, page, folder))
 
 
 def is_not_for_a_test(block: re.Match[str]) -> bool:
     return block[1] == "sh" and re.search(r"^(make|sudo) ", block[2], re.MULTILINE) is not None
 
 
-def run_in(folder: Path, script: str, programs: Path) -> str:
+def run_in(folder: Path, script: str) -> str:
     """Run a script, which must succeed, and return its output."""
-    environment = {**os.environ, "PATH": f"{programs}:{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     with subprocess.Popen(
         ["bash", "-euxo", "pipefail", "-c", script],
         cwd=folder,
