@@ -1,10 +1,7 @@
 from __future__ import annotations
 
 import re
-import resource
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,6 +11,7 @@ import pytest
 from edge.errors import FeedError, FrameError
 from edge.feed import FeedHeader, FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from tests.files_written import full_disk
 
 HEADER = FeedHeader("Gardens Point", "rear", 64, 48, source="test", notes="nachts, 夜")
 
@@ -263,17 +261,6 @@ def test_a_file_that_is_no_video_is_refused_without_a_word_of_ffmpeg(
     assert capfd.readouterr().err == ""
 
 
-@contextmanager
-def file_size_limit(size_bytes: int) -> Iterator[None]:
-    """Writes beyond the limit fail as on a full disk: some bytes first, then OSError."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 @pytest.mark.parametrize("spare_bytes", [0, 1, 20])
 def test_a_full_disk_leaves_whole_rows_and_no_picture_without_a_row(tmp_path: Path, spare_bytes: int) -> None:
     path = tmp_path / "feed"
@@ -282,7 +269,7 @@ def test_a_full_disk_leaves_whole_rows_and_no_picture_without_a_row(tmp_path: Pa
         for stamp_ns in range(60):  # until the rows are longer than a picture
             writer.write(image, FeedRow("", stamp_ns))
         limit = (path / "frames.csv").stat().st_size + spare_bytes
-        with file_size_limit(limit), pytest.raises(OSError, match=r"too large|No space"):
+        with full_disk(limit), pytest.raises(OSError, match=r"too large|No space"):
             writer.write(image, FeedRow("", 60))
         assert len(read_feed(path).rows) == len(list((path / "frames").iterdir())) == 60
         writer.write(image, FeedRow("", 61))

@@ -44,6 +44,7 @@ from edge_plugins.motion.camera_motion import MotionMeasured
 from edge_plugins.motion.velocity_sender import VelocityChanged
 from sim.evaluation.replay import as_line
 from sim.journal import JournalLine, UnknownRecord, read_journal, records_of
+from tests.files_written import full_disk
 
 
 @pytest.fixture
@@ -98,18 +99,10 @@ def test_a_full_disk_is_reported_once_and_is_not_fatal(caplog: pytest.LogCapture
 def test_a_disk_that_fills_inside_a_line_leaves_the_next_line_whole(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    import resource
-    import signal
-
     journal = Journal(path)
     opened = path.stat().st_size
-    before = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (opened + 20, before[0][1]))  # the kernel then writes 20 bytes
+    with full_disk(opened + 20):  # the kernel then writes 20 bytes
         assert not journal.write(StateChanged("one"))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before[0])
-        signal.signal(signal.SIGXFSZ, before[1])
     assert path.stat().st_size == opened + 20
     assert journal.write(StateChanged("two"))
     assert texts(path) == ["two"]

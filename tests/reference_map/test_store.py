@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import resource
 import shutil
-import signal
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +35,7 @@ from edge.reference_map.store import (
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.maps.command import add_map
 from sim.maps.shrinking import shrink_to
+from tests.files_written import full_disk
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 16)
 REGIONS = RegionsKey("left-right", 0.4, "set")
@@ -357,16 +356,8 @@ def test_positions_between_and_beyond_places(small_map: Path) -> None:
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    """The largest file allowed stands in for the disk: writing fails at the same call, in the same way."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
-    try:
-        with pytest.raises(MapError, match=r"big\.map: cannot write the map: File too large"):
-            build(tmp_path / "big.map", raw_descriptors(2000))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, ignored)
+    with full_disk(20_000), pytest.raises(MapError, match=r"big\.map: cannot write the map: File too large"):
+        build(tmp_path / "big.map", raw_descriptors(2000))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import subprocess
 import sys
 import threading
@@ -34,6 +33,7 @@ from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.own_motion import OwnDriven
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
+from tests.files_written import full_disk
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
 HEADER = LogHeader(MODEL, REGIONS, SamplingConfig())
@@ -295,17 +295,13 @@ def test_a_folder_that_cannot_be_written_stops_mapping_and_nothing_else(tmp_path
 
 
 def hold_up(mapped: LiveMap, folder: Path) -> None:
-    """Map until the disk takes no more: the largest file allowed stands in for it, where the same call fails."""
+    """Map until the disk takes no more."""
     while mapped.store.waiting:
         os.sched_yield()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     (file,) = logs_in(folder)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size, hard))
-    try:
+    with full_disk(file.stat().st_size):
         while not mapped.status.why:
             drive(mapped, range(40, 41))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
@@ -342,12 +338,8 @@ def test_mapping_goes_on_when_there_is_room_again(tmp_path: Path) -> None:
 
 def test_a_full_disk_at_the_first_place_is_tried_again(tmp_path: Path) -> None:
     mapped = live(tmp_path)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
-    try:
+    with full_disk():
         drive(mapped, range(5))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
     drive(mapped, range(5, 30))
     assert (mapped.status.state, mapped.status.places) == ("mapping", 25)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import logging
-import resource
 import signal
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from edge_plugins.recording.command import record
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.files_written import full_disk
 
 COUNT = 40
 PERIOD_NS = 10_000_000
@@ -117,13 +117,9 @@ def test_it_stops_before_the_disk_is_full(config: Config, tmp_path: Path) -> Non
 
 
 def test_a_disk_that_refuses_a_frame_is_one_line_and_the_feed_stays_whole(config: Config, tmp_path: Path) -> None:
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (150, before[1]))  # room for feed.toml and no picture
-    try:
-        with pytest.raises(FeedError, match=r"out: (stopped after 0 frames: File too large|cannot write a feed here)"):
-            record(config, tmp_path / "out", threading.Event())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    why = r"out: (stopped after 0 frames: File too large|cannot write a feed here)"
+    with full_disk(150), pytest.raises(FeedError, match=why):  # room for feed.toml and no picture
+        record(config, tmp_path / "out", threading.Event())
 
 
 def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import resource
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +19,7 @@ from edge.feed import FeedImages, FeedRow, read_feed
 from sim.datasets import KINDS, ReadOptions, Traverse, open_dataset
 from sim.datasets.importing import choose_rows, write_feed
 from sim.datasets.pictures import PictureFiles
+from tests.files_written import full_disk
 
 WritePictures = Callable[[Path, list[str]], None]
 IndexOf = Callable[[NDArray[np.uint8]], int]
@@ -39,17 +38,6 @@ def traverse_of(*rows: FeedRow) -> Traverse:
 
 def chosen(traverse: Traverse, **sampling: object) -> list[int]:
     return [row.index for row in choose_rows(traverse, SamplingConfig(**sampling))]  # type: ignore[arg-type]
-
-
-@contextmanager
-def file_size_limit(size_bytes: int) -> Iterator[None]:
-    """Writes beyond the limit fail as on a full disk: some bytes first, then OSError."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_frames_without_places_are_all_taken_unless_a_spacing_says_otherwise(
@@ -136,7 +124,7 @@ def test_a_place_that_cannot_be_written_to_and_a_full_disk_are_one_line_and_leav
     (walk.parent / "file").write_text("")
     with pytest.raises(FeedError, match=r"file/feed: cannot write a feed here: File exists"):
         write_feed(traverse, walk.parent / "file/feed", rows)
-    with file_size_limit(300), pytest.raises(FeedError, match=r"full: cannot write a feed here: File too large"):
+    with full_disk(300), pytest.raises(FeedError, match=r"full: cannot write a feed here: File too large"):
         write_feed(traverse, walk.parent / "full", rows)
     assert sorted(path.name for path in walk.parent.iterdir()) == ["file", "walk"]
 
