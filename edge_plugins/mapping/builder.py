@@ -207,13 +207,10 @@ class MapBuilder(DriveByDrive):
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        with contextlib.suppress(OSError):  # a full disk, once more
-            self._raw.close()
-        with contextlib.suppress(OSError):
-            self._thumbnails.close()
-        with contextlib.suppress(OSError):
-            if self.keypoints is not None:
-                self.keypoints.close()
+        of_keypoints = [] if self.keypoints is None else [self.keypoints.close]
+        for close in (self._raw.close, self._thumbnails.close, *of_keypoints):
+            with contextlib.suppress(OSError):  # a full disk, once more
+                close()
         self._new.__exit__(kind, error, trace)
 
 

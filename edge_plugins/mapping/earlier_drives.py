@@ -75,11 +75,10 @@ def _build(file: OpenLog, path: Path) -> None:
                 try:
                     passed = file.place(row)
                     builder.add(file.raw_of(passed), passed.place)
-                    points = file.points(row)
-                    if builder.keypoints and key and points is None:
-                        builder.keypoints.add_record(record_of(NONE, key), key)
-                    elif builder.keypoints and key and points is not None:
-                        builder.keypoints.add_mapped(points.record, key, points.mount)
+                    if builder.keypoints and key:
+                        points = file.points(row)
+                        record = record_of(NONE, key) if points is None else points.record
+                        builder.keypoints.add_record(record, key, points.mount if points else None)
                     if not passed.is_vouched:
                         builder.doubt()
                 except OSError as error:

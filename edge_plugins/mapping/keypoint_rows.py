@@ -65,15 +65,12 @@ class KeypointRows:
         self._mounts[self._count] = None
         self._write(record_of(keypoints, key))
 
-    def add_record(self, record: NDArray[np.void], key: KeypointsKey) -> None:
-        """Of the next place, as another map of this key has them."""
+    def add_record(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount | None = None) -> None:
+        """Of the next place, as another map of this key has them; mount: by this place, as live mapping has them."""
+        if mount is not None:
+            self._mounts[self._count] = mount
         self._key = self._key or key
         self._write(record)
-
-    def add_mapped(self, record: NDArray[np.void], key: KeypointsKey, mount: Mount) -> None:
-        """Of the next place, as live mapping has them; mount: by this place."""
-        self._mounts[self._count] = mount
-        self.add_record(record, key)
 
     def _write(self, record: NDArray[np.void]) -> None:
         self._file.write(record.tobytes())

@@ -147,13 +147,12 @@ class OpenLog:
         """Remove the last record if the file ends within it; one that is damaged otherwise stays."""
         size = os.fstat(self.descriptor).st_size
         head = os.pread(self.descriptor, HEAD.size, self.end)
-        is_cut_off = len(head) < HEAD.size or self.end + HEAD.size + HEAD.unpack(head)[1] > size
-        if self.is_read_only:
+        if self.is_read_only or size == self.end:
             return
-        if size > self.end and is_cut_off:
+        if len(head) < HEAD.size or self.end + HEAD.size + HEAD.unpack(head)[1] > size:
             os.ftruncate(self.descriptor, self.end)
             log.warning("%s: %d bytes of a place that was not written whole were removed", self.path, size - self.end)
-        elif size > self.end:
+        else:
             log.warning("%s: the last %d bytes are damaged and were skipped", self.path, size - self.end)
             self.end = size
 
