@@ -19,7 +19,7 @@ from edge.files import wait_for_writes
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
-from edge.localization import Drive, Entry, Maps, PositionEstimator
+from edge.localization import Entry, Maps, PositionEstimator
 from edge.map_verification import MapVerification
 from edge.plugin import Parts, Plugins, Recognized
 from edge.recognizer import network_for, open_recognizer
@@ -71,7 +71,7 @@ class OpenedParts:
 
             self.shadow = Shadow(config, self.record)
             listeners.append(self.shadow.update)
-        self.drive = Drive(PositionEstimator(config), *listeners)
+        self.drive = PositionEstimator(config, *listeners)
         link = AutopilotConnection(config.telemetry, clock_ns, self.record, config.gates, self.drive)
         self.autopilot = parts.enter_context(closing(link))
         # Before all others, so that it publishes which of them cannot be opened.

@@ -25,7 +25,7 @@ from edge.descriptor.network import Network
 from edge.health.health import Health
 from edge.health.monitor import StageTimes
 from edge.journal.records import FrameUsed, PlaceFix, PluginFailed, Record
-from edge.localization import Drive
+from edge.localization import PositionEstimator
 from edge.recognizer import PlaceRecognizer
 from edge.reference_map import MapSet, MapSoFar
 from edge.reference_map.place_records import PLACE
@@ -75,7 +75,7 @@ class Parts:
     clock_ns: Callable[[], int]
     record: Callable[[Record], object]
     autopilot: AutopilotConnection
-    drive: Drive
+    drive: PositionEstimator
     network: Network
     times: StageTimes
     health: Callable[[], Health]

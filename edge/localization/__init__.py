@@ -33,7 +33,7 @@ from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.odometer import Scale, ShownScale
 from edge.localization.own_motion import OwnMotion
-from edge.localization.position_estimator import Drive, Entry, Known, PositionEstimator
+from edge.localization.position_estimator import Entry, Known, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
@@ -51,7 +51,6 @@ __all__ = [
     "Break",
     "DeadReckoning",
     "Displacement",
-    "Drive",
     "Entry",
     "Fix",
     "Frame",

@@ -26,7 +26,7 @@ from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingCo
 from edge.errors import ConfigError, FeedError, reason
 from edge.files import Behind
 from edge.localization.events import Break, Fix, Frame, Maps, Moved, Own, Used
-from edge.localization.position_estimator import Asked, Drive, Entry, PositionEstimator, Restored
+from edge.localization.position_estimator import Asked, Entry, PositionEstimator, Restored
 from edge.localization.refusals import Refusal
 from edge.reference_map import MapHeader, Mapped, PlaceIndex
 
@@ -86,7 +86,7 @@ class _Written(msgspec.Struct, frozen=True, array_like=True):
 
 
 class DriveFile:
-    """Writes the list of one drive, for `Drive`. A disk that fails ends the list, not the drive."""
+    """Writes the list of one drive, for `PositionEstimator`. A disk that fails ends the list, not the drive."""
 
     def __init__(self, path: Path, config: Config) -> None:
         """ConfigError where the file cannot be written; one of an earlier drive is replaced."""
@@ -158,7 +158,7 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
 
 def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[int, Asked, Fix | Refusal]]:
     """Each position that was asked for, and what a bare estimator answers now."""
-    drive = Drive(PositionEstimator(config))
+    drive = PositionEstimator(config)
     for t_ns, entry in entries:
         if isinstance(entry, Asked):
             yield t_ns, entry, drive.fix(t_ns, entry.limits)

@@ -4,8 +4,7 @@
     fix(t_ns, limits)     a position, or why there is none; asking changes nothing
     snapshot, restore     what is known of the autopilot's position, over a restart of this program
 
-Whoever follows a drive (daemon, telemetry, plug-ins, a trial, a replay) holds a `Drive`, which alone changes the
-estimator, and also writes the list of the drive where one is asked for.
+All of it, in the order in which it came, is the list of the drive, which listeners get.
 
     Frame -> route filter -> GPS by the places -> observed evidence
     Own   -> what bounds the autopilot's own position
@@ -42,6 +41,25 @@ CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
 
+class Asked(Struct, frozen=True, tag=True):
+    """A position was asked for, and this was the answer: changes nothing, and can be compared."""
+
+    limits: Limits
+    answer: Fix | Refusal
+
+
+class Restored(Struct, frozen=True, tag=True):
+    """A snapshot of an earlier run."""
+
+    kept: bytes
+
+
+Entry: TypeAlias = Event | Asked | Restored
+"""Of the list of a drive."""
+Listener: TypeAlias = Callable[[int, Entry], object]
+"""Gets an entry, and its time in ns of CLOCK_MONOTONIC."""
+
+
 @dataclass(frozen=True)
 class Known:
     """What the events so far show, for those who publish it.
@@ -64,11 +82,10 @@ class Known:
 class PositionEstimator:
     """Follows one vehicle, one event after another."""
 
-    def __init__(self, config: Config, rules: Sequence[Rule] = RULES) -> None:
+    def __init__(self, config: Config, *listeners: Listener, rules: Sequence[Rule] = RULES) -> None:
         """rules: fewer only where they are compared, as by `lookback dev ablate`."""
-        self._config, self._rules = config, rules
-        self.route: Route | None = None
-        """The drives of the maps that are searched."""
+        self._config, self._listeners, self._rules = config, listeners, rules
+        self._route: Route | None = None
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
         self._claims = Claims(config.gates)
@@ -81,10 +98,11 @@ class PositionEstimator:
 
     def update(self, t_ns: int, event: Event) -> None:
         """Use what happened; t_ns: when that was known, CLOCK_MONOTONIC."""
+        self._publish(t_ns, event)
         self._known = None
         match event:
             case Frame():
-                self._use_frame(t_ns, event)
+                self._use_frame(event)
             case Own():
                 self._use_own(t_ns, event)
             case Moved():
@@ -103,16 +121,30 @@ class PositionEstimator:
 
     def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
         """A position that may be published at a moment, or why none may."""
-        return decide(t_ns, self._estimate(*self._asked(t_ns, limits)), limits, self._config.gates, self._rules)
+        known = self._estimate(*self._asked(t_ns, limits))
+        answer = decide(t_ns, known, limits, self._config.gates, self._rules)
+        self._publish(t_ns, Asked(limits, answer))
+        return answer
 
     def snapshot(self) -> bytes:
         """What bounds the autopilot's own position, b"" for nothing."""
         return self._bound.snapshot()
 
-    def restore(self, kept: bytes) -> None:
+    def restore(self, t_ns: int, kept: bytes) -> None:
         """Go on with a snapshot of before a restart of this program, if the autopilot has not rebooted since."""
+        self._publish(t_ns, Restored(kept))
         self._known = None
         self._bound.restore(kept)
+
+    def _publish(self, t_ns: int, entry: Entry) -> None:
+        for listener in self._listeners:
+            listener(t_ns, entry)
+
+    @property
+    def route(self) -> Route:
+        """The drives of the maps that are searched."""
+        assert self._route is not None
+        return self._route
 
     @property
     def known(self) -> Known:
@@ -131,14 +163,14 @@ class PositionEstimator:
 
     def _use_maps(self, event: Maps) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
-        if event.has_grown and self.route is not None:
-            self.route.grow(event.map_set)
+        if event.has_grown and self._route is not None:
+            self._route.grow(event.map_set)
             return
-        self.route = Route(event.map_set)
-        self._filter = RouteFilter(self.route, self._config)
-        self._gps.use_route(self.route)
+        self._route = Route(event.map_set)
+        self._filter = RouteFilter(self._route, self._config)
+        self._gps.use_route(self._route)
 
-    def _use_frame(self, t_ns: int, frame: Frame) -> None:
+    def _use_frame(self, frame: Frame) -> None:
         assert self._filter is not None
         self._is_recognized = frame.match is not None and frame.match.accepted
         believed, undated_m = self._gps.believed(self._own), frame.undated_s * (self._own.speed_mps or 0.0)
@@ -231,68 +263,3 @@ class PositionEstimator:
         is_blurred = self._is_recognized and self._filter is not None and self._filter.at_exposure() is None
         own, aside = self._gps.believed(self._own), None if self._filter is None else self._filter.aside
         return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred)
-
-
-class Asked(Struct, frozen=True, tag=True):
-    """A position was asked for, and this was the answer: changes nothing, and can be compared."""
-
-    limits: Limits
-    answer: Fix | Refusal
-
-
-class Restored(Struct, frozen=True, tag=True):
-    """A snapshot of an earlier run."""
-
-    kept: bytes
-
-
-Entry: TypeAlias = Event | Asked | Restored
-"""Of the list of a drive."""
-
-
-class Drive:
-    """The events of one vehicle, in the order in which they came: to the estimator, and to a list."""
-
-    def __init__(self, estimator: PositionEstimator, *listeners: Callable[[int, Entry], object]) -> None:
-        """listeners: get each entry of the list, with its time in ns of CLOCK_MONOTONIC."""
-        self._estimator, self._listeners = estimator, listeners
-
-    def update(self, t_ns: int, event: Event) -> None:
-        """See `PositionEstimator.update`."""
-        self._publish(t_ns, event)
-        self._estimator.update(t_ns, event)
-
-    def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
-        """See `PositionEstimator.fix`."""
-        answer = self._estimator.fix(t_ns, limits)
-        if self._listeners:
-            self._publish(t_ns, Asked(limits, answer))
-        return answer
-
-    def _publish(self, t_ns: int, entry: Entry) -> None:
-        for listener in self._listeners:
-            listener(t_ns, entry)
-
-    def snapshot(self) -> bytes:
-        """See `PositionEstimator.snapshot`."""
-        return self._estimator.snapshot()
-
-    def restore(self, t_ns: int, kept: bytes) -> None:
-        """See `PositionEstimator.restore`."""
-        self._publish(t_ns, Restored(kept))
-        self._estimator.restore(kept)
-
-    @property
-    def known(self) -> Known:
-        """See `PositionEstimator.known`."""
-        return self._estimator.known
-
-    def reckoned(self, motion: Displacement | None) -> Reckoning | None:
-        """See `PositionEstimator.reckoned`."""
-        return self._estimator.reckoned(motion)
-
-    @property
-    def route(self) -> Route:
-        """The drives of the maps that are searched."""
-        assert self._estimator.route is not None
-        return self._estimator.route

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.backoff import BackOff, Exchange
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
-from edge.localization import AGREE_SIGMAS, Drive, Fix, PlaceFix, Used, offset_m
+from edge.localization import AGREE_SIGMAS, Fix, PlaceFix, PositionEstimator, Used, offset_m
 from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
@@ -134,7 +134,7 @@ class Sent:
 class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
-    def __init__(self, vehicle: Vehicle, drive: Drive, publisher: Publisher) -> None:
+    def __init__(self, vehicle: Vehicle, drive: PositionEstimator, publisher: Publisher) -> None:
         """drive: gets each position that was used."""
         self._vehicle, self._drive, self._publisher = vehicle, drive, publisher
         self.new_session()

@@ -18,7 +18,6 @@ from edge.localization import (
     GPS_HEALTHY,
     TWO_AUTOPILOTS,
     Break,
-    Drive,
     Fix,
     GpsVerdict,
     Limits,
@@ -73,7 +72,7 @@ class AutopilotConnection:
         clock_ns: Callable[[], int] = time.monotonic_ns,
         record: Callable[[Record], object] = lambda record: None,
         gates: GatesConfig = GatesConfig(),  # noqa: B008  # frozen
-        drive: Drive | None = None,
+        drive: PositionEstimator | None = None,
     ) -> None:
         """record: writes a record of what happens (`Journal.write`). ConfigError for a wrong connection or key.
 
@@ -90,7 +89,7 @@ class AutopilotConnection:
             ReportLink(open_port(config, link, number, clock_ns), vehicle, record)
             for number, link in enumerate(config.links, start=1)
         ]
-        self.drive = drive = drive or Drive(PositionEstimator(Config(gates=gates)))
+        self.drive = drive = drive or PositionEstimator(Config(gates=gates))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
         self._bound = KeptBound(config.journal, drive, clock_ns())

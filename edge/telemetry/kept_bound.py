@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from edge.files import BOOT_ID, KeptFile
-from edge.localization import PERIOD_NS, Drive
+from edge.localization import PERIOD_NS, PositionEstimator
 
 
 class Bound(msgspec.Struct, frozen=True):
@@ -20,7 +20,7 @@ class Bound(msgspec.Struct, frozen=True):
 class KeptBound:
     """The newest snapshot of a drive. It is not flushed: it has to outlive this program, not this computer's power."""
 
-    def __init__(self, journal: str, drive: Drive, now_ns: int) -> None:
+    def __init__(self, journal: str, drive: PositionEstimator, now_ns: int) -> None:
         """Have the drive go on with what an earlier run has kept beside this journal in this boot; "" keeps nothing."""
         path = Path(journal).with_suffix(".bound") if journal else None
         self._file = KeptFile(path, Bound, "nothing bounds the autopilot's position yet", is_flushed=False)

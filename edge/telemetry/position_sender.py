@@ -17,10 +17,10 @@ from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     CORRELATION_M,
     NO_PLACES,
-    Drive,
     Fix,
     Limits,
     PlaceFix,
+    PositionEstimator,
     ProtectionLevel,
     Refusal,
     Used,
@@ -49,7 +49,7 @@ class PositionSender:
         telemetry: TelemetryConfig,
         gates: GatesConfig,
         vehicle: Vehicle,
-        drive: Drive,
+        drive: PositionEstimator,
         publisher: Publisher,
     ) -> None:
         """drive: gets what becomes of each position."""

@@ -19,7 +19,7 @@ from hypothesis.errors import FlakyFailure
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, TelemetryConfig
-from edge.localization import Drive, PlaceFix
+from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
@@ -212,8 +212,7 @@ class Turns:
         )
         home = HomeConfig(enabled=True, speed_mps=2.5)
         gates = GatesConfig(with_gps=True, risk=1.0)
-        self.estimator = ToldEstimator(Config(gates=gates))
-        self.drive = Drive(self.estimator)
+        self.drive = ToldEstimator(Config(gates=gates))
         self.link = AutopilotConnection(config, self.clock_ns, gates=gates, drive=self.drive)
         self.home = HomeRequests(home, self.link)
         self.link.serve(self.home)
@@ -259,7 +258,7 @@ class Turns:
                     now_ns, 1, -27.4705, 153.02, 0.0, 3.0, 2.0, "reverse", "same", 1.3, matches=20, confidence=0.9
                 )
                 self.link.report_own()
-                self.estimator.offer(now_ns, fix, self.link.vehicle.motion.displacement(now_ns))
+                self.drive.offer(now_ns, fix, self.link.vehicle.motion.displacement(now_ns))
                 self.link.send_position(self.drive.fix(now_ns, limits))
             self.link.set_system_status(4)
             assert self.link.status().state == self.link.state

@@ -19,7 +19,6 @@ from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
     GPS_SIGMA_M,
     Displacement,
-    Drive,
     Fix,
     GpsFix,
     GpsVerdict,
@@ -102,7 +101,7 @@ class Vehicle:
         self, road: Road, config: Config | None = None, north_m: float = 0.0, direction: Direction = "forward"
     ) -> None:
         self.road, self.direction = road, direction
-        self.drive = Drive(PositionEstimator(config or settings()))
+        self.drive = PositionEstimator(config or settings())
         self.drive.update(0, Maps(road.maps))
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.t_ns, self.driven_m = north_m, 100 * S, 0.0

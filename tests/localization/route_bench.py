@@ -24,7 +24,6 @@ from edge.localization import (
     AGREE_SIGMAS,
     GPS_SIGMA_M,
     DeadReckoning,
-    Drive,
     Fix,
     GpsFix,
     Limits,
@@ -123,7 +122,7 @@ class Bench:
         tracking, sequence = TrackingConfig(), SequenceConfig(length=LENGTH)
         self.config = Config(camera=camera, rig=rig, tracking=tracking, sequence=sequence)
         self.events: list[tuple[int, Entry]] = []
-        self.drive = Drive(PositionEstimator(self.config), lambda t_ns, entry: self.events.append((t_ns, entry)))
+        self.drive = PositionEstimator(self.config, lambda t_ns, entry: self.events.append((t_ns, entry)))
         self.drive.update(0, Maps(maps))
         self.motion, self.shown = DeadReckoning(), ShownScale()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)

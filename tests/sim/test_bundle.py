@@ -11,7 +11,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import Config
-from edge.localization import Drive, Limits, Own, PositionEstimator
+from edge.localization import Limits, Own, PositionEstimator
 from edge.localization.drive_file import DriveFile
 
 TOKEN, PASSWORD = "a-token-of-the-page", "pass-of-the-camera"
@@ -47,7 +47,7 @@ def test_a_bundle_has_what_happened_and_no_secret(
         (tmp_path / name).write_text(f'{{"event": "camera", "why": "rtsp://admin:{PASSWORD}@10.0.0.2 {TOKEN}"}}\n')
     (tmp_path / "printed.log").write_text(f"lookback: camera rtsp://admin:{PASSWORD}@10.0.0.2\n")
     file = DriveFile(tmp_path / "newest.drive", Config())
-    drive = Drive(PositionEstimator(Config()), file.write)
+    drive = PositionEstimator(Config(), file.write)
     drive.update(1_000_000_000, Own(gps="healthy"))
     drive.fix(2_000_000_000, Limits())
     file.close()

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
-from edge.localization import Drive, GpsFix, GpsVerdict, Limits, PlaceFix, PositionEstimator
+from edge.localization import GpsFix, GpsVerdict, Limits, PlaceFix, PositionEstimator
 from edge.localization.dead_reckoning import Displacement
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
@@ -121,8 +121,7 @@ class Rig:
 
     def connect(self) -> None:
         """Start our end; the autopilot goes on as it is."""
-        self.estimator = ToldEstimator(Config(gates=self._gates))
-        self.drive = Drive(self.estimator)
+        self.drive = ToldEstimator(Config(gates=self._gates))
         self.connection = AutopilotConnection(
             self._config, lambda: self.now_ns, self.journal.write, self._gates, self.drive
         )
@@ -137,7 +136,7 @@ class Rig:
         """Of a place that is recognized now; whether it was sent."""
         connection = self.connection
         connection.report_own()
-        self.estimator.offer(self.now_ns, fix, connection.vehicle.motion.displacement(fix.stamp_ns))
+        self.drive.offer(self.now_ns, fix, connection.vehicle.motion.displacement(fix.stamp_ns))
         return self.publish_position()
 
     def publish_position(self) -> bool:
@@ -150,7 +149,7 @@ class Rig:
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS, after a frame."""
         self.connection.report_own()
-        self.estimator.judge(verdict)
+        self.drive.judge(verdict)
         self.connection.judge_gps(self.drive.known.gps)
 
     def crash(self) -> None:

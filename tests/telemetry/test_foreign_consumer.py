@@ -25,7 +25,7 @@ from mavsdk.plugins.mission_raw_server.mission_raw_server import MissionRawServe
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import Config, GatesConfig, TelemetryConfig
-from edge.localization import Drive, PlaceFix
+from edge.localization import PlaceFix
 from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
@@ -87,8 +87,7 @@ class Setting:
         self.foreigner = foreigner
         self.connection = connection
         gates = GatesConfig(risk=1.0, with_gps=True)  # GPS alone measures this velocity, see below
-        self.estimator = ToldEstimator(Config(gates=gates))
-        self.drive = Drive(self.estimator)
+        self.drive = ToldEstimator(Config(gates=gates))
         self.ours = AutopilotConnection(
             TelemetryConfig(connection=connection, emit=emit, origin=ORIGIN, journal=""),
             gates=gates,
@@ -100,7 +99,7 @@ class Setting:
         """Of a place that is recognized now; whether it was sent."""
         now_ns = time.monotonic_ns()
         self.ours.report_own()
-        self.estimator.offer(now_ns, fix, self.ours.vehicle.motion.displacement(fix.stamp_ns))
+        self.drive.offer(now_ns, fix, self.ours.vehicle.motion.displacement(fix.stamp_ns))
         limits = self.ours.position_due()
         return limits is not None and self.ours.send_position(self.drive.fix(now_ns, limits))
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
-from edge.localization import Drive, Fix, PositionEstimator, ProtectionLevel
+from edge.localization import Fix, PositionEstimator, ProtectionLevel
 from edge.telemetry.acknowledgements import ANSWER_NS, PositionUse, Sent
 from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
@@ -33,7 +33,7 @@ def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> Sent:
 @pytest.mark.parametrize(("north_m", "follows"), [(8.0, True), (14.0, False)])
 def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follows: bool) -> None:
     """One standard deviation is 2.8 m."""
-    speaker, drive = Speaker(), Drive(PositionEstimator(Config()))
+    speaker, drive = Speaker(), PositionEstimator(Config())
     vehicle = connect(speaker)
     vehicle.handle(speaker.fix(2000, 0.0, vn_mps=10.0, ve_mps=0.0), 2 * S)
     own = vehicle.position(2 * S)
@@ -45,7 +45,7 @@ def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follow
 
 
 def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> None:
-    speaker, drive = Speaker(), Drive(PositionEstimator(Config()))
+    speaker, drive = Speaker(), PositionEstimator(Config())
     vehicle = connect(speaker)
     vehicle.handle(speaker.fix(2000, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
     own = vehicle.position(2 * S)
@@ -87,7 +87,7 @@ class Stream:
     def __init__(self) -> None:
         self.records: list[Record] = []
         publisher = Publisher(self.records.append, lambda text: None)
-        self.use = PositionUse(Vehicle(), Drive(PositionEstimator(Config())), publisher)
+        self.use = PositionUse(Vehicle(), PositionEstimator(Config()), publisher)
 
     def checked(self, distances_m: list[float], from_s: int = 100) -> list[tuple[int, bool]]:
         """After which second it was said whether the autopilot has come nearer."""

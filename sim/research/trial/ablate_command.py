@@ -16,7 +16,7 @@ import numpy as np
 
 from edge import __version__
 from edge.errors import FeedError
-from edge.localization import NO_PLACES, Drive, Fix, PositionEstimator
+from edge.localization import NO_PLACES, Fix, PositionEstimator
 from edge.localization.drive_file import read_drive
 from edge.localization.events import Frame
 from edge.localization.position_estimator import Asked, Entry, Restored
@@ -110,7 +110,7 @@ def ablated(lists: Path, names: Sequence[str], folder: Path) -> dict[str, Answer
     def replay(name: str, without: str = "") -> None:
         found[name] = Answers([], [])
         for config, entries in runs:
-            estimator = PositionEstimator(config, [rule for rule in RULES if rule.reason != without])
+            estimator = PositionEstimator(config, rules=[rule for rule in RULES if rule.reason != without])
             one = _replayed(estimator, entries, truth, config.gates.min_interval_s)
             found[name] = Answers(found[name].positions + one.positions, found[name].verdicts + one.verdicts)
 
@@ -142,22 +142,22 @@ def _replayed(
     estimator: PositionEstimator, entries: Sequence[tuple[int, Entry]], truth: RecordedDrive, interval_s: float
 ) -> Answers:
     """Open loop: the autopilot goes on by the positions of the list, but for those that no estimator here has given."""
-    drive, found = Drive(estimator), Answers([], [])
+    found = Answers([], [])
     answered_ns, stamp_ns, verdict = -math.inf, 0, ""
     for t_ns, entry in entries:
         if isinstance(entry, Asked):
-            answer = drive.fix(t_ns, entry.limits)
+            answer = estimator.fix(t_ns, entry.limits)
             period_s = STREAM_S if entry.limits.at == "now" else interval_s
             is_new = isinstance(answer, Fix) and answer.place.stamp_ns != stamp_ns
             if isinstance(answer, Fix) and is_new and t_ns - answered_ns >= period_s * 1e9 - STREAM_S * 1e9 / 2:
                 answered_ns, stamp_ns = t_ns, answer.place.stamp_ns
                 found.positions.append(_off(answer, truth))
         elif isinstance(entry, Restored):
-            drive.restore(t_ns, entry.kept)
+            estimator.restore(t_ns, entry.kept)
         else:
-            drive.update(t_ns, entry)
-            if isinstance(entry, Frame) and drive.known.gps.state != verdict:
-                verdict = drive.known.gps.state
+            estimator.update(t_ns, entry)
+            if isinstance(entry, Frame) and estimator.known.gps.state != verdict:
+                verdict = estimator.known.gps.state
                 found.verdicts.append(verdict)
     return found
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from edge.commands.parser import build_parser
 from edge.config import Config
-from edge.localization import Drive, Limits, Own, PositionEstimator, Refusal
+from edge.localization import Limits, Own, PositionEstimator, Refusal
 from edge.localization.drive_file import DriveFile
 from edge.localization.position_estimator import Asked
 
@@ -17,7 +17,7 @@ from edge.localization.position_estimator import Asked
 def test_it_names_each_answer_that_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "list.drive"
     file = DriveFile(path, Config())
-    drive = Drive(PositionEstimator(Config()), file.write)
+    drive = PositionEstimator(Config(), file.write)
     drive.update(1_000_000_000, Own(gps="healthy"))
     answer = drive.fix(2_000_000_000, Limits())
     assert isinstance(answer, Refusal)

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from edge.commands.parser import build_parser
-from edge.localization import Drive, Maps, PositionEstimator
+from edge.localization import Maps, PositionEstimator
 from edge.localization.drive_file import DriveFile
 from sim.bundle import LIST
 from sim.research.trial.listed_drive import ListedDrive
@@ -21,7 +21,7 @@ def bundle(folder: Path, *, reports_only: bool) -> Path:
     """A vehicle that drives 300 m beside GPS, 3 m behind where GPS has it, and 200 m without."""
     one = Vehicle(Road(folder, Stretch(0, 600, sigma_m=1.0)))
     file = DriveFile(folder / "it.drive", settings())
-    one.drive, one.off_m = Drive(PositionEstimator(settings()), file.write), 3.0
+    one.drive, one.off_m = PositionEstimator(settings(), file.write), 3.0
     one.drive.update(0, Maps(one.road.maps))
     for row in range(250):
         one.move()
