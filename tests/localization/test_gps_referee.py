@@ -289,7 +289,7 @@ def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(mapped: MakeRoad) -> N
     assert "wrong" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees))
 
 
-@pytest.mark.parametrize("share", [1.0, 0.75])
+@pytest.mark.parametrize("share", [1.0, pytest.param(0.75, marks=pytest.mark.long)])
 def test_a_recording_that_is_25_m_off_in_part_makes_no_gps_wrong(mapped: MakeRoad, share: float) -> None:
     """Places that are wrong count as agreed for a while; own motion since then must not speak for them.
 

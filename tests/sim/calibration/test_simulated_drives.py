@@ -109,6 +109,7 @@ def test_the_way_home_over_a_rear_camera_map(maps: dict[str, ReferenceMap], tmp_
     assert offset.ahead_m == pytest.approx(-6.0, abs=2.0)
 
 
+@pytest.mark.long
 def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network, measure: Measure) -> None:
     """What the two see at different times depends on the street; what the mounting adds to it does not.
 
@@ -125,6 +126,7 @@ def test_a_front_camera_over_a_rear_camera_map(tmp_path: Path, network: Network,
     assert ahead.ahead_m - at_antenna.ahead_m == pytest.approx(8.0, abs=2.0)
 
 
+@pytest.mark.long
 def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     maps: dict[str, ReferenceMap], network: Network, tmp_path: Path
 ) -> None:

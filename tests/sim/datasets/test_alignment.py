@@ -51,6 +51,7 @@ STARTED = {"creation_time": "2026-05-04T12:30:20Z"}
 ANDROID = {"com.android.version": "14"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("metadata", "shift_s", "how"),
     [
@@ -77,6 +78,7 @@ def test_positions_are_right_whatever_the_clocks(
     assert re.search(how, alignment.how), alignment.how
 
 
+@pytest.mark.long
 def test_a_track_of_another_day_and_pictures_that_show_nothing_are_refused(drive_path: Path, tmp_path: Path) -> None:
     truth = read_feed(drive_path)
     write_phone_video(truth, tmp_path / "out.mp4", STARTED)
@@ -91,6 +93,7 @@ def test_a_track_of_another_day_and_pictures_that_show_nothing_are_refused(drive
     assert np.median(errors_m(given, truth)) < 3.0
 
 
+@pytest.mark.long
 def test_a_creation_time_alone_is_as_good_as_its_clock(drive_path: Path, tmp_path: Path) -> None:
     """And it goes into the feed, so that its map can carry it."""
     truth = read_feed(drive_path)
