@@ -65,12 +65,22 @@ def recognizer_of(network: Network, reference_map: ReferenceMap, config: Config 
     return open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
 
 
+Opened = Callable[..., PlaceRecognizer]
+Frames = list[np.ndarray]
+
+
+@pytest.fixture
+def opened(network: Network, street_map: ReferenceMap) -> Opened:
+    """Opens a recognizer on the map of the street, with another config."""
+    return lambda config=CONFIG: recognizer_of(network, street_map, config)
+
+
 def drive(recognizer: PlaceRecognizer, images: list[np.ndarray], start_ns: int = 0) -> list[PlaceMatch | None]:
     return [recognizer.observe(image, start_ns + row * FRAME_NS) for row, image in enumerate(images)]
 
 
-def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
-    matches = drive(recognizer_of(network, street_map), frames[:60])
+def test_along_the_map(opened: Opened, street_map: ReferenceMap, frames: Frames) -> None:
+    matches = drive(opened(), frames[:60])
     assert matches[: LENGTH - 1] == [None] * (LENGTH - 1)
     places = [match.place for match in matches if match]
     assert np.abs(np.array(places) - np.arange(LENGTH - 1, 60)).max() <= 1
@@ -84,10 +94,10 @@ def test_along_the_map(network: Network, street_map: ReferenceMap, frames: list[
     assert position.heading_deg == 0.0
 
 
-def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+def test_backwards_along_the_map(opened: Opened, street_map: ReferenceMap, frames: Frames) -> None:
     # The camera looks back and drives home: the same view, the map in reverse.
     rear = msgspec.structs.replace(CONFIG, camera=CameraConfig(view="rear"), rig=RigConfig(ahead_reverse_same_m=4.0))
-    matches = drive(recognizer_of(network, street_map, rear), frames[59:0:-1])
+    matches = drive(opened(rear), frames[59:0:-1])
     last = matches[-1]
     assert last and last.accepted
     position = match_position(last, Route(MapSet.of(street_map)), rear.rig)
@@ -98,10 +108,8 @@ def test_backwards_along_the_map(network: Network, street_map: ReferenceMap, fra
     assert position.lat_deg == pytest.approx(-27.0 + (last.place + 2) * 2 / 110_800)
 
 
-def test_beyond_the_end_of_the_map_nothing_is_believed(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
-    recognizer = recognizer_of(network, street_map)
+def test_beyond_the_end_of_the_map_nothing_is_believed(opened: Opened, frames: Frames) -> None:
+    recognizer = opened()
     matches = drive(recognizer, frames)
     assert recognizer.state == "off the map"
     assert not any(match.accepted for match in matches[60 + LENGTH :] if match)
@@ -116,9 +124,9 @@ def halt(recognizer: PlaceRecognizer, picture: np.ndarray, count: int) -> None:
         assert recognizer.state == "standing"
 
 
-def test_standing_still_changes_nothing(network: Network, street_map: ReferenceMap, frames: list[np.ndarray]) -> None:
+def test_standing_still_changes_nothing(opened: Opened, frames: Frames) -> None:
     config = msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="time"))
-    moving, halting = recognizer_of(network, street_map, config), recognizer_of(network, street_map, config)
+    moving, halting = opened(config), opened(config)
     expected = drive(moving, frames[:30])
     drive(halting, frames[:20])
     halt(halting, frames[19], 30)
@@ -126,10 +134,10 @@ def test_standing_still_changes_nothing(network: Network, street_map: ReferenceM
 
 
 def test_a_line_leads_through_no_frame_that_stands_or_whose_distance_is_not_known(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+    opened: Opened, frames: Frames
 ) -> None:
     config = msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="distance"))
-    recognizer = recognizer_of(network, street_map, config)
+    recognizer = opened(config)
     for index, (picture, driven_m, is_in_line) in enumerate(
         [(0, 0.0, True), (0, 0.2, False), (1, 2.0, True), (2, None, False), (3, 6.0, True)]
     ):
@@ -138,9 +146,9 @@ def test_a_line_leads_through_no_frame_that_stands_or_whose_distance_is_not_know
 
 
 def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_without_a_frame(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
+    opened: Opened, frames: Frames
 ) -> None:
-    recognizer, expected = recognizer_of(network, street_map), recognizer_of(network, street_map)
+    recognizer, expected = opened(), opened()
     for one in (recognizer, expected):
         drive(one, frames[:20])
     halt(recognizer, frames[19], 3)
@@ -149,10 +157,8 @@ def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_wit
     assert recognizer.observe(frames[24], 24 * FRAME_NS) == expected.observe(frames[24], 24 * FRAME_NS), "once"
 
 
-def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
-    recognizer = recognizer_of(network, street_map)
+def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(opened: Opened, frames: Frames) -> None:
+    recognizer = opened()
     for index in range(20):
         recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     recognizer.observe(frames[19], 20 * FRAME_NS, Travel(38.1))
@@ -163,15 +169,15 @@ def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(
 
 @pytest.mark.parametrize(("moved_m", "is_kept"), [(2.0, True), (60.0, False), (None, False), (-20.0, False)])
 def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was_passed(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], moved_m: float | None, is_kept: bool
+    opened: Opened, frames: Frames, moved_m: float | None, is_kept: bool
 ) -> None:
-    recognizer = recognizer_of(network, street_map)
+    recognizer = opened()
     for index in range(20):
         recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     after_m = None if moved_m is None else 38.0 + moved_m
     found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, Travel(after_m))
     assert (found is not None) == is_kept
-    again = recognizer_of(network, street_map)
+    again = opened()
     for index in range(20):
         again.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     again.restart_odometer()
@@ -180,10 +186,10 @@ def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was
 
 @pytest.mark.parametrize(("shown", "is_carried"), [(26, False), (48, True)])
 def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], shown: int, is_carried: bool
+    opened: Opened, frames: Frames, shown: int, is_carried: bool
 ) -> None:
     """After a halt of 10 s it shows the next place, or one that is 44 m further."""
-    recognizer = recognizer_of(network, street_map)
+    recognizer = opened()
     for index in range(26):
         recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
     later_ns = 25 * FRAME_NS + 10_000_000_000
@@ -196,10 +202,10 @@ def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
 
 @pytest.mark.parametrize(("further", "halt_ns", "is_carried"), [(8, 10_000_000_000, True), (16, 0, False)])
 def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], further: int, halt_ns: int, is_carried: bool
+    opened: Opened, frames: Frames, further: int, halt_ns: int, is_carried: bool
 ) -> None:
     """The camera shows nothing for some places, which the vehicle passes at its usual pace, after a halt or without."""
-    recognizer, period_ns = recognizer_of(network, street_map), 250_000_000
+    recognizer, period_ns = opened(), 250_000_000
     for index in range(26):
         recognizer.observe(frames[index], index * period_ns, Travel(2.0 * index))
     now, missed = 25 + further, further - 1
@@ -207,10 +213,8 @@ def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
     assert recognizer.was_carried == is_carried
 
 
-def test_after_turning_around_no_line_goes_on_and_the_way_out_s_statistics_do(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
-    recognizer = recognizer_of(network, street_map)
+def test_after_turning_around_no_line_goes_on_and_the_way_out_s_statistics_do(opened: Opened, frames: Frames) -> None:
+    recognizer = opened()
     drive(recognizer, frames[:60] * 2)
     out = recognizer.matcher.statistics
     assert out is not None and out.count > 120
@@ -222,11 +226,9 @@ def test_after_turning_around_no_line_goes_on_and_the_way_out_s_statistics_do(
     assert [match is None for match in back] == [True] * (LENGTH - 1) + [False] * (20 - LENGTH + 1)
 
 
-def test_places_passed_unseen_leave_room_in_the_line(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
+def test_places_passed_unseen_leave_room_in_the_line(opened: Opened, frames: Frames) -> None:
     """Three frames are lost on the way: every later line through the hole ends where the vehicle is."""
-    recognizer = recognizer_of(network, street_map)
+    recognizer = opened()
     drive(recognizer, frames[:20])
     rows = range(23, 23 + LENGTH)
     matches = [
@@ -236,9 +238,7 @@ def test_places_passed_unseen_leave_room_in_the_line(
 
 
 @pytest.mark.parametrize("order", ["rig", "frame"])
-def test_lost_frames_are_the_same_to_a_search_that_begins_anew(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], order: Any
-) -> None:
+def test_lost_frames_are_the_same_to_a_search_that_begins_anew(opened: Opened, frames: Frames, order: Any) -> None:
     """The ring that is matched again as a whole has the same room in it."""
     answers = []
     for renormalize_ring in (True, False):
@@ -247,26 +247,22 @@ def test_lost_frames_are_the_same_to_a_search_that_begins_anew(
             descriptor=DescriptorConfig(renormalize_ring=renormalize_ring),
             sequence=SequenceConfig(length=LENGTH, region_order=order),
         )
-        recognizer = recognizer_of(network, street_map, config)
+        recognizer = opened(config)
         drive(recognizer, frames[:12])
         answers.append(recognizer.observe(frames[14], 14 * FRAME_NS, Travel(missed=2)))
     assert all(answer and abs(answer.place - 14) <= 1 for answer in answers)
 
 
-def test_when_too_much_was_missed_a_sequence_begins_anew(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
-    recognizer = recognizer_of(network, street_map)
+def test_when_too_much_was_missed_a_sequence_begins_anew(opened: Opened, frames: Frames) -> None:
+    recognizer = opened()
     drive(recognizer, frames[:20])
     assert recognizer.observe(frames[30], 30 * FRAME_NS, Travel(missed=LENGTH // 2 + 1)) is None
     assert recognizer.state == "warming up"
 
 
 @pytest.mark.parametrize("next_s", [100.0, -5.0])
-def test_after_a_gap_a_sequence_begins_anew(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], next_s: float
-) -> None:
-    recognizer = recognizer_of(network, street_map)
+def test_after_a_gap_a_sequence_begins_anew(opened: Opened, frames: Frames, next_s: float) -> None:
+    recognizer = opened()
     drive(recognizer, frames[:20])
     after = drive(recognizer, frames[40:55], round(next_s * 1e9))
     assert after[: LENGTH - 1] == [None] * (LENGTH - 1)
@@ -300,20 +296,16 @@ def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_p
 
 
 @pytest.mark.parametrize("region_order", ["sequence", "frame"])
-def test_every_way_to_choose_the_region_order(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray], region_order: str
-) -> None:
+def test_every_way_to_choose_the_region_order(opened: Opened, frames: Frames, region_order: str) -> None:
     sequence = SequenceConfig(length=LENGTH, region_order=region_order)  # type: ignore[arg-type]
-    matches = drive(recognizer_of(network, street_map, msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
+    matches = drive(opened(msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
     last = matches[-1]
     assert last and abs(last.place - 59) <= 1
     assert (last.direction, last.order) == ("forward", "same")
 
 
-def test_the_same_frames_give_the_same_answers(
-    network: Network, street_map: ReferenceMap, frames: list[np.ndarray]
-) -> None:
-    assert drive(recognizer_of(network, street_map), frames) == drive(recognizer_of(network, street_map), frames)
+def test_the_same_frames_give_the_same_answers(opened: Opened, frames: Frames) -> None:
+    assert drive(opened(), frames) == drive(opened(), frames)
 
 
 def test_a_config_that_names_no_network_goes_on_with_that_of_its_maps(
