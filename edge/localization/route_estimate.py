@@ -134,11 +134,6 @@ class RouteEstimate:
         return float(np.sqrt(self.covariance[SCALE, SCALE]))
 
     @property
-    def doubt_sigma(self) -> float:
-        """Standard deviation of the share of doubtful meters that were none."""
-        return float(np.sqrt(self.covariance[DOUBT, DOUBT]))
-
-    @property
     def velocity_errors(self) -> tuple[float, float]:
         """What scale and heading, in radians, are expected to be wrong by: by their means and variances."""
         means, variances = self.mean[[SCALE, HEADING]], self.covariance.diagonal()[[SCALE, HEADING]]

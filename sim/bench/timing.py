@@ -27,11 +27,6 @@ class Times:
         """Median of the runs."""
         return statistics.median(self.runs_ms)
 
-    @property
-    def least_ms(self) -> float:
-        """The fastest run."""
-        return min(self.runs_ms)
-
     def ratio(self, to: Times) -> float:
         """Median of the ratios of consecutive runs."""
         return statistics.median(ours / theirs for ours, theirs in zip(self.runs_ms, to.runs_ms, strict=True))

@@ -24,10 +24,9 @@ EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.5, 0.1, 0.9, 0.15
 
 @dataclass(frozen=True)
 class Reset:
-    """A position that was used, and the error of the estimate before and after it."""
+    """A position that was used, and the error of the estimate after it."""
 
     time_s: float
-    error_before_m: float
     error_after_m: float
 
 
@@ -122,18 +121,16 @@ class PositionInputs:
         self.velocities_fused.append(self._estimate.fuse_velocity(*values))
 
     def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
-        before_m = self._estimate.error_m
         is_weighed = self._firmware.resets_softly and not sigma_m < ALWAYS_RESETS_M
         if is_weighed and moment.gps_lost_s < math.inf:
             self._estimate.fuse(east_m, north_m, moment.now_s - age_s, sigma_m, reset_gate=SOFT_GATE)
         else:
             self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
-        self.resets.append(Reset(moment.now_s, before_m, self._estimate.error_m))
+        self.resets.append(Reset(moment.now_s, self._estimate.error_m))
 
     def _fuse(self, east_m: float, north_m: float, moment: Moment, sigma_m: float) -> None:
-        before_m = self._estimate.error_m
         if self._estimate.fuse(east_m, north_m, moment.now_s, sigma_m):
-            self.fused.append(Reset(moment.now_s, before_m, self._estimate.error_m))
+            self.fused.append(Reset(moment.now_s, self._estimate.error_m))
 
 
 def east_north_m(lat_deg: float, lon_deg: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:

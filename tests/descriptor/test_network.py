@@ -86,11 +86,6 @@ def test_channel_order_matters(network: Network, images: NDArray[np.uint8]) -> N
     assert not np.array_equal(swapped, network.describe(images))
 
 
-def read_weights(file: Path) -> Weights:
-    with np.load(file) as arrays:
-        return {name.replace("module.", ""): array.astype(np.float32) for name, array in arrays.items()}
-
-
 def float_fc6(weights: Weights, image_bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
     """AlexNet up to fc6 of one image (224, 224, 3), layer by layer as its paper draws it."""
     padded = np.full((228, 228, 3), PAD_LEVEL, np.float32)

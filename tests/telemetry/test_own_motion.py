@@ -116,9 +116,6 @@ def test_other_odometry_is_none(component: tuple[int, int], sent: Any) -> None:
     assert one.displacement is None
 
 
-UNUSED = "alt", "epv", "vel", "cog", "satellites_visible"
-
-
 def with_gps(seconds: int, wheels: float, lost_s: float = math.inf, **fix: Any) -> Vehicle:
     """To the north with a receiver four times a second, 0.2 s late, and wheels once a second; lost_s: no fix then."""
     vehicle, speaker = Vehicle(), Speaker()
