@@ -21,7 +21,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -35,12 +35,12 @@ from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
 from sim.coverage.passes import Pass, road_between_m
+from sim.world.scenario import LightName
 
 Floats: TypeAlias = NDArray[np.float32]
 Way: TypeAlias = Literal["home", "again"]
-Light: TypeAlias = Literal["day", "dusk", "night", "rain", "snow"]
 WAYS: tuple[Way, ...] = ("home", "again")
-LIGHTS: tuple[Light, ...] = ("day", "dusk", "night", "rain", "snow")
+LIGHTS: tuple[LightName, ...] = get_args(LightName)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Likeness:
     and their weights. unlike: share of the noise's variance that is like nothing in the map.
     """
 
-    gains: dict[Light, float]
+    gains: dict[LightName, float]
     neighbors: dict[float, float]
     unlike: float
 
@@ -77,7 +77,7 @@ WANDERS, WANDERS_M, WANDERS_FASTER = 0.12, (8.0, 50.0), 0.64
 """Standard deviation of the gain, correlation lengths of its two parts, and the faster part's share of the variance."""
 NOISE_ROWS, NOISE_M = 200, (6.0, 60.0)
 """Descriptors that the noise is mixed of, and correlation lengths of the weights of its two halves."""
-SHIFTS: dict[Light, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rain": 0.49, "snow": 1.05}
+SHIFTS: dict[LightName, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rain": 0.49, "snow": 1.05}
 """Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
 RIGHT_M = 40.0
 CHUNK = 512
@@ -88,7 +88,7 @@ class Conditions:
     """A drive: over the map in its own direction again or back home, in which light, by a camera that looks where."""
 
     way: Way
-    light: Light
+    light: LightName
     view: View = "front"
 
 
@@ -126,7 +126,7 @@ class Rehearsal:
         return found
 
     @property
-    def light(self) -> Light:
+    def light(self) -> LightName:
         """Of the drives."""
         return self._conditions.light
 

@@ -22,9 +22,10 @@ from edge.reference_map.store import ModelKey, RegionsKey
 from edge.telemetry.shadow import ShadowPosition
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
-from sim.coverage.rehearsal import Light, Way
+from sim.coverage.rehearsal import Way
 from sim.coverage.sheet import longest_gap, spans_of
 from sim.evaluation.replay import as_line
+from sim.world.scenario import LightName
 from tests.sim.coverage.roads import road, walk
 
 PLACES = 200
@@ -133,7 +134,7 @@ def test_what_cannot_be_used_is_one_line(maps: MapSet, tmp_path: Path, capsys: p
     assert "name journals of earlier drives" in capsys.readouterr().err
 
 
-def sheet_of(maps: MapSet, way: Way, light: Light, rehearsals: int = 3) -> Sheet:
+def sheet_of(maps: MapSet, way: Way, light: LightName, rehearsals: int = 3) -> Sheet:
     drives = Drives(maps, 2.0)
     rehearsal = Rehearsal(maps, Config(), Conditions(way, light))
     passed = [rehearsal.drive(seed) for seed in range(rehearsals)]
