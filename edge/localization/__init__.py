@@ -5,8 +5,9 @@
 `route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
 `gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning` integrates the
 vehicle's motion, `own_motion` what no filter has touched of it, and `odometer` says what GPS has shown of the wheels.
-`decide` whether a position is published, read first: by the probability of another place (`integrity`), from what was
-observed (`claims`) and `bound`s it without places; by `protection_level`, how far off it may be; and by `refusals`.
+`decide`, which is to be read first, says whether a position is published: by the `refusals`, which rest on the
+probability of another place (`integrity`, by what was observed, `claims`, and by what `bound`s the vehicle without
+places, from an `anchor` on), and on how far off it may be (`protection_level`).
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
+from edge.localization.anchor import Anchor, Reckoned
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Fix, Own
 from edge.sequence import Reckoning
@@ -108,44 +109,6 @@ def _axes(heading_deg: float) -> Matrix:
     return np.array([[sin, cos], [cos, -sin]])
 
 
-@dataclass(frozen=True)
-class Reckoned:
-    """Where the vehicle is by an anchor: meters east and north of a fix, and one standard deviation."""
-
-    east_m: float
-    north_m: float
-    sigma_m: float
-
-    @property
-    def distance_m(self) -> float:
-        """From the fix."""
-        return math.hypot(self.east_m, self.north_m)
-
-
-@dataclass(frozen=True)
-class Anchor:
-    """Where the vehicle was, by GPS or by an observation, to one standard deviation, at a displacement."""
-
-    lat_deg: float
-    lon_deg: float
-    sigma_m: float
-    displacement: Displacement
-
-    def reckoned(self, fix: PlaceFix, now: Displacement, drift: float, driven_m: float | None = None) -> Reckoned:
-        """Relative to a fix with a position, at a displacement; drift: of the meters driven, those in between if None.
-
-        What may have been driven while the velocity was unknown is in the standard deviation.
-        """
-        assert fix.lat_deg is not None and fix.lon_deg is not None
-        east_m, north_m = east_north_of(self.lat_deg, self.lon_deg, (fix.lat_deg, fix.lon_deg))
-        moved_east_m, moved_north_m = now.since(self.displacement)
-        if driven_m is None:
-            driven_m = math.hypot(moved_east_m, moved_north_m)
-        unknown_m = now.unknown_sigma_since(self.displacement)
-        sigma_m = math.hypot(self.sigma_m, drift * driven_m, unknown_m)
-        return Reckoned(east_m + moved_east_m, north_m + moved_north_m, sigma_m)
-
-
 class Kept(msgspec.Struct, frozen=True):
     """What bounded an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `OwnPosition.snapshot`.
 
@@ -231,7 +194,8 @@ class OwnPosition:
         self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix))
 
     def move(self, own: Own) -> None:
-        """The vehicle has moved on."""
+        """The vehicle has moved on. One whose velocity nothing measures runs away, until it is bound anew."""
+        self._has_run_away |= not own.is_aided
         before, self._at = self._at, own
         if before is None or before.driven_m is None or own.driven_m is None or self.bound is None:
             return
@@ -241,10 +205,6 @@ class OwnPosition:
             moved_m, unknown_m = motions[1].since(motions[0]), motions[1].unknown_sigma_since(motions[0])
         errors = self.bound.errors.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
         self.bound = replace(self.bound, errors=errors)
-
-    def watch_aid(self, own: Own) -> None:
-        """One whose velocity nothing measures runs away, until it is bound anew."""
-        self._has_run_away |= not own.is_aided
 
     def keep(self, t_ns: int, own: Own, *, is_by_gps: bool) -> float | None:
         """Keep what bounds it, once a second; what was kept where nothing does, as far as that still holds.
@@ -320,10 +280,8 @@ class OwnPosition:
 
     def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
         """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
-        is_unknown = self.bound is None or self._has_run_away or not own.is_aided
-        if is_unknown or own.driven_m is None or fix.heading_deg is None:
+        if self.bound is None or self.sigma_m(own) is None or fix.heading_deg is None:
             return None
-        assert self.bound is not None
         axes_m = self.bound.errors.along_and_across_m(fix.heading_deg, self.drift)
         return max(axes_m[0], least_m), max(axes_m[1], least_m)
 

@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.bound import Anchor, Reckoned
+from edge.localization.anchor import Anchor, Reckoned
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.route_estimate import CORRELATION_M
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of
-from edge.localization.bound import Anchor
+from edge.localization.anchor import Anchor
 from edge.localization.dead_reckoning import Displacement
 
 OFFSETS_M = (20.0, 50.0, 300.0)

@@ -22,7 +22,7 @@ from msgspec import structs
 
 from edge.config import Config, RigConfig
 from edge.geodesy import Origin, east_north_of, moved, moved_left
-from edge.localization.bound import Anchor
+from edge.localization.anchor import Anchor
 from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
 from edge.localization.gps_comparison import Comparison
 from edge.localization.gps_drag import SECOND_M

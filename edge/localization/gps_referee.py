@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north
-from edge.localization.bound import Anchor
+from edge.localization.anchor import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
 from edge.localization.gps_drag import MEMORY_S, drag_evidence

@@ -26,7 +26,8 @@ from msgspec.structs import replace
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.bound import OwnPosition, Reckoned
+from edge.localization.anchor import Reckoned
+from edge.localization.bound import OwnPosition
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, Own, ProtectionLevel

@@ -227,7 +227,6 @@ class PositionEstimator:
         self._own = own
         believed = self._gps.believed(own)
         self._bound.move(own)
-        self._bound.watch_aid(believed)
         if believed.gps_sigma_m is not None:
             self._bind(believed.gps_sigma_m, by_gps=True)
             self._bound.anchor(believed)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
-from edge.localization.bound import Reckoned
+from edge.localization.anchor import Reckoned
 from edge.localization.claims import STRETCH_WRONG, alike_m
 from edge.localization.events import UNBOUNDED, ProtectionLevel
 from edge.localization.route_estimate import CORRELATION_M

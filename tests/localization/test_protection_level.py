@@ -12,7 +12,7 @@ import pytest
 
 from edge.journal.records import PlaceFix
 from edge.localization import Displacement
-from edge.localization.bound import Anchor, Reckoned
+from edge.localization.anchor import Anchor, Reckoned
 from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, Wrong, protection_level
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch

@@ -1,0 +1,48 @@
+"""Where the vehicle was at a displacement, and where it is by that. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from edge.geodesy import east_north_of
+from edge.journal.records import PlaceFix
+from edge.localization.dead_reckoning import Displacement
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """Where the vehicle is by an anchor: meters east and north of a fix, and one standard deviation."""
+
+    east_m: float
+    north_m: float
+    sigma_m: float
+
+    @property
+    def distance_m(self) -> float:
+        """From the fix."""
+        return math.hypot(self.east_m, self.north_m)
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Where the vehicle was, by GPS or by an observation, to one standard deviation, at a displacement."""
+
+    lat_deg: float
+    lon_deg: float
+    sigma_m: float
+    displacement: Displacement
+
+    def reckoned(self, fix: PlaceFix, now: Displacement, drift: float, driven_m: float | None = None) -> Reckoned:
+        """Relative to a fix with a position, at a displacement; drift: of the meters driven, those in between if None.
+
+        What may have been driven while the velocity was unknown is in the standard deviation.
+        """
+        assert fix.lat_deg is not None and fix.lon_deg is not None
+        east_m, north_m = east_north_of(self.lat_deg, self.lon_deg, (fix.lat_deg, fix.lon_deg))
+        moved_east_m, moved_north_m = now.since(self.displacement)
+        if driven_m is None:
+            driven_m = math.hypot(moved_east_m, moved_north_m)
+        unknown_m = now.unknown_sigma_since(self.displacement)
+        sigma_m = math.hypot(self.sigma_m, drift * driven_m, unknown_m)
+        return Reckoned(east_m + moved_east_m, north_m + moved_north_m, sigma_m)
