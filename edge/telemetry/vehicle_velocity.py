@@ -21,9 +21,10 @@ SPEED_FRESH_NS = 5_000_000_000
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
 RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
 """Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
-LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA = range(6)
-"""What a speed comes from, the best first: the autopilot's two positions, wheels, its display, ROS 2, our camera."""
-FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FRESH_NS}
+LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA, ASIDE = range(7)
+"""What a speed comes from, the best first: the autopilot's two positions, wheels, its display, ROS 2, our camera. And
+that of odometry to the left."""
+FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FRESH_NS, ASIDE: CAMERA_FRESH_NS}
 SPEEDS = {WHEELS: "wheels", ODOMETRY: "odometry", CAMERA: "the camera"}
 """What measures a speed in which GPS has no part, the best first, and in words."""
 NO_RATES, NO_SPEED = "gyro rates", "a speed without GPS"
@@ -69,8 +70,7 @@ class VehicleVelocity:
         self._turned = Integral(RATES_AHEAD_NS, RATES_APART_NS)
         self._tilt = 0, 0.0, 0.0  # when, roll and pitch in radians
         self._wheels: tuple[int, float] | None = None
-        self._speeds: dict[int, tuple[int, float]] = {}  # by what else measures them
-        self._aside: tuple[int, float] | None = None  # to the left, by odometry
+        self._speeds: dict[int, tuple[float, float]] = {}  # when and m/s, by what of FRESH_NS measures them
         self._own: VehiclePosition | None = None
         self._reported_ns = 0
         self.has_our_position = False
@@ -82,28 +82,32 @@ class VehicleVelocity:
             motion.end_leg(is_same_vehicle=is_same_vehicle)
         self.listen(0, 0.0, None)
         self.shown = ShownScale() if not is_same_vehicle else self.shown
-        self._wheels = self._own = self._aside = None
+        self._wheels = self._own = None
         self._tilt = 0, 0.0, 0.0
         self._speeds.clear()
         self.aid = replace(self.aid, is_any=True, runs_away=False)
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""
-        speeds = (_newest(self._speeds.get(source), now_ns, fresh_ns) for source, fresh_ns in FRESH_NS.items())
-        return next((one for one in speeds if one is not None), None)
+        return next((one for source in SPEEDS if (one := self._fresh(source, now_ns)) is not None), None)
+
+    def _fresh(self, source: int, now_ns: int) -> float | None:
+        """The newest by one of FRESH_NS, m/s, None where it is too old."""
+        stamp_ns, speed_mps = self._speeds.get(source, (-math.inf, None))
+        return speed_mps if now_ns - stamp_ns <= FRESH_NS[source] else None
 
     def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
         """The speed ahead by the camera or by another program; of use where neither autopilot nor wheels report one."""
         if math.isfinite(speed_mps):
             self.listen(stamp_ns, speed_mps, source)
             self._speeds[source] = stamp_ns, speed_mps
-        if _newest(self._speeds.get(WHEELS), stamp_ns) is None:
+        if self._fresh(WHEELS, stamp_ns) is None:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
     def use_odometry(self, stamp_ns: int, ahead_mps: float, left_mps: float, yaw_rad: float | None) -> None:
         """The velocity by another program; yaw_rad: counterclockwise from east, used where no autopilot reports."""
         self.use_speed(stamp_ns, ahead_mps, ODOMETRY)
-        self._aside = stamp_ns, left_mps
+        self._speeds[ASIDE] = stamp_ns, left_mps
         if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
@@ -150,8 +154,8 @@ class VehicleVelocity:
 
     def witness(self, now_ns: int) -> tuple[str, str]:
         """What measures its own motion, in which GPS has no part; and what is missing of that, "" where nothing is."""
-        heard = [one for one, ns in FRESH_NS.items() if _newest(self._speeds.get(one), now_ns, ns) is not None]
-        speed = SPEEDS[heard[0]] if heard else "" if self.aid.may_be_gps else "the autopilot's velocity"
+        heard = [words for source, words in SPEEDS.items() if self._fresh(source, now_ns) is not None]
+        speed = heard[0] if heard else "" if self.aid.may_be_gps else "the autopilot's velocity"
         missing = [] if self.without_gps.is_turned(now_ns) else [NO_RATES]
         missing += [] if speed else [NO_SPEED]
         return f"gyros and {speed}" if not missing else "", " and ".join(missing)
@@ -160,8 +164,8 @@ class VehicleVelocity:
         """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""
         own, speed_mps = self._own, self._own_speed(now_ns)
         if speed_mps is not None:
-            has_wheels = _newest(self._speeds.get(WHEELS), now_ns) is not None
-            return speed_mps, 0.0 if has_wheels else _newest(self._aside, now_ns, CAMERA_FRESH_NS) or 0.0
+            has_wheels = self._fresh(WHEELS, now_ns) is not None
+            return speed_mps, 0.0 if has_wheels else self._fresh(ASIDE, now_ns) or 0.0
         if self.aid.may_be_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
             return None
         sin, cos = math.sin(math.radians(own.heading_deg)), math.cos(math.radians(own.heading_deg))
@@ -219,21 +223,13 @@ class VehicleVelocity:
         """A velocity by the autopilot's estimate; where nothing aids that, its heading and the speed of the vehicle."""
         self._reported_ns = stamp_ns
         is_reported = self.aid.is_any and not self.aid.is_drifting_camera
-        speed_mps, own_mps = self._own_speed(stamp_ns), None
-        if speed_mps is not None and heading_deg is not None:
-            heading_rad = math.radians(heading_deg)
-            own_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
         if not is_reported:
-            if own_mps is None:
+            speed_mps, heading_rad, reported_mps = self._own_speed(stamp_ns), math.radians(heading_deg or 0.0), None
+            if speed_mps is None or heading_deg is None:
                 return
-            (east_mps, north_mps), reported_mps = own_mps, None
-        may_slip = is_reported or _newest(self._speeds.get(WHEELS), stamp_ns) is not None
+            east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
+        may_slip = is_reported or self._fresh(WHEELS, stamp_ns) is not None
         self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip)
-
-
-def _newest(speed: tuple[int, float] | None, now_ns: int, fresh_ns: int = SPEED_FRESH_NS) -> float | None:
-    """A speed of some moment in m/s, None where it is too old."""
-    return None if speed is None or now_ns - speed[0] > fresh_ns else speed[1]
 
 
 def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:
