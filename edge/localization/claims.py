@@ -90,15 +90,12 @@ class Claims:
         if _is_after_silence(newest, displacement) or all(
             _apart_m(one, displacement) >= CORRELATION_M for one in claim.observations
         ):
-            claim.observations.append(self._observed(fix, displacement, newest))
+            assert fix.lat_deg is not None and fix.lon_deg is not None
+            drift = max(self._gates.drift_percent / 100, fix.velocity_error)
+            before = None if newest is None else newest.reckoned(fix, displacement, drift)
+            where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
+            claim.observations.append(Observation(*where, fix.recording, fix.checked_m or 0.0, before))
             del claim.observations[:-KEPT]
-
-    def _observed(self, fix: PlaceFix, displacement: Displacement, older: Observation | None) -> Observation:
-        assert fix.lat_deg is not None and fix.lon_deg is not None
-        drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-        before = None if older is None else older.reckoned(fix, displacement, drift)
-        where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-        return Observation(*where, fix.recording, fix.checked_m or 0.0, before)
 
     def wrong(self, claim: Claim) -> float:
         """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.

@@ -81,7 +81,6 @@ class AutopilotConnection:
         self.config, self.clock_ns, self.record = config, clock_ns, record
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self.vehicle = vehicle = Vehicle(config.system_id, config.component_id)
-        self._asks_attitude = False
         self.requests = Requests(config, vehicle)
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._people = PeopleLink(self._port, vehicle)
@@ -106,7 +105,6 @@ class AutopilotConnection:
 
         sends: its velocity is sent, unless [telemetry] emit forbids. If that ends, nothing else is assumed to be.
         """
-        self._asks_attitude = True
         self.requests = Requests(self.config, self.vehicle, asks_attitude=True)
         self.velocity_aid.sends = sends and self.config.emit != "report"
 
@@ -325,7 +323,7 @@ class AutopilotConnection:
         if self.state != "up":
             return
         if self.requests.session is not self.vehicle.session:
-            self.requests = Requests(self.config, self.vehicle, asks_attitude=self._asks_attitude)
+            self.requests = Requests(self.config, self.vehicle, asks_attitude=self.requests.asks_attitude)
             self.positions.new_session()
             self.drive.update(now_ns, Break("reboot"))
             self.history.clear()

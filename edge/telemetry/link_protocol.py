@@ -122,7 +122,7 @@ class Requests:
     """What is requested of an autopilot in one session, and answered."""
 
     def __init__(self, config: TelemetryConfig, vehicle: Vehicle, *, asks_attitude: bool = False) -> None:
-        self._vehicle, self.session = vehicle, vehicle.session
+        self._vehicle, self.session, self.asks_attitude = vehicle, vehicle.session, asks_attitude
         firmware = self.session.firmware
         attitude_hz = {mavlink.MAVLINK_MSG_ID_ATTITUDE: ATTITUDE_HZ} if asks_attitude else {}
         fusion_hz = {FusionStatus.id: 2.0} if firmware.gps_switch == "fusion" else {}

@@ -38,14 +38,6 @@ INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "
 log = logging.getLogger(__name__)
 
 
-def _boot_ms(message: Message) -> int:
-    return int(message.time_boot_ms)
-
-
-def _boot_ms_of_us(message: Message) -> int:
-    return int(message.time_usec // 1000)
-
-
 class Vehicle:
     """The one vehicle on a link, known by its heartbeats; messages of all others are ignored.
 
@@ -329,7 +321,13 @@ READERS: dict[int, Callable[[Vehicle, Message, int, int], object]] = {
 }
 """Of each message that is read, by its id; gets its moment on CLOCK_MONOTONIC, and when it arrived."""
 STAMPS: dict[int, Callable[[Message], int]] = {
-    **dict.fromkeys((*POSITIONS, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME), _boot_ms),
-    **dict.fromkeys((mavlink.MAVLINK_MSG_ID_RAW_IMU, mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE), _boot_ms_of_us),
+    **dict.fromkeys(
+        (*POSITIONS, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_SYSTEM_TIME),
+        lambda message: int(message.time_boot_ms),
+    ),
+    **dict.fromkeys(
+        (mavlink.MAVLINK_MSG_ID_RAW_IMU, mavlink.MAVLINK_MSG_ID_WHEEL_DISTANCE),
+        lambda message: int(message.time_usec // 1000),
+    ),
 }
 """Milliseconds since boot of each message that has them."""
