@@ -100,6 +100,12 @@ class GpsJudge:
             comparison = known if heads else None
         before = self._referee.verdict.state
         verdict = self._referee.update(comparison, frame.missed)
+        if (
+            gps is not None
+            and frame.without_gps is not None
+            and (comparison is None or comparison.look_sigma_m is None)
+        ):
+            self._referee.go_on(gps, frame.without_gps, frame.stamp_ns / 1e9)
         self._track.add(gps, frame.without_gps)
         doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
         self._unseen_road.update(match, _where(gps, own, frame), doubt)

@@ -30,9 +30,10 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.geodesy import east_north
+from edge.geodesy import east_north, east_north_of
 from edge.localization.anchor import Anchor
 from edge.localization.dead_reckoning import Displacement
+from edge.localization.events import GpsFix
 from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
 from edge.localization.gps_drag import MEMORY_S, drag_evidence
 from edge.localization.look import HOLDS_M
@@ -52,6 +53,7 @@ was off in the first: on another street that looks the same, it is that far off 
 be elsewhere than half of it in their middle: one that jumps may have been right."""
 LONGEST_GAP_M = 240.0
 """Without a place or without GPS, after which comparisons do not add up any more."""
+APART_S = 1.0  # looks that are nearer in time than that are alike
 KEPT, SAMPLES = 32, 512  # agreeing comparisons, and all
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
@@ -132,8 +134,10 @@ class GpsReferee:
         self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
         self._calibrated: list[Calibrated | None] = []  # up to each of them, [] before it is needed
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
+        self._since_look: list[Comparison] = []
         self._lost: _Lost | None = None
         self._at_m = self._gap_m = 0.0
+        self._looked_m = -math.inf
         self._settled: GpsVerdictState = "cannot say"
         self.verdict = GpsVerdict()
         self.unsettled_m: float | None = None
@@ -148,6 +152,8 @@ class GpsReferee:
             self._begin_anew()
         if comparison is not None:
             self._at_m, self._gap_m = self._at_m + self._gap_m, 0.0
+            if comparison.look_sigma_m is not None:
+                self._since_look, self._looked_m = [], self._at_m
             if comparison.off_along_m is not None:
                 self._lost = self.unsettled_m = None
                 self._add(comparison)
@@ -159,6 +165,32 @@ class GpsReferee:
         """GPS is wrong by so much, as something else has shown: see `GpsTrack`."""
         self._settled, self.verdict = "wrong", GpsVerdict("wrong", east_m, north_m, 1.0)
         self._samples.clear()  # what agreed before does not count for it
+
+    def go_on(self, gps: GpsFix, motion: Displacement, stamp_s: float) -> None:
+        """No look here: GPS is held against where the last ones lead by own motion, unless they spoke against a drag.
+
+        A vehicle that steers by GPS leaves the road that it sees before it is far off. Only across the way, since along
+        it wheels may slip.
+        """
+        looks = [one for one in self._samples if one.comparison.look_sigma_m is not None]
+        if self._settled == "wrong" or not looks or looks[-1].drag <= -DOUBTFUL:
+            return
+        seen = [one.comparison for one in looks]
+        if stamp_s - (self._since_look or seen)[-1].stamp_s < APART_S:
+            return
+        known, last = [one for one in seen if one.motion is not None], seen[-1]
+        places_m = np.array([meters_from(last, one) for one in known]).reshape(-1, 2, 1)
+        sigmas_m = np.array([[one.place_sigma_m] for one in known])
+        motions = [one.motion for one in known if one.motion is not None]
+        shown = calibrated(motions, places_m, sigmas_m, self._drift) if motions else None
+        led = None if shown is None else shown.predicted(motion)
+        if led is None:
+            return
+        off_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, (last.lat_deg, last.lon_deg))) - led[0][:, 0]
+        left_m, left_sigma_m = float(last.axes[1] @ off_m), math.sqrt(float(last.axes[1] @ led[1] @ last.axes[1]))
+        self._since_look.append(replace(last, off_left_m=left_m, look_sigma_m=left_sigma_m, stamp_s=stamp_s))
+        if drag_evidence([*seen, *self._since_look]) >= self._disagree:
+            self.call(float(off_m[0]), float(off_m[1]))
 
     def keep_until_lost(self, anchor: Anchor) -> None:
         """GPS was lost there: if no place was compared with it before, it counts as right until then.
@@ -228,7 +260,9 @@ class GpsReferee:
         high, low = self._sums(comparison, self._samples)
         if len(self._samples) >= NEWEST:
             # The sum lags: places that are displaced since have agreed for up to 120 m.
-            if low <= self._agree and self._samples[-1].most < 0 and self._samples[-1].drag <= 0:
+            is_look = comparison.look_sigma_m is not None or self._at_m - self._looked_m > LONGEST_GAP_M
+            is_right = low <= self._agree and self._samples[-1].most < 0 and self._samples[-1].drag <= 0
+            if is_right and (is_look or self._settled != "wrong"):
                 self._settled = "agrees"
                 self._keep_agreed(comparison)
             elif high >= self._disagree and self._settled != "wrong":

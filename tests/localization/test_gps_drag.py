@@ -40,11 +40,17 @@ def long_road(tmp_path_factory: pytest.TempPathFactory) -> Road:
 
 
 def drive(
-    road: Road, history: gps_histories.History, seed: int, odometer: float | None = 0.97, twin_m: float = 0.0
+    road: Road,
+    history: gps_histories.History,
+    seed: int,
+    odometer: float | None = 0.97,
+    twin_m: float = 0.0,
+    blind_s: float = 0.0,
 ) -> list[Said]:
     """Home on the map of a rear camera. odometer: what it measures of a meter, None if it is not known.
 
     twin_m: from the middle on, looks have the vehicle that far beside where it is, as on a street that looks the same.
+    blind_s: of every 30 s, without a look.
     """
     rng = np.random.default_rng([seed, 29])
     one, said = Vehicle(road, SETTINGS, LENGTH_M - 10.0, "reverse"), []
@@ -59,7 +65,12 @@ def drive(
         one.move()
         beside_m = mapped_m[0] + rng.normal(0.0, LOOK_M) + SECOND_M * (rng.random() < SECOND)
         beside_m += twin_m if 2 * frame > count else 0.0
-        shown = looked(one.north_m, -beside_m, mapped_m[1] + rng.normal(0.0, LOOK_M), is_look=frame % EVERY == 0)
+        shown = looked(
+            one.north_m,
+            -beside_m,
+            mapped_m[1] + rng.normal(0.0, LOOK_M),
+            is_look=frame % EVERY == 0 and time_s[frame] % 30 >= blind_s,
+        )
         gps = None if np.isnan(off_m[0]) else gps_at(one.north_m + off_m[1], off_m[0])
         said.append(Said(one.show(shown, gps).state, float(np.hypot(*off_m))))
     return said
@@ -92,6 +103,19 @@ def test_a_drag_is_called_a_few_meters_off(
     assert max(offs_m) < most_m
 
 
+def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long_road: Road) -> None:
+    """The autopilot steers by a drag of 1 m/s; 7 m beside the road there are no more looks, and lines go on."""
+    one, aside_m, found = Vehicle(long_road, SETTINGS, LENGTH_M - 10.0, "reverse"), 0.0, []
+    for frame in range(440):
+        one.aside_m = FRAME_NS / 1e9 if frame * FRAME_NS / 1e9 >= FROM_S else 0.0
+        aside_m += one.aside_m
+        one.move()
+        shown = looked(one.north_m, -aside_m, 0.0, is_look=frame % EVERY == 0 and aside_m < 7.0)
+        found.append(Said(one.show(shown, gps_at(one.north_m)).state, aside_m))
+    assert called_m(found) < 14.0
+    assert found[-1].state == "wrong", "no line speaks for GPS soon after looks did not"
+
+
 HONEST: dict[str, Callable[[], gps_histories.History]] = {
     "open sky": lambda: lambda time_s, true_m, rng: gps_histories.usual(time_s, rng),
     "3 m": lambda: lambda time_s, true_m, rng: 2.5 * gps_histories.usual(time_s, rng),
@@ -99,10 +123,14 @@ HONEST: dict[str, Callable[[], gps_histories.History]] = {
 }
 
 
-@pytest.mark.parametrize(("kind", "odometer"), [*((kind, None) for kind in HONEST), ("multipath", 0.97)])
-def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer: float | None) -> None:
+@pytest.mark.parametrize(
+    ("kind", "odometer", "blind_s"),
+    [*((kind, None, 0.0) for kind in HONEST), ("multipath", 0.97, 0.0), ("multipath", 0.9, 15.0)],
+)
+def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer: float | None, blind_s: float) -> None:
+    """Also where own motion, 10 % wrong, is held against it between looks."""
     for seed in (1, 2):
-        said = drive(long_road, HONEST[kind](), seed, odometer)
+        said = drive(long_road, HONEST[kind](), seed, odometer, blind_s=blind_s)
         assert called_m(said) == called_m(said, "map wrong") == math.inf
 
 
