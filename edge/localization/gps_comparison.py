@@ -27,7 +27,8 @@ class Comparison:
     lat_deg, lon_deg: where the match says that the vehicle is. spacing_m: between places of the map, of which a frame
     passes about one. heading_rad: of travel. off_*_m: None without GPS. each_sigma_m: of the less certain of both by
     itself. motion: the vehicle's own, without GPS, None if unknown. shape: the recording, if it keeps its shape.
-    look_sigma_m: of the look in each direction, None of a line; slow_sigma_m: of map and GPS, which change slowly.
+    look_sigma_m: of the look in each direction, None of a line. slow_sigma_m: of map and GPS, which change slowly.
+    whole_sigma_m: of what turns with the way, along and across together. place_sigma_m: of the look and the map.
     """
 
     lat_deg: float
@@ -44,6 +45,7 @@ class Comparison:
     stamp_s: float = 0.0
     look_sigma_m: float | None = None
     slow_sigma_m: float = 0.0
+    whole_sigma_m: float = 0.0
     place_sigma_m: float = 0.0
 
     @property

@@ -46,7 +46,10 @@ def drag_evidence(looks: Sequence[Comparison]) -> float:
     if not ramps.shape[1]:
         return -math.inf
     steps = np.hstack([np.clip((since_s[:, 1:] + 1e-9) / max(step_s, 1e-9), 0.0, 1.0) for step_s in STEPS_S])
+    heads_rad = np.array([one.heading_rad for one in recent])
     covariance = looks[-1].slow_sigma_m ** 2 * np.exp(-np.abs(since_s) / WANDER_S)
+    # What is constant along the way turns with it; half is the share of each of east and north.
+    covariance += looks[-1].whole_sigma_m ** 2 / 2 * np.cos(heads_rad[:, None] - heads_rad)
     covariance += np.diag([(one.look_sigma_m or 0.0) ** 2 + SECOND_M**2 for one in recent])
     precision = np.linalg.inv(covariance)
     dragged, stepped = (_gains(ways, off_m, precision) for ways in (ramps, BURST_M * steps))

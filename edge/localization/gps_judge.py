@@ -184,7 +184,8 @@ class GpsJudge:
 class _Place(NamedTuple):
     """Where a match has the vehicle, its direction of travel, and one standard deviation along it, across, and each.
 
-    map_m: of the map in each direction, which is in the others. look_m: of a look without that, None of a line.
+    map_m: of the map in each direction, which is in the others. whole_m: of all looks at its drive, along and across
+    together. look_m: of a look without these, None of a line.
     """
 
     lat_deg: float
@@ -193,6 +194,7 @@ class _Place(NamedTuple):
     along_m: float
     left_m: float
     map_m: float
+    whole_m: float = 0.0
     look_m: float | None = None
 
 
@@ -231,6 +233,7 @@ def compare(
         shape=drive.recording if drive.checked_m > 0 and (place.look_m or match.confidence >= SHAPED) else "",
         look_sigma_m=place.look_m,
         slow_sigma_m=math.hypot(place.map_m, gps_m),
+        whole_sigma_m=place.whole_m,
         place_sigma_m=0.0 if place.look_m is None else math.hypot(place.look_m, place.map_m, SECOND_M),
     )
 
@@ -244,6 +247,7 @@ def _by_look(looked: Sighting, look: Look, origin: Origin) -> _Place:
         along_m=math.hypot(math.sqrt(float(along @ spread @ along)), looked.undated_m),
         left_m=math.sqrt(float(left @ spread @ left)),
         map_m=look.map_sigma_m,
+        whole_m=math.hypot(math.sqrt(float(np.trace(look.whole))), looked.undated_m),
         look_m=math.sqrt(float(np.trace(look.covariance)) / 2),
     )
 

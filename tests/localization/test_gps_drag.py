@@ -155,3 +155,17 @@ def test_multipath_is_no_drag_by_looks_alone() -> None:
         if not math.isnan(off[0])
     ]
     assert max(drag_evidence(looks[row - 30 : row]) for row in range(30, len(looks))) < DISAGREE
+
+
+@pytest.mark.parametrize(("whole_m", "is_dragged"), [(0.0, True), (8.0, False)])
+def test_a_recording_that_is_off_along_the_way_is_no_drag_in_a_bend(whole_m: float, is_dragged: bool) -> None:
+    """All looks are 10 m ahead; the road turns by 90 degrees within 10 s."""
+    looks = [
+        Comparison(
+            *HOME, SPACING_M, math.radians(9.0 * min(max(s - 10, 0), 10)), 10.0, 0.0, 8.0, 3.2, 8.0,
+            stamp_s=float(s), look_sigma_m=LOOK_M, slow_sigma_m=3.2, whole_sigma_m=whole_m,
+        )
+        for s in range(24)
+    ]  # fmt: skip
+    most = max(drag_evidence(looks[:count]) for count in range(10, 24))
+    assert (most >= DISAGREE) == is_dragged, most
