@@ -28,8 +28,8 @@ from edge.opened_parts import OpenedParts
 from edge.recognizer import model_key
 from edge.reference_map import open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
-from edge.reference_map.store import DESCRIPTORS, HEADER, RegionsKey, open_map
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge.reference_map.store import DESCRIPTORS, HEADER
+from edge_plugins.mapping.builder import Place
 from edge_plugins.page import PageConfig
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
@@ -37,6 +37,7 @@ from sim.maps.tiles import split_map
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
 from tests.faults.simulated_daemon import ScriptedFrames
+from tests.map_of import map_of
 from tests.udp_port import free_port
 
 FRAMES, PERIOD_MS = 80, 60
@@ -151,16 +152,13 @@ def long_map(request: pytest.FixtureRequest, network: Network, tmp_path_factory:
     """12 km of places that look like nothing, around the place where the simulated autopilot stands."""
     path = tmp_path_factory.mktemp("long") / "map"
     rng = np.random.default_rng(0)
-    regions = RegionsKey("left-right", 0.4, "set")
-    with MapBuilder(path, model_key(network), regions, SamplingConfig()) as builder:
-        builder.begin_segment("nowhere", "front")
-        for index in range(PLACES):
-            north_deg = (index - PLACES / 2) * APART_M / 110_800
-            place = Place(index, ORIGIN_LAT_DEG + north_deg, ORIGIN_LON_DEG, route_m=index * APART_M)
-            builder.add(rng.random((2, 4096), dtype=np.float32), place)
-        builder.finish()
+    places = [
+        Place(row, ORIGIN_LAT_DEG + (row - PLACES / 2) * APART_M / 110_800, ORIGIN_LON_DEG, route_m=row * APART_M)
+        for row in range(PLACES)
+    ]
+    long = map_of(path, rng.random((PLACES, 2, 4096), dtype=np.float32), places, model=model_key(network))
     if request.param == "tiles":
-        split_map(open_map(path), path.with_name("tiles"), 64)
+        split_map(long, path.with_name("tiles"), 64)
         return path.with_name("tiles")
     return path
 
@@ -187,13 +185,11 @@ def test_a_large_map_is_searched_where_the_autopilot_says(
 
 @pytest.fixture
 def elsewhere(network: Network, tmp_path: Path) -> Path:
-    path = tmp_path / "maps"
-    with MapBuilder(path, model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        builder.begin_segment("elsewhere", "front")
-        for row, raw in enumerate(np.random.default_rng(0).random((60, 2, 4096), dtype=np.float32)):
-            builder.add(raw, Place(row, 0.0, 0.0, route_m=2.0 * row))
-        builder.finish()
-    return path
+    raw, places = (
+        np.random.default_rng(0).random((60, 2, 4096)),
+        [Place(row, 0.0, 0.0, route_m=2.0 * row) for row in range(60)],
+    )
+    return map_of(tmp_path / "maps", raw, places, model=model_key(network)).path
 
 
 def test_a_map_that_is_swapped_is_used_without_a_restart_and_a_bad_one_is_not(

@@ -129,19 +129,14 @@ def test_a_map_of_another_model_or_other_regions(
     assert "made with regions left-right of width 0.4" in printed
     assert "[descriptor] is whole" in printed
 
-    from edge.config import SamplingConfig
     from edge.reference_map.store import ModelKey, open_map
-    from edge_plugins.mapping.builder import MapBuilder
+    from edge_plugins.mapping.builder import Place
+    from tests.map_of import map_of
 
     original = open_map(street_map)
     other = ModelKey("other-network", "f" * 64, "fc6", 4096)
-    with MapBuilder(tmp_path / "other.map", other, original.header.regions, SamplingConfig()) as builder:
-        builder.begin_segment("x", "front")
-        for index, raw in enumerate(original.raw()):
-            from edge_plugins.mapping.builder import Place
-
-            builder.add(raw.astype("f4"), Place(row=index))
-        builder.finish()
+    raw = original.raw()
+    map_of(tmp_path / "other.map", raw, [Place(row) for row in range(len(raw))], model=other)
     printed = refused(capsys, "replay", str(traverse), "--map", str(tmp_path / "other.map"))
     assert "made with model other-network (ffffffffffff, fc6)" in printed
     assert printed.rstrip().endswith("; name the map's by --model or in [descriptor] model")

@@ -20,12 +20,11 @@ import numpy as np
 import pytest
 import tomli_w
 
-from edge.config import SamplingConfig
-from edge.reference_map.store import ModelKey, RegionsKey
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.faults.daemon_process import Process
 from tests.faults.simulated_daemon import Bench, ScriptedFrames
+from tests.map_of import map_of
 
 FIGURE = "fault bench"
 PERIOD_MS = 40
@@ -80,14 +79,9 @@ def make_map() -> Callable[..., Path]:
 
     def make(path: Path, places: int = 12, dimensions: int = 16, seed: int = 0, *, replace: bool = False) -> Path:
         rng = np.random.default_rng(seed)
-        model, regions = ModelKey("made-up", "0" * 64, "fc6", dimensions), RegionsKey("left-right", 0.4, "set")
-        with MapBuilder(path, model, regions, SamplingConfig(), replace=replace) as builder:
-            builder.begin_segment("drive", "rear")
-            for row in range(places):
-                raw = np.maximum(rng.normal(size=(2, dimensions)), 0).astype(np.float32)
-                builder.add(raw, Place(row, -27.0 + row * 2e-5, 153.0, 10.0, 0.0, 2.0 * row, b"picture" * 9))
-            builder.finish()
-        return path
+        raw = np.maximum(rng.normal(size=(places, 2, dimensions)), 0)
+        known = [Place(row, -27.0 + row * 2e-5, 153.0, 10.0, 0.0, 2.0 * row, b"picture" * 9) for row in range(places)]
+        return map_of(path, raw, known, view="rear", replace=replace).path
 
     return make
 

@@ -7,15 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
+from edge.config import Config, DescriptorConfig, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics
-from edge.reference_map import MapSet, ModelKey, open_map
+from edge.reference_map import MapSet, open_map
 from edge.reference_map.store import RegionsKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import Moment, StateFile, StateKey
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from sim.maps.shrinking import shrink_to
+from tests.map_of import map_of
 
 PLACES, LENGTH = 40, 10
 
@@ -28,17 +29,8 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
     descriptor = DescriptorConfig(regions=regions)  # type: ignore[arg-type]
     key = RegionsKey(descriptor.regions, descriptor.region_width, "set")
     raw = rng.gamma(0.5, 3.0, (PLACES, key.count, dimensions)).astype(np.float32)  # positive and skewed, as after ReLU
-    with MapBuilder(
-        tmp_path / "map",
-        ModelKey("any", "0" * 64, "tap", dimensions),
-        key,
-        SamplingConfig(),
-        shrink=shrink_to(kept or dimensions, dimensions),
-    ) as builder:
-        builder.begin_segment("drive", "front")
-        for row, one in enumerate(raw):
-            builder.add(one, Place(row, route_m=2.0 * row))
-        builder.finish()
+    places = [Place(row, route_m=2.0 * row) for row in range(PLACES)]
+    map_of(tmp_path / "map", raw, places, shrink=shrink_to(kept or dimensions, dimensions))
     reference_map = open_map(tmp_path / "map", every_file=True)
     assert reference_map.descriptors.shape == (key.count, PLACES, kept or dimensions)
 

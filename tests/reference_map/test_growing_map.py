@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
-from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route, open_map
+from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.growing_map import GrowingMap
+from tests.map_of import map_of
 
 DIMENSIONS, SPACING_M = 256, 2.0
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
@@ -57,12 +58,7 @@ def grown(raw: NDArray[np.float32], path: Path = Path("drive"), capacity: int = 
 
 
 def built(path: Path, raw: NDArray[np.float32]) -> MapSet:
-    with MapBuilder(path, MODEL, REGIONS, SamplingConfig()) as builder:
-        builder.begin_segment("drive", "front")
-        for row, one in enumerate(raw):
-            builder.add(one, place(row))
-        builder.finish()
-    return MapSet.of(open_map(path))
+    return MapSet.of(map_of(path, raw, map(place, range(len(raw)))))
 
 
 @pytest.mark.parametrize("places", [2, 30, 200, 1500])

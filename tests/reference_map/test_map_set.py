@@ -10,7 +10,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,15 +17,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
+from edge.config import AcceptanceConfig, Config, MapConfig, SequenceConfig
 from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
-from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey, RegionsKey
+from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey
 from edge.sequence import Near, PlaceMatch
 from edge.sequence.lane import NO_LAGS, Lanes
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from sim.maps.tiles import split_map
+from tests.map_of import map_of
 from tests.sequence.test_place_search import Drive, look_at
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
@@ -47,23 +47,15 @@ def build(
     rng = np.random.default_rng(seed)
     raw = rng.normal(size=(places + 2, 2, 48))
     raw = np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0).astype(np.float32)
-    with MapBuilder(path, KEY, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        for index in range(places):
-            drive, along = divmod(index, 2500)
-            if along == 0:
-                builder.begin_segment(f"drive {drive}", "front")
-            position: dict[str, Any] = (
-                {
-                    "lat_deg": lat_deg + along * SPACING_M * DEGREES_A_METRE,
-                    "lon_deg": lon_deg + drive * APART_M * DEGREES_A_METRE,
-                    "heading_deg": 0.0,
-                }
-                if known
-                else {}
-            )
-            thumbnail = str(index).encode()
-            builder.add(raw[index], Place(row=index, route_m=along * SPACING_M, thumbnail=thumbnail, **position))
-        builder.finish()
+    of_map = []
+    for row in range(places):
+        drive, along = divmod(row, 2500)
+        place = Place(row, route_m=along * SPACING_M, thumbnail=str(row).encode())
+        if known:
+            north_deg, east_deg = along * SPACING_M * DEGREES_A_METRE, drive * APART_M * DEGREES_A_METRE
+            place = replace(place, lat_deg=lat_deg + north_deg, lon_deg=lon_deg + east_deg, heading_deg=0.0)
+        of_map.append(place)
+    map_of(path, raw, of_map, starts=range(0, places, 2500))
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])

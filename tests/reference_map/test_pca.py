@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import SamplingConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.reference_map.costs import COST_ONE, CostMatcher, project
-from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, RegionsKey, open_map
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge.reference_map.store import PROJECTION, ModelKey, ReferenceMap, open_map
+from edge_plugins.mapping.builder import Place
 from sim.maps.shrinking import principal_directions, shrink_to
+from tests.map_of import map_of
 
 DIMENSIONS = 64
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
@@ -28,16 +28,9 @@ def street(places: int, *, carriers: int, noise: float = 0.05, seed: int = 0) ->
     return np.asarray(along @ directions.T + rng.normal(size=(places, 2, DIMENSIONS)) * noise, np.float32)
 
 
-def build(path: Path, raw: np.ndarray, dimensions: int | None, *, segments: int = 1) -> ReferenceMap:
-    regions = RegionsKey("left-right", 0.4, "set")
-    shrink = shrink_to(dimensions or DIMENSIONS, DIMENSIONS)
-    with MapBuilder(path, MODEL, regions, SamplingConfig(), shrink=shrink) as builder:
-        for part in np.array_split(raw, segments):
-            builder.begin_segment("drive", "rear")
-            for index, descriptor in enumerate(part):
-                builder.add(descriptor, Place(row=index))
-        builder.finish()
-    return open_map(path)
+def build(path: Path, raw: np.ndarray, dimensions: int | None) -> ReferenceMap:
+    places = [Place(row) for row in range(len(raw))]
+    return map_of(path, raw, places, shrink=shrink_to(dimensions or DIMENSIONS, DIMENSIONS))
 
 
 def test_directions_are_those_in_which_the_set_varies_most() -> None:

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from edge.config import SamplingConfig
 from edge.geodesy import apart_m, east_north_of, moved
-from edge.reference_map import MapSet, Route, open_map
-from edge.reference_map.store import ModelKey, RegionsKey
-from edge_plugins.mapping.builder import NAN, MapBuilder, Place
+from edge.reference_map import MapSet, Route
+from edge_plugins.mapping.builder import NAN, Place
+from tests.map_of import map_of
 
 SPACING_M = 20.0
-MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")
+
+
+def route_of(path: Path, places: list[Place], starts: Collection[int] = (0,)) -> Route:
+    raw = np.random.default_rng(0).random((len(places), 1, 4))
+    return Route(MapSet.of(map_of(path, raw, places, starts=starts)))
 
 
 def drive_east(path: Path, lat_deg: float, lon_deg: float, *, heading_deg: float = 90.0, places: int = 11) -> Route:
     """The route of a map of one drive going east, of which that longitude is the middle."""
-    with MapBuilder(
-        path, ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set"), SamplingConfig()
-    ) as new:
-        new.begin_segment("east", "front")
-        for index in range(places):
-            lat, lon = moved(lat_deg, lon_deg, (index - places // 2) * SPACING_M, 0.0)
-            lon = (lon + 180) % 360 - 180
-            place = Place(index, lat, lon, heading_deg=heading_deg, route_m=index * SPACING_M)
-            new.add(np.random.default_rng(index).random((1, 4), dtype=np.float32), place)
-        new.finish()
-    return Route(MapSet.of(open_map(path)))
+    driven = []
+    for index in range(places):
+        lat, lon = moved(lat_deg, lon_deg, (index - places // 2) * SPACING_M, 0.0)
+        lon = (lon + 180) % 360 - 180
+        driven.append(Place(index, lat, lon, heading_deg=heading_deg, route_m=index * SPACING_M))
+    return route_of(path, driven)
 
 
 @pytest.mark.parametrize("lon_deg", [180.0, -179.9999, 179.9999, 0.0, 12.0])
@@ -54,14 +53,8 @@ def test_the_heading_of_a_map_without_any_is_the_course_of_its_drive(tmp_path: P
 
 def test_a_heading_that_nobody_knows_is_none(tmp_path: Path) -> None:
     """All places at one spot, as where a vehicle stood, or no meters along the drive: no course."""
-    with MapBuilder(tmp_path / "map", MODEL, REGIONS, SamplingConfig()) as new:
-        for route_m in (0.0, NAN):
-            new.begin_segment("spot", "front")
-            for index in range(2):
-                raw = np.random.default_rng(index).random((1, 4), dtype=np.float32)
-                new.add(raw, Place(index, 1.0, 2.0, route_m=route_m + index))
-        new.finish()
-    route = Route(MapSet.of(open_map(tmp_path / "map")))
+    places = [Place(row, 1.0, 2.0, route_m=route_m) for row, route_m in enumerate((0.0, 1.0, NAN, NAN))]
+    route = route_of(tmp_path / "map", places, starts=(0, 2))
     for place in range(4):
         position = route.position(place, 0.5)
         assert position is not None
@@ -73,11 +66,8 @@ def test_a_line_is_as_long_as_its_steps_are_on_average(tmp_path: Path) -> None:
     """As of a video: most steps are 2.06 m, some shorter, and one is a gap. A median would be 39 times 6 cm off."""
     steps_m = [2.06, 2.06, 1.88, 2.06, 1.94] * 20
     route_m = np.cumsum([0.0, *steps_m[:50], 30.0, *steps_m[50:]])
-    with MapBuilder(tmp_path / "map", MODEL, REGIONS, SamplingConfig()) as new:
-        new.begin_segment("video", "front")
-        for index, along_m in enumerate(route_m.tolist()):
-            lat_deg, lon_deg = moved(-17.0, 30.0, along_m, 0.0)
-            place = Place(index, lat_deg, lon_deg, heading_deg=90.0, route_m=along_m)
-            new.add(np.ones((1, 4), dtype=np.float32), place)
-        new.finish()
-    assert Route(MapSet.of(open_map(tmp_path / "map"))).drive(0).spacing_m == pytest.approx(2.0, abs=1e-6)
+    places = [
+        Place(index, *moved(-17.0, 30.0, along_m, 0.0), heading_deg=90.0, route_m=along_m)
+        for index, along_m in enumerate(route_m.tolist())
+    ]
+    assert route_of(tmp_path / "map", places).drive(0).spacing_m == pytest.approx(2.0, abs=1e-6)

@@ -11,14 +11,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from edge.config import AcceptanceConfig, Config, MapConfig, SamplingConfig, SequenceConfig
+from edge.config import AcceptanceConfig, Config, MapConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.reference_map.map_set import MapSet
-from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
+from edge.reference_map.store import ReferenceMap
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import PlaceSearch, is_regular
 from edge.sequence.submap import SLICE_SHARE
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
+from tests.map_of import map_of
 
 PLACES, LENGTH, LIMIT = 6000, 10, 800
 DEGREES_A_METRE = 1 / 110_800
@@ -41,15 +42,9 @@ def raw_descriptors() -> np.ndarray:
 
 
 def build(path: Path, raw: np.ndarray, *, has_positions: bool) -> ReferenceMap:
-    key = ModelKey("test", "0" * 64, "fc6", 48)
-    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        for index in range(PLACES):
-            if index % 3000 == 0:
-                builder.begin_segment("drive", "front")
-            lat_deg, lon_deg = (index * 2 * DEGREES_A_METRE, 0.0) if has_positions else (np.nan, np.nan)
-            builder.add(raw[index], Place(index, lat_deg, lon_deg, route_m=index * 2.0))
-        builder.finish()
-    return open_map(path)
+    north_deg, lon_deg = (2 * DEGREES_A_METRE, 0.0) if has_positions else (np.nan, np.nan)
+    places = [Place(row, row * north_deg, lon_deg, route_m=row * 2.0) for row in range(PLACES)]
+    return map_of(path, raw, places, starts=(0, 3000))
 
 
 @pytest.fixture(scope="module")
@@ -290,10 +285,5 @@ def test_an_odometer_narrows_the_slopes_only_where_places_are_regular(
 def random_map(path: Path, route_m: np.ndarray) -> ReferenceMap:
     """Places with nothing in common, at some meters along a road."""
     rng = np.random.default_rng(3)
-    key = ModelKey("random", "0" * 64, "fc6", 8)
-    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        builder.begin_segment("drive", "front")
-        for row, along_m in enumerate(route_m):
-            builder.add(rng.normal(size=(2, 8)).astype(np.float32), Place(row, route_m=float(along_m)))
-        builder.finish()
-    return open_map(path)
+    places = [Place(row, route_m=float(along_m)) for row, along_m in enumerate(route_m)]
+    return map_of(path, rng.normal(size=(len(places), 2, 8)), places)

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from edge.config import SamplingConfig
 from edge.geodesy import moved
-from edge.reference_map import ModelKey, RegionsKey
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge.reference_map import ModelKey
+from edge_plugins.mapping.builder import Place
+from tests.map_of import map_of
 
 MODEL, DIMENSIONS = ModelKey("test", "0" * 64, "fc6", 32), 32
 SPACING_M = 2.0
@@ -38,14 +38,11 @@ def build(path: Path, drive: Driven) -> Path:
     light = np.random.default_rng([drive.light, 8]).normal(size=(400, 2, DIMENSIONS))
     noise = np.random.default_rng(sum(map(ord, path.name))).normal(size=(400, 2, DIMENSIONS))
     seen = (road + light + 0.3 * noise).astype(np.float32)
-    with MapBuilder(path, MODEL, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        builder.begin_segment(f"drive of {path.name}", drive.view)
-        rows = list(range(drive.start, drive.end))[:: -1 if drive.back else 1]
-        for row, at in enumerate(rows):
-            lat_deg, lon_deg = moved(-27.0, 153.0, 0.0, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
-            heading_deg = 180.0 * drive.back
-            where = row, lat_deg, lon_deg, 0.0, heading_deg, row * SPACING_M
-            builder.add(seen[at], Place(*where, position_sigma_m=1.5, position_source="gps"))
-        builder.finish()
+    rows, places = list(range(drive.start, drive.end))[:: -1 if drive.back else 1], []
+    for row, at in enumerate(rows):
+        lat_deg, lon_deg = moved(-27.0, 153.0, 0.0, at * SPACING_M) if drive.is_placed else (np.nan, np.nan)
+        where = row, lat_deg, lon_deg, 0.0, 180.0 * drive.back, row * SPACING_M
+        places.append(Place(*where, position_sigma_m=1.5, position_source="gps"))
+    map_of(path, seen[rows], places, view=drive.view)
     os.utime(path / "map.json", (drive.made_s, drive.made_s))
     return path

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import SamplingConfig
 from edge.feed import Feed, FeedHeader, FeedRow
-from edge.reference_map.store import ModelKey, RegionsKey, open_map
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
+from tests.map_of import map_of
 
 METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
 
@@ -20,18 +19,13 @@ METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
 @pytest.fixture
 def drives(tmp_path: Path) -> MapDrives:
     """A map due north, and a feed that drives beside it, 3.5 m to the east, 1 m to the west, and far off."""
-    key = ModelKey("test", "0" * 64, "fc6", 8)
-    with MapBuilder(tmp_path / "map", key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        builder.begin_segment("drive", "rear")
-        for row in range(20):
-            raw = np.random.default_rng(row).random((2, 8), np.float32)
-            builder.add(raw, Place(row, -27.0 + 2 * row * METER_NORTH_DEG, 153.0, route_m=2.0 * row))
-        builder.finish()
+    places = [Place(row, -27.0 + 2 * row * METER_NORTH_DEG, 153.0, route_m=2.0 * row) for row in range(20)]
+    of_drive = map_of(tmp_path / "map", np.random.default_rng(0).random((20, 2, 8)), places, view="rear")
     rows = tuple(
         FeedRow("", index, lat_deg=-27.0 + 11 * METER_NORTH_DEG, lon_deg=153.0 + east_m * METER_EAST_DEG)
         for index, east_m in enumerate((3.5, -1.0, 200.0))
     )
-    return MapDrives(open_map(tmp_path / "map"), Feed(tmp_path, FeedHeader("beside", "front", 16, 16), rows))
+    return MapDrives(of_drive, Feed(tmp_path, FeedHeader("beside", "front", 16, 16), rows))
 
 
 def test_left_is_left_for_who_made_the_map(drives: MapDrives) -> None:

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, RigConfig, SamplingConfig, SequenceConfig, load_config
+from edge.config import Config, RigConfig, SequenceConfig, load_config
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
-from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge.reference_map.store import ReferenceMap
+from edge_plugins.mapping.builder import Place
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.sightings import MapDrives, Sighting
 from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
+from tests.map_of import map_of
 
 
 def sighting(
@@ -123,16 +124,12 @@ def out_and_back(tmp_path: Path) -> ReferenceMap:
     """A map of one drive 400 m north and back, a lane beside, of places with random descriptors."""
     rng = np.random.default_rng(0)
     north_m = np.concatenate([np.arange(0, 400, 2.0), np.arange(400, 0, -2.0)])
-    with MapBuilder(
-        tmp_path / "map", ModelKey("m", "0" * 64, "fc6", 64), RegionsKey("whole", 1.0, "set"), SamplingConfig()
-    ) as builder:
-        builder.begin_segment("drive", "front")
-        for row, meters in enumerate(north_m):
-            lat_deg, lon_deg = Pose(0.0 if row < 200 else 4.0, meters, 0, 0, 0).geodetic()
-            place = Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row)
-            builder.add(rng.normal(size=(1, 64)).astype(np.float32), place)
-        builder.finish()
-    return open_map(tmp_path / "map")
+    places = [place(row, 0.0 if row < 200 else 4.0, meters, 2.0 * row) for row, meters in enumerate(north_m)]
+    return map_of(tmp_path / "map", rng.normal(size=(400, 1, 64)), places)
+
+
+def place(row: int, east_m: float, north_m: float, route_m: float) -> Place:
+    return Place(row, *Pose(east_m, north_m, 0, 0, 0).geodetic(), heading_deg=0.0, route_m=route_m)
 
 
 def feed_at(east_m: float, north_m: float) -> Feed:
@@ -171,16 +168,10 @@ def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshol
     tmp_path: Path, second: int, low: float, high: float
 ) -> None:
     """Two streets apart from each other; with equal seeds they show the same."""
-    with MapBuilder(
-        tmp_path / "map", ModelKey("m", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
-    ) as builder:
-        for seed, east_m in ((1, 0.0), (second, 5000.0)):
-            builder.begin_segment("street", "rear")
-            for row, raw in enumerate(smooth_street(seed)[:200]):
-                lat_deg, lon_deg = Pose(east_m, 2.0 * row, 0, 0, 0).geodetic()
-                builder.add(raw, Place(row, lat_deg, lon_deg, heading_deg=0.0, route_m=2.0 * row))
-        builder.finish()
-    curve = curve_of_map(open_map(tmp_path / "map"), Config(sequence=SequenceConfig(length=20)))
+    raw = np.concatenate([smooth_street(seed)[:200] for seed in (1, second)])
+    places = [place(row, east_m, 2.0 * row, 2.0 * row) for east_m in (0.0, 5000.0) for row in range(200)]
+    streets = map_of(tmp_path / "map", raw, places, starts=(0, 200), view="rear")
+    curve = curve_of_map(streets, Config(sequence=SequenceConfig(length=20)))
     assert low <= curve.lowest_for(0.9) < high
 
 

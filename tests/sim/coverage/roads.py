@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import SamplingConfig
-from edge.reference_map import MapSet, open_map_set
-from edge.reference_map.store import ModelKey, RegionsKey
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge.reference_map import MapSet
+from edge_plugins.mapping.builder import Place
+from tests.map_of import map_of
 
 
 def walk(places: int, rng: np.random.Generator, dimensions: int = 256) -> NDArray[np.float32]:
@@ -24,13 +23,10 @@ def walk(places: int, rng: np.random.Generator, dimensions: int = 256) -> NDArra
 
 def road(path: Path, parts: list[tuple[float, NDArray[np.float32]]]) -> MapSet:
     """A map with a segment for each part, which begins so many meters further north."""
-    key = ModelKey("test", "0" * 64, "fc6", parts[0][1].shape[2])
-    with MapBuilder(path, key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        index = 0
-        for north_m, raw in parts:
-            builder.begin_segment("drive", "rear")
-            for row, one in enumerate(raw):
-                builder.add(one, Place(index, (north_m + 2 * row) / 110_574, 0.0, route_m=2.0 * row))
-                index += 1
-        builder.finish()
-    return open_map_set(path)
+    places: list[Place] = []
+    starts = []
+    for north_m, raw in parts:
+        starts.append(len(places))
+        for row in range(len(raw)):
+            places.append(Place(len(places), (north_m + 2 * row) / 110_574, 0.0, route_m=2.0 * row))
+    return MapSet.of(map_of(path, np.concatenate([raw for _, raw in parts]), places, starts=starts, view="rear"))

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from edge.__main__ import main
-from edge.config import Config, SamplingConfig
+from edge.config import Config
 from edge.journal.journal import Journal
 from edge.journal.records import FrameUsed
-from edge.reference_map import Drives, MapSet, open_map_set
-from edge.reference_map.store import ModelKey, RegionsKey
+from edge.reference_map import Drives, MapSet
 from edge.telemetry.shadow import ShadowPosition
-from edge_plugins.mapping.builder import MapBuilder, Place
+from edge_plugins.mapping.builder import Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
 from sim.coverage.rehearsal import Way
 from sim.coverage.sheet import longest_gap, spans_of
 from sim.evaluation.replay import as_line
 from sim.world.scenario import LightName
+from tests.map_of import map_of
 from tests.sim.coverage.roads import road, walk
 
 PLACES = 200
@@ -34,15 +34,13 @@ PLACES = 200
 @pytest.fixture
 def maps(tmp_path: Path) -> MapSet:
     """Two drives of 200 places, 2 m apart, the second 1 km further east."""
-    key = ModelKey("test", "0" * 64, "fc6", 8)
     raw = np.random.default_rng(1).random((PLACES, 2, 8), np.float32)
-    with MapBuilder(tmp_path / "map", key, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
-        for east_deg in (0.0, 0.01):
-            builder.begin_segment("drive", "rear")
-            for row in range(PLACES):
-                builder.add(raw[row], Place(row, -27.0 + row * 2 / 110_800, 153.0 + east_deg, route_m=2.0 * row))
-        builder.finish()
-    return open_map_set(tmp_path / "map")
+    places = [
+        Place(row, -27.0 + row * 2 / 110_800, lon_deg, route_m=2.0 * row)
+        for lon_deg in (153.0, 153.01)
+        for row in range(PLACES)
+    ]
+    return MapSet.of(map_of(tmp_path / "map", np.tile(raw, (2, 1, 1)), places, starts=(0, PLACES), view="rear"))
 
 
 def drive(
