@@ -35,8 +35,9 @@ OUTVOTES = 3
 """Looks of the last RECENT ones that agree with each other outvote an estimate with which fewer of them agree."""
 RECENT, RECENT_M = 6, 30.0
 """Looks, and meters driven, within which they are compared with each other."""
-TURNS_RAD = math.radians(0.5)
-"""By which a vehicle turns against the road per square root of a meter: by 2 degrees while it changes its lane."""
+AIM_RAD = math.radians(2.8)
+"""One standard deviation of what all looks at a drive of the map are turned by alike: two cameras that were mounted by
+hand, of which the rows of the map show theirs, and the heading of the vehicle that drove there."""
 SAME_PLACE_M = 10.0
 """What is further from an estimate is another place, which no number of looks moves it to: it must be lost first."""
 
@@ -45,18 +46,29 @@ SAME_PLACE_M = 10.0
 class Look:
     """A vehicle by one picture.
 
-    position_m: meters east and north (2,). covariance: (2, 2), without the map's error. map_sigma_m: of that, in each
-    direction. whole: (2, 2) of what all looks at this drive of the map are off by together besides. turn_rad: of the
-    vehicle against the road there, clockwise; turn_sigma_rad: one standard deviation. points: that agree on it.
+    position_m: meters east and north (2,). pose: covariance (3, 3) of these and of how the camera is turned, clockwise,
+    without the map's error. map_sigma_m: of that, in each direction. whole: (2, 2) of what all looks at this drive of
+    the map are off by together besides. heading_rad: of the vehicle, clockwise from north. course: in which it reckons
+    to go there, likewise, and the variance; None where that is not known. points: that agree on it.
     """
 
     position_m: Vector
-    covariance: NDArray[np.float64]
+    pose: NDArray[np.float64]
     map_sigma_m: float
     whole: NDArray[np.float64]
-    turn_rad: float
-    turn_sigma_rad: float
+    heading_rad: float
+    course: tuple[float, float] | None
     points: int
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(2, 2), of the position."""
+        return self.pose[:2, :2]
+
+    @property
+    def goes_back(self) -> bool:
+        """Whether the vehicle heads the other way than it goes."""
+        return self.course is not None and math.cos(self.heading_rad - self.course[0]) < 0
 
     def disagrees(self, position_m: Vector, covariance: NDArray[np.float64]) -> float:
         """How far another position (2,) with its covariance is away: squared, in standard deviations."""
@@ -65,16 +77,19 @@ class Look:
 
 
 def camera_seen(seen: Seen, row_m: Vector, row_rad: float, row_sigma_rad: float) -> tuple[Vector, NDArray[np.float64]]:
-    """Meters east and north (2,) of the camera of a frame, and their covariance (2, 2), by the camera of a row.
+    """Meters east and north (2,) of the camera of a frame, and the covariance (3, 3) of these and of its turn.
 
-    row_m, row_rad: of the row's camera, clockwise from north, and one standard deviation of where it looked.
+    row_m, row_rad: of the row's camera, clockwise from north, and one standard deviation of where it looked, which is
+    not in that of the turn, since all rows of a drive share it.
     """
     sin, cos = math.sin(row_rad), math.cos(row_rad)
     by_row = np.array([[cos, sin], [-sin, cos]])  # meters right and ahead as east and north
     beside_m = by_row @ np.array([seen.right_m, seen.ahead_m])
-    swung_m = row_sigma_rad * np.array([beside_m[1], -beside_m[0]])
-    covariance = by_row @ np.asarray(seen.covariance)[:2, :2] @ by_row.T + np.outer(swung_m, swung_m)
-    return row_m + beside_m, covariance
+    swung_m = row_sigma_rad * np.array([beside_m[1], -beside_m[0], 0.0])
+    turned = np.eye(3)
+    turned[:2, :2] = by_row
+    pose = turned @ np.asarray(seen.covariance) @ turned.T + np.outer(swung_m, swung_m)
+    return row_m + beside_m, pose
 
 
 class RecentLooks:

@@ -31,7 +31,6 @@ from edge.localization.events import Break, Event, Fix, Frame, Limits, Maps, Mov
 from edge.localization.gps_judge import GpsJudge
 from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import by_own
-from edge.localization.odometer import CHANGES
 from edge.localization.refusals import RULES, Refusal, Rule
 from edge.localization.route_filter import RouteFilter
 from edge.reference_map import Route
@@ -68,7 +67,7 @@ class Known:
     GPS, "wrong" until it agrees again. ignores_gps: whether positions are published as if GPS were lost. own_sigma_m:
     one standard deviation of the autopilot's own position, None where nothing has ever bound it. is_bounded: whether
     GPS or a position of ours has bounded that since the autopilot's boot. rests_on_fixes: whether a position that was
-    sent may have moved it since GPS bounded it last.
+    sent may have moved it since GPS bounded it last. heading_error: see `RouteFilter`.
     """
 
     position: PlaceFix | None
@@ -77,6 +76,7 @@ class Known:
     own_sigma_m: float | None
     is_bounded: bool
     rests_on_fixes: bool
+    heading_error: tuple[float, float] | None
 
 
 class PositionEstimator:
@@ -151,10 +151,13 @@ class PositionEstimator:
         """What the events so far show."""
         if self._known is None:
             bound, gps, own = self._bound, self._gps, self._own
-            position = None if self._filter is None else self._filter.at_exposure()
+            position, heading_error = None, None
+            if self._filter is not None:
+                position, heading_error = self._filter.at_exposure(), self._filter.heading_error
             own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
             is_bounded = bound.bound is not None
-            self._known = Known(position, gps.published, gps.is_ignored, own_sigma_m, is_bounded, bound.rests_on_fixes)
+            of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
+            self._known = Known(position, gps.published, gps.is_ignored, *of_own, heading_error)
         return self._known
 
     def reckoned(self, motion: Displacement | None) -> Reckoning | None:
@@ -200,7 +203,7 @@ class PositionEstimator:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
         shown = None if self._filter is None else self._filter.velocity_errors
         if shown is not None:
-            return Drift(*shown, CHANGES)
+            return Drift(*shown, 0.0)
         found = self._bound.drift.way if fix is None else fix.velocity_error
         return Drift(0.0, 0.0, max(self._config.gates.drift_percent / 100, found))
 

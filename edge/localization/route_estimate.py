@@ -1,15 +1,16 @@
 """An extended Kalman filter for a vehicle on a mapped road: its position, and what its own velocity is wrong by. Pure.
 
-    state      (7,): meters east, meters north, heading error in radians, scale error, minus the share of doubtful
-               meters that were none, and errors of the lines of matches along the road: one that stays for a drive,
-               and one that changes within CORRELATION_M
+    state      (8,): meters east, meters north, heading error in radians, scale error, minus the share of doubtful
+               meters that were none, errors of the lines of matches along the road: one that stays for a drive, and
+               one that changes within CORRELATION_M; and by how much all looks at a drive have the vehicle turned too
+               far clockwise
     prediction position += (1 + scale) * R(heading error) * displacement by the autopilot's velocity, and that share
-    correction along and across the road by one look; or along it by the line of a match, where the position across is
-               never less certain than the road is wide, see `keep_on_road`
+    correction east, north and of the heading by one look; or along the road by the line of a match, where the position
+               across is never less certain than the road is wide, see `keep_on_road`
 
 A displacement is (4,): meters east and north, and what is doubtful of them, see `Displacement`. All but
-position and share are first-order Gauss-Markov processes over the distance. The last one is what makes matches within
-a correlation length of each other about one observation.
+position, share and the last are first-order Gauss-Markov processes over the distance. The error of matches that
+changes is what makes those within a correlation length of each other about one observation.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.look import SHARED_M, STANDS_M, Look, Vector
+from edge.localization.look import AIM_RAD, SHARED_M, STANDS_M, Look, Vector
 from edge.localization.odometer import Scale
 
 CORRELATION_M = 60.0
@@ -47,8 +48,9 @@ WANDER = 0.03
 
 OF_ROAD = 0.0, 0.0
 """How much of the errors of matches a measurement across the road has: nothing."""
-HEADING, SCALE, DOUBT, MATCH = 2, 3, 4, 5
-"""In the state: errors of heading and scale, the share of what is doubtful, and the first error of matches."""
+HEADING, SCALE, DOUBT, MATCH, AIM = 2, 3, 4, 5, 7
+"""In the state: errors of heading and scale, the share of what is doubtful, the first error of matches, and the last
+one, of how looks are turned."""
 
 
 class Passed(NamedTuple):
@@ -93,7 +95,7 @@ class RouteEstimate:
 
     def __init__(self, position_m: Vector, covariance: NDArray[np.float64], errors: VelocityErrors) -> None:
         """Begin at a position (2,) with its covariance (2, 2)."""
-        self._variances = np.array([errors.heading_rad**2, errors.scale**2, 0.0, *errors.match.variances])
+        self._variances = np.array([errors.heading_rad**2, errors.scale**2, 0.0, *errors.match.variances, AIM_RAD**2])
         self._is_doubtful = False
         self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
@@ -124,14 +126,9 @@ class RouteEstimate:
         return self.mean[:2]
 
     @property
-    def scale(self) -> float:
+    def scale(self) -> Scale:
         """Share by which the autopilot's velocity is found to be too low."""
-        return float(self.mean[SCALE])
-
-    @property
-    def scale_sigma(self) -> float:
-        """Standard deviation of the scale error."""
-        return float(np.sqrt(self.covariance[SCALE, SCALE]))
+        return Scale(float(self.mean[SCALE]), float(np.sqrt(self.covariance[SCALE, SCALE])))
 
     @property
     def velocity_errors(self) -> tuple[float, float]:
@@ -139,6 +136,16 @@ class RouteEstimate:
         means, variances = self.mean[[SCALE, HEADING]], self.covariance.diagonal()[[SCALE, HEADING]]
         scale, heading_rad = np.sqrt(means**2 + variances)
         return float(scale), float(heading_rad)
+
+    @property
+    def heading_error(self) -> tuple[float, float]:
+        """Radians by which the velocity must be turned clockwise, and one standard deviation."""
+        return float(self.mean[HEADING]), math.sqrt(float(self.covariance[HEADING, HEADING]))
+
+    @property
+    def turned_rad(self) -> float:
+        """By how much looks have the vehicle head further clockwise than its displacement goes."""
+        return float(self.mean[HEADING] + self.mean[AIM])
 
     @property
     def velocity_error(self) -> float:
@@ -159,7 +166,7 @@ class RouteEstimate:
             self.covariance[DOUBT, :] = self.covariance[:, DOUBT] = 0.0
             self.mean[DOUBT], self.covariance[DOUBT, DOUBT] = DOUBTFUL[0], DOUBTFUL[1] ** 2
         self.mean[:2] += self.truly(displacement_m)
-        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, np.inf, DRIVE_M, CORRELATION_M]))
+        kept = np.exp(-driven_m / np.array([HEADING_M, SCALE_M, np.inf, DRIVE_M, CORRELATION_M, np.inf]))
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:MATCH] = self._slopes(displacement_m)
         self.mean[2:] *= kept
@@ -167,10 +174,12 @@ class RouteEstimate:
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
         self.covariance += np.diag([*wander, *(self._variances * (1 - kept**2))])
 
-    def expect(self, scale: Scale) -> None:
-        """That is known of the velocity's scale now; it fades within SCALE_M, as wheels come to another surface."""
+    def expect(self, scale: Scale, since_m: float = 0.0) -> None:
+        """That was known of the velocity's scale so many meters ago; it fades, as wheels come to another surface."""
+        kept, assumed = math.exp(-since_m / SCALE_M), float(self._variances[SCALE - 2])
         self.covariance[SCALE, :] = self.covariance[:, SCALE] = 0.0
-        self.mean[SCALE], self.covariance[SCALE, SCALE] = scale.mean, scale.later**2
+        self.mean[SCALE] = kept * scale.mean
+        self.covariance[SCALE, SCALE] = kept**2 * scale.later**2 + (1 - kept**2) * assumed
 
     def doubt_scale(self) -> None:
         """Of the velocity's scale nothing was known: all that the state owes to it becomes as uncertain as it is."""
@@ -181,7 +190,7 @@ class RouteEstimate:
 
     def begin_drive(self, match: MatchErrors) -> None:
         """The matches are of another drive from now on, whose error has nothing to do with the last one's."""
-        self._variances[MATCH - 2 :] = match.variances
+        self._variances[MATCH - 2 : AIM - 2] = match.variances
         self.since_looks_m = np.inf
         self.mean[MATCH:] = self.covariance[MATCH:, :] = self.covariance[:, MATCH:] = 0.0
         self.covariance[MATCH:, MATCH:] = np.diag(self._variances[MATCH - 2 :])
@@ -221,15 +230,28 @@ class RouteEstimate:
         return spread + look.whole if math.isinf(self.since_looks_m) else spread
 
     def correct_by_look(self, look: Look) -> None:
-        """Correct the position by what one picture says, which it shares in part with what the last one said."""
+        """Correct position and heading by what one picture says, which it shares in part with what the last one said.
+
+        Not the heading where that is not as the displacement goes, as of a multirotor that flies to the side.
+        """
         self.covariance[:2, :2] = self.at_look(look)
         shared = max(1.0, SHARED_M / max(self.since_looks_m, STANDS_M))
         self.since_looks_m = 0.0
-        noise = shared * look.covariance
-        gain = self.covariance[:, :2] @ np.linalg.inv(self.covariance[:2, :2] + noise)
-        self.mean = self.mean + gain @ (look.position_m - self.position_m)
-        kept = np.eye(len(self.mean))
-        kept[:, :2] -= gain
+        rows, noise = np.eye(2, len(self.mean)), shared * look.covariance
+        off = look.position_m - self.position_m
+        if look.course is not None:
+            course_rad, variance = look.course
+            row = np.zeros(len(self.mean))
+            row[[HEADING, AIM]] = 1.0
+            # A vehicle that goes backwards heads the other way.
+            turned_rad = math.remainder(look.heading_rad - course_rad, math.pi) - self.turned_rad
+            of_look = shared * look.pose
+            of_look[2, 2] += variance
+            if turned_rad**2 <= AGREE_SIGMAS**2 * (float(row @ self.covariance @ row) + of_look[2, 2]):
+                rows, noise, off = np.vstack([rows, row]), of_look, np.append(off, turned_rad)
+        gain = self.covariance @ rows.T @ np.linalg.inv(rows @ self.covariance @ rows.T + noise)
+        self.mean = self.mean + gain @ off
+        kept = np.eye(len(self.mean)) - gain @ rows
         self.covariance = kept @ self.covariance @ kept.T + gain @ noise @ gain.T
 
     def begin_at_look(self, look: Look) -> None:
@@ -282,7 +304,7 @@ class RouteEstimate:
 
     def _row(self, direction: Vector, since_m: Vector, errors: tuple[float, ...]) -> Vector:
         """How a measurement along `direction` depends on the state; errors: on those of matches."""
-        return np.array([*direction, *(-direction @ self._slopes(since_m)), *errors])
+        return np.array([*direction, *(-direction @ self._slopes(since_m)), *errors, 0.0])
 
     def _update(self, row: Vector, off_m: float, variance: float, *, position_only: bool = False) -> None:
         weighted = self.covariance @ row

@@ -37,6 +37,8 @@ Without it, vehicles that reversed for long or were ferried were up to 5 and 501
 instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
+GOES_M = 0.3
+"""Meters driven from which on a displacement since the newest frame shows where the vehicle goes."""
 UNEXPECTED_SIGMAS = 2.0
 """How far a match may be from where it is expected, before the velocity's scale is not what GPS has shown any more."""
 DISAGREE = 3
@@ -49,6 +51,7 @@ class RouteFilter:
     def __init__(self, route: Route, config: Config) -> None:
         self._config, self._rig = config.tracking, config.rig
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
+        self._shown, self._since_shown_m = Scale(0.0, self._config.scale_error_percent / 100), 0.0
         self._sightings = Sightings(route, config)
         self._innovations = RecentInnovations()
         self.reset()
@@ -58,6 +61,7 @@ class RouteFilter:
         self._sightings.clear()
         self._looks = RecentLooks()
         self._at: Displacement | None = None
+        self._course_rad: float | None = None  # in which the vehicle reckoned to go then
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: Track | None = None
@@ -86,10 +90,10 @@ class RouteFilter:
         """GPS is lost. shown: what it has shown of the velocity that counts from now on."""
         if self._is_bound and shown is not None:
             assumed = Scale(0.0, self._config.scale_error_percent / 100)
-            known = assumed.and_also(shown)
-            self._is_shown = known.later < assumed.later
+            self._shown, self._since_shown_m = assumed.and_also(shown), 0.0
+            self._is_shown = self._shown.later < assumed.later
             for estimate in self._estimates() if self._is_shown else []:
-                estimate.expect(known)
+                estimate.expect(self._shown)
         self._is_bound = False
 
     @property
@@ -116,6 +120,15 @@ class RouteFilter:
             if off > UNEXPECTED_SIGMAS >= off_then:
                 return True
         return False
+
+    @property
+    def heading_error(self) -> tuple[float, float] | None:
+        """Radians by which the vehicle heads further clockwise than its displacement says, and one standard deviation.
+
+        None where no look has shown it lately.
+        """
+        track = self._track
+        return track.estimate.heading_error if track is not None and track.is_looked else None
 
     def reject_gps(self) -> None:
         """GPS was wrong when it bounded the estimates: only places count from now on."""
@@ -155,6 +168,8 @@ class RouteFilter:
         self._move(displacement)
         if in_line:
             self._sightings.add(_vector(displacement))
+        course = self._sightings.course(_vector(displacement))
+        self._course_rad = course and course[0]
         track = self._track
         if track is not None and self._is_lost(track, stamp_ns, 0.0):
             self._track, self._exposure = None, None
@@ -169,7 +184,7 @@ class RouteFilter:
 
     def _sighting(self, match: PlaceMatch, displacement_m: Vector, undated_m: float) -> Sighting | None:
         """What a match says of where the vehicle is: by one look, or else by its line."""
-        track, looked = self._track, self._sightings.looked(match, undated_m)
+        track, looked = self._track, self._sightings.looked(match, undated_m, displacement_m)
         if looked is not None and looked.look is not None:
             self._looks.add(looked.look, displacement_m)
             if (track is not None and track.is_looked) or self._agree(looked.look) >= FIRST:
@@ -208,7 +223,8 @@ class RouteFilter:
             return None
         estimate = track.estimate.copy()
         estimate.predict(since_m)
-        return self._fix(track, estimate, stamp_ns, track.since_m + driven_m)
+        course_rad = math.atan2(since_m[0], since_m[1]) if driven_m >= GOES_M else self._course_rad
+        return self._fix(track, estimate, stamp_ns, track.since_m + driven_m, course_rad)
 
     def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
@@ -218,7 +234,9 @@ class RouteFilter:
         now_m = _vector(displacement)
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
-            self._innovations.move(float(np.hypot(*moved_m[:2])))
+            driven_m = float(np.hypot(*moved_m[:2]))
+            self._innovations.move(driven_m)
+            self._since_shown_m += driven_m
             if self._track is not None:
                 self._track.move(moved_m)
             for one in self._reckoned:
@@ -252,12 +270,14 @@ class RouteFilter:
         else:
             track.disagreeing += 1
             return
-        self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0)
+        self._exposure = self._fix(track, track.estimate, stamp_ns, 0.0, self._course_rad)
 
     def _begin(self, sighting: Sighting, stamp_ns: int) -> Track:
         road_sigma_m = self._rig.sigma_across_m
         errors = self._velocity_errors(sighting.errors)
         estimate = RouteEstimate.on_road(sighting.passed, road_sigma_m, errors)
+        if self._is_shown and not self._reckoned:  # else what is reckoned has it, and it may be wrong by that
+            estimate.expect(self._shown, self._since_shown_m)
         tracks = [Track(one.estimate.copy(), sighting, stamp_ns) for one in self._reckoned]
         for one in tracks:
             one.estimate.begin_drive(sighting.errors)
@@ -288,7 +308,9 @@ class RouteFilter:
             estimate.mean[:2] -= shift_m
         self._looks.clear()
 
-    def _fix(self, track: Track, estimate: RouteEstimate, stamp_ns: int, since_m: float) -> PlaceFix | None:
+    def _fix(
+        self, track: Track, estimate: RouteEstimate, stamp_ns: int, since_m: float, course_rad: float | None
+    ) -> PlaceFix | None:
         newest, match = track.newest, track.newest.match
         sign = 1 if match.direction == "forward" else -1
         found = self._sightings.position(match, newest.along_m + sign * since_m)
@@ -296,7 +318,9 @@ class RouteFilter:
         if found is None or found.heading_deg is None or origin is None:
             return None
         lat_deg, lon_deg = moved(*origin, float(estimate.position_m[0]), float(estimate.position_m[1]))
-        heading_rad = math.radians(found.heading_deg) + (track.turn_rad if track.is_looked else 0.0)
+        heading_rad = math.radians(found.heading_deg)
+        if track.is_looked and course_rad is not None:
+            heading_rad = course_rad + estimate.turned_rad + math.pi * track.goes_back
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = self._innovations.factor**2 * estimate.covariance[:2, :2]
         # No number of a drive's own places shows by how much all of them are off.
@@ -335,7 +359,7 @@ def _line_variance(estimate: RouteEstimate, sighting: Sighting) -> float:
 
     The displacement since the middle is in the covariance; half of the line, which is as long, has the same error.
     """
-    scale_variance = max(0.0, estimate.scale_sigma**2 - KNOWN_SCALE**2)
+    scale_variance = max(0.0, estimate.scale.sigma**2 - KNOWN_SCALE**2)
     since_m = sighting.passed.since_m[:2]
     return (2**2 - 1**2) * scale_variance * float(since_m @ since_m)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.look import Look, Vector, camera_seen
+from edge.localization.look import STANDS_M, Look, Vector, camera_seen
 from edge.localization.place_fix import (
     LineReadings,
     heads_along,
@@ -22,7 +22,7 @@ from edge.localization.place_fix import (
     map_error_m,
     position_on_route,
 )
-from edge.localization.route_estimate import MatchErrors, Passed, left_of
+from edge.localization.route_estimate import WANDER, MatchErrors, Passed, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
@@ -139,8 +139,11 @@ class Sightings:
             undated_m=undated_m,
         )
 
-    def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
-        """What one picture says; None where it says nothing, or the map does not know where the row is and heads."""
+    def looked(self, match: PlaceMatch, undated_m: float, displacement_m: Vector | None = None) -> Sighting | None:
+        """What one picture says; None where it says nothing, or the map does not know where the row is and heads.
+
+        displacement_m: (4,) of the vehicle then, for its course.
+        """
         seen = match.seen
         if seen is None:
             return None
@@ -150,7 +153,7 @@ class Sightings:
             return None
         row_rad = math.radians(row.heading_deg)
         looks_rad = row_rad + math.pi * route.looks_back(seen.place_index)
-        position_m, covariance = camera_seen(seen, self.local(row), looks_rad, self._heading_sigma_rad)
+        position_m, pose = camera_seen(seen, self.local(row), looks_rad, self._heading_sigma_rad)
         heading_rad = looks_rad + seen.turn_rad + math.pi * self._looks_back
         heads = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         position_m = position_m - rig.look_ahead_m(match.direction) * heads
@@ -160,19 +163,18 @@ class Sightings:
             return None
         road_rad = math.radians(road.heading_deg)
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
-        turn_rad = math.remainder(heading_rad - road_rad, math.tau)
         whole_along_m, whole_across_m = drive.whole_sigma_m
         whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
         look = Look(
             position_m=position_m,
-            covariance=covariance,
+            pose=pose,
             map_sigma_m=map_error_m(row),
             whole=sum(
                 (one**2 * np.outer(way, way) for one, way in zip(whole_m, (along, left_of(along)), strict=True)),
                 start=np.zeros((2, 2)),
             ),
-            turn_rad=turn_rad,
-            turn_sigma_rad=math.sqrt(float(np.asarray(seen.covariance)[2, 2])),
+            heading_rad=heading_rad,
+            course=None if displacement_m is None else self.course(displacement_m),
             points=seen.points,
         )
         return Sighting(
@@ -183,13 +185,29 @@ class Sightings:
             whole_sigma_m=whole_m,
             passed=Passed(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
-            sigma_m=math.sqrt(float(along @ covariance @ along)),
+            sigma_m=math.sqrt(float(along @ look.covariance @ along)),
             errors=self._errors(match, drive.whole_sigma_m[0]),
             map_sigma_m=map_error_m(row),
             faint=1.0,
             undated_m=undated_m,
             look=look,
         )
+
+    def course(self, displacement_m: Vector) -> tuple[float, float] | None:
+        """Where the vehicle reckons to go at a frame, in radians clockwise from north, and the variance.
+
+        Of two steps between frames each has the course of its middle, which is followed on to the newest frame.
+        displacement_m: (4,) at that; None where no line leads through it.
+        """
+        if len(self._readings) < 3:
+            return None
+        here, before, first = (self._readings.back(frames)[:2] for frames in range(3))
+        last_m, other_m = (float(np.hypot(*step_m)) for step_m in (here - before, before - first))
+        if last_m == 0 or other_m == 0 or float(np.hypot(*(displacement_m[:2] - here))) > STANDS_M:
+            return None
+        last_rad, share = _course_rad(here - before), last_m / (last_m + other_m)
+        course_rad = last_rad + share * math.remainder(last_rad - _course_rad(before - first), math.tau)
+        return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
     def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:
         return MatchErrors(self._rig.sigma_m(match.direction, match.order), whole_m)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from edge.localization.claims import SPREAD_M, STRETCH_WRONG
-from edge.localization.look import HOLDS_M, LOOK_CHI2, TURNS_RAD, Look, Vector
+from edge.localization.look import HOLDS_M, LOOK_CHI2, Look, Vector
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, RouteEstimate
 from edge.localization.sighting import Sighting
 
@@ -25,8 +25,8 @@ class Track:
     """An estimate, the newest match that agreed with it, when, and what was driven in all and since that match.
 
     disagreeing: matches since then. confidence: the greatest of its matches. by_chance: see `agrees_by_chance`; 0 where
-    nothing was reckoned, and endless where the first match was not where reckoning had the vehicle. turn_rad: of the
-    vehicle against the road, by looks, and its variance. points: of the newest look.
+    nothing was reckoned, and endless where the first match was not where reckoning had the vehicle. points, goes_back:
+    of the newest look.
     """
 
     estimate: RouteEstimate
@@ -38,13 +38,12 @@ class Track:
     disagreeing: int = 0
     confidence: float = 0.0
     by_chance: float = 0.0
-    turn_rad: float = 0.0
-    turn_rad2: float = math.inf
     points: int = 0
+    goes_back: bool = False
 
     @property
     def is_looked(self) -> bool:
-        """Whether a look said within CORRELATION_M where the vehicle is, and how it is turned."""
+        """Whether a look said within CORRELATION_M where the vehicle is, and heads."""
         return self.estimate.is_measured
 
     @property
@@ -65,7 +64,6 @@ class Track:
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_m += driven_m
         self.driven_m += driven_m
-        self.turn_rad2 += TURNS_RAD**2 * driven_m
 
     def agrees(self, sighting: Sighting, road_sigma_m: float) -> bool:
         """Whether the vehicle may be where the match is; road_sigma_m: one standard deviation across the road."""
@@ -129,13 +127,6 @@ class Track:
         self.estimate.correct(sighting.passed, sighting.sigma_m, sighting.faint)
         self._added(sighting, stamp_ns)
 
-    def _turn(self, look: Look) -> None:
-        """What is known of the heading, and a look, each by its variance."""
-        self.points, noise = look.points, look.turn_sigma_rad**2
-        kept = 1 / (1 + self.turn_rad2 / noise)
-        self.turn_rad += (1 - kept) * math.remainder(look.turn_rad - self.turn_rad, math.tau)
-        self.turn_rad2 = noise * (1 - kept)
-
     def away_m(self, look: Look) -> float:
         """How far a look is from the estimate."""
         return float(np.hypot(*(look.position_m - self.estimate.position_m)))
@@ -149,7 +140,7 @@ class Track:
 
     def _added(self, sighting: Sighting, stamp_ns: int) -> None:
         if sighting.look is not None:
-            self._turn(sighting.look)
+            self.points, self.goes_back = sighting.look.points, sighting.look.goes_back
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches += 1
         self.confidence = max(self.confidence, sighting.match.confidence)

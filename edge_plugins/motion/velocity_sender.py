@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -39,8 +40,11 @@ class VelocityChanged(Record, frozen=True, tag="velocity"):
 class VelocitySender:
     """Sends on one link, and records when it begins and why it ends."""
 
-    def __init__(self, link: AutopilotConnection) -> None:
-        self._link = link
+    def __init__(
+        self, link: AutopilotConnection, heading_error: Callable[[], tuple[float, float] | None] = lambda: None
+    ) -> None:
+        """heading_error: see `RouteFilter`."""
+        self._link, self._heading_error = link, heading_error
         self._why: str | None = None
 
     def send(self, speed: CameraSpeed) -> None:
@@ -54,7 +58,18 @@ class VelocitySender:
             link.record(VelocityChanged(is_sent=not why, why=why))
         if not why:
             link.velocity_aid.sent_ns = now_ns
-            link.send([ENCODERS[link.vehicle.session.firmware.camera_velocity](speed)])
+            link.send([ENCODERS[link.vehicle.session.firmware.camera_velocity](speed, self._course(speed.stamp_ns))])
+
+    def _course(self, stamp_ns: int) -> tuple[float, float] | None:
+        """Where the vehicle heads, and one standard deviation: as the autopilot says, without what looks have found.
+
+        None where they have found nothing, or it was of a velocity whose heading is not the autopilot's.
+        """
+        error, own = self._heading_error(), self._link.history.at(stamp_ns)
+        is_by_heading = self._link.vehicle.velocity.aid.is_drifting_camera
+        if error is None or own is None or own.heading_deg is None or not is_by_heading:
+            return None
+        return math.radians(own.heading_deg) + error[0], error[1]
 
     def _refusal(self, speed: CameraSpeed, now_ns: int) -> str:
         vehicle = self._link.vehicle
@@ -73,21 +88,26 @@ class VelocitySender:
         return "" if is_aided else "GPS was lost before the camera's height was known"
 
 
-def body_odometry(speed: CameraSpeed) -> Message:
-    """ODOMETRY 331 for PX4: a velocity in the frame of the body at `stamp_ns`; nothing else, which is NaN.
+def odometry(speed: CameraSpeed, course: tuple[float, float] | None = None) -> Message:
+    """ODOMETRY 331 for PX4: a velocity at `stamp_ns`; nothing else, which is NaN.
 
-    Its time is CLOCK_MONOTONIC, which the answers to TIMESYNC have as well.
+    It is that of the body, which PX4 turns by its own heading; or by course, in radians clockwise from north with one
+    standard deviation, north and east. Its time is CLOCK_MONOTONIC, which the answers to TIMESYNC have as well.
     """
-    sideways = max(SLIDES * abs(speed.speed_mps), LEAST_SIDEWAYS_MPS) ** 2
-    variances = [speed.sigma_mps**2, *[0.0] * 5, sideways, *[0.0] * 4, sideways, *[0.0] * 9]
+    heading_rad, sigma_rad = course or (0.0, 0.0)
+    slides = max(SLIDES * abs(speed.speed_mps), LEAST_SIDEWAYS_MPS) ** 2
+    ahead, sideways = speed.sigma_mps**2, slides + (sigma_rad * speed.speed_mps) ** 2
+    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+    first, second = ahead * cos**2 + sideways * sin**2, ahead * sin**2 + sideways * cos**2
+    variances = [first, *[0.0] * 5, second, *[0.0] * 4, slides, *[0.0] * 9]
     return mavlink.MAVLink_odometry_message(
         speed.stamp_ns // 1000,
         mavlink.MAV_FRAME_LOCAL_FRD,
-        mavlink.MAV_FRAME_BODY_FRD,
+        mavlink.MAV_FRAME_BODY_FRD if course is None else mavlink.MAV_FRAME_LOCAL_NED,
         *[math.nan] * 3,
         [math.nan] * 4,
-        speed.speed_mps,
-        0.0,
+        speed.speed_mps * cos,
+        speed.speed_mps * sin,
         0.0,
         *[math.nan] * 3,
         [math.nan] * 21,
@@ -97,8 +117,11 @@ def body_odometry(speed: CameraSpeed) -> Message:
     )
 
 
-def position_delta(speed: CameraSpeed) -> Message:
-    """VISION_POSITION_DELTA 11011 for ArduPilot: how far the body moved and turned; its confidence is the sigma."""
+def position_delta(speed: CameraSpeed, course: tuple[float, float] | None = None) -> Message:
+    """VISION_POSITION_DELTA 11011 for ArduPilot: how far the body moved and turned; its confidence is the sigma.
+
+    Its own heading turns that, whatever the course.
+    """
     share = (MOST_ERROR_MPS - speed.sigma_mps) / (MOST_ERROR_MPS - LEAST_ERROR_MPS)
     seconds = DELTA_US / 1e6
     moved, turned = (seconds * speed.speed_mps, 0.0, 0.0), (0.0, 0.0, seconds * speed.turn_radps)
@@ -106,5 +129,5 @@ def position_delta(speed: CameraSpeed) -> Message:
     return mavlink.MAVLink_vision_position_delta_message(speed.stamp_ns // 1000, DELTA_US, turned, moved, confidence)
 
 
-ENCODERS = {"ODOMETRY": body_odometry, "VISION_POSITION_DELTA": position_delta}
+ENCODERS = {"ODOMETRY": odometry, "VISION_POSITION_DELTA": position_delta}
 """By `Firmware.camera_velocity`."""

@@ -230,14 +230,21 @@ class Estimator:
         self._fused_s = self._time_s
         return True
 
-    def fuse_velocity(self, ahead_mps: float, ahead_sigma_mps: float, sideways_mps: float, time_s: float) -> bool:
-        """A gated velocity of the body at a time, by the filter's own heading; False if the gate rejected it.
+    def fuse_velocity(
+        self,
+        ahead_mps: float,
+        ahead_sigma_mps: float,
+        sideways_mps: float,
+        time_s: float,
+        course_rad: float | None = None,
+    ) -> bool:
+        """A gated velocity ahead at a time; False if the gate rejected it.
 
-        sideways_mps: one standard deviation of that to the side, which is 0. After VELOCITY_STARVED_S without one, it
-        resets the velocity.
+        sideways_mps: one standard deviation of that to the side, which is 0. course_rad: of ahead, clockwise from
+        north; None for the filter's own heading. After VELOCITY_STARVED_S without one, it resets the velocity.
         """
         _, true_rad, speed_mps = min(self._motions, key=lambda one: abs(one[0] - time_s))
-        heading_rad = true_rad + self._heading_rad
+        heading_rad = true_rad + self._heading_rad if course_rad is None else course_rad
         ahead = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         right = np.array([ahead[1], -ahead[0]])
         true = speed_mps * np.array([math.sin(true_rad), math.cos(true_rad)])

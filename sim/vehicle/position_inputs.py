@@ -106,19 +106,25 @@ class PositionInputs:
             self._fuse(east_m, north_m, moment, message.eph)
 
     def velocity(self, message: Message, moment: Moment) -> None:
-        """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives): of the body, gated."""
-        kind = message.get_type()
+        """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.
+
+        That of the body is turned by the filter's own heading; PX4 takes one north and east as it is.
+        """
+        kind, course_rad = message.get_type(), None
         if not self.is_aided_by_camera or kind != self._firmware.can.camera_velocity:
             return
         if kind == "ODOMETRY":
             variances = message.velocity_covariance
             sigmas = max(variances[0], EV_NOISE_MPS**2) ** 0.5, max(variances[6], EV_NOISE_MPS**2) ** 0.5
-            values = message.vx, *sigmas, message.time_usec / 1e6
+            ahead_mps = message.vx
+            if message.child_frame_id == mavlink.MAV_FRAME_LOCAL_NED:
+                ahead_mps, course_rad = math.hypot(message.vx, message.vy), math.atan2(message.vy, message.vx)
+            values = ahead_mps, *sigmas, message.time_usec / 1e6
         else:
             error_mps = VERR_MAX_MPS + (VERR_MIN_MPS - VERR_MAX_MPS) * 0.01 * message.confidence
             ahead_mps = message.position_delta[0] / (message.time_delta_usec / 1e6)
             values = ahead_mps, error_mps, error_mps, moment.now_s - VISO_DELAY_S
-        self.velocities_fused.append(self._estimate.fuse_velocity(*values))
+        self.velocities_fused.append(self._estimate.fuse_velocity(*values, course_rad))
 
     def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
         is_weighed = self._firmware.resets_softly and not sigma_m < ALWAYS_RESETS_M

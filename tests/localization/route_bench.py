@@ -146,11 +146,14 @@ class Bench:
 
     def run(self) -> Result:
         """The whole drive."""
-        self.truth = self._point(0.0, 0.0)
+        self.truth, self.turn_rad = self._point(0.0, 0.0), 0.0
         self.own = self.truth + self.rng.normal(0.0, 1.0 if self.course.gps else 20.0, 2)
         self.alone = self.own.copy()
         for s, at, speed_mps in self._moves():
             before, self.truth = self.truth, self._truth(s, at)
+            if (self.truth != before).any():  # against the road; a vehicle that reverses looks the way it came
+                east_m, north_m = self.truth - before
+                self.turn_rad = math.remainder(math.atan2(east_m, north_m) - self._heading(s), math.pi)
             self.driven_m += abs(speed_mps) * STEP_S
             self._step(self.truth - before, speed_mps, s)
         return self.result
@@ -338,7 +341,8 @@ class Bench:
         row = min(round((along_m - begins_m) / SPACING_M), places - 1)
         right_m, ahead_m = self.rng.normal((-self.right_m, begins_m + row * SPACING_M - along_m), LOOK_SIGMAS[0])
         covariance = np.diag(np.square(LOOK_SIGMAS))
-        return Seen(first + row, 90, right_m, ahead_m, self.rng.normal(0.0, LOOK_SIGMAS[2]), covariance, 40, 0.9)
+        turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
+        return Seen(first + row, 90, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""

@@ -12,9 +12,8 @@ import pytest
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.localization import Break, Fix, Known, Maps, Scale
-from edge.localization.odometer import CHANGES
 from edge.sequence import PlaceMatch
-from tests.localization.events_of import LENGTH, Road, S, Vehicle, settings
+from tests.localization.events_of import LENGTH, Road, S, Vehicle, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 
@@ -54,8 +53,8 @@ def shown(road: Road, **changes: Any) -> tuple[Vehicle, float]:
 
 
 def test_the_uncertainty_grows_by_what_gps_has_shown_of_the_odometer(road: Road) -> None:
-    """By the heading's two degrees then, and two percent; and only where GPS is lost, not where it has just gone."""
-    expected_m = math.hypot(3.0, math.hypot(math.radians(2.0), CHANGES) * 100.0)
+    """By the heading's two degrees then, which is more; and only where GPS is lost, not where it has just gone."""
+    expected_m = math.hypot(3.0, math.radians(2.0) * 100.0)
     assert shown(road)[1] == pytest.approx(expected_m, rel=0.1)
     assert shown(road, scale=None)[1] == shown(road, gps="unknown")[1] == pytest.approx(math.hypot(3.0, 5.0))
 
@@ -67,13 +66,26 @@ def test_a_wheel_that_spins_takes_back_what_was_shown(road: Road) -> None:
     assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 102.0))
 
 
-@pytest.mark.parametrize(("further_m", "holds"), [(2.0, True), (11.0, False)])
+@pytest.mark.parametrize(("further_m", "holds"), [(2.0, True), (14.0, False)])
 def test_places_elsewhere_than_expected_take_back_what_was_shown(further_m: float, holds: bool, road: Road) -> None:
-    """11 m after 160 m: too many for an odometer as it was shown."""
+    """14 m after 240 m: too many for an odometer as it was shown."""
     one, _ = shown(road)
+    one.go(100, nothing)
     one.go(60, lambda at_m: one.road.match(at_m + further_m))
     assert one.drive.known.own_sigma_m is not None
-    assert (one.drive.known.own_sigma_m < math.hypot(3.0, 0.05 * 160.0)) == holds
+    assert (one.drive.known.own_sigma_m < math.hypot(3.0, 0.05 * 260.0)) == holds
+
+
+def test_what_was_shown_outlives_a_time_of_which_no_match_counts(road: Road) -> None:
+    """As after turning around, where the estimate begins anew."""
+    sigmas = []
+    for has_shown in (True, False):
+        one, _ = shown(road, **({} if has_shown else {"scale": None}))
+        one.drive.update(one.t_ns, Break("blind"))
+        one.go(60)
+        assert one.place is not None
+        sigmas.append(one.place.sigma_along_m)
+    assert sigmas[0] < 0.95 * sigmas[1]
 
 
 def test_a_position_that_has_run_away_is_known_again_once_gps_bounds_it(road: Road) -> None:

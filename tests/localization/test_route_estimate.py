@@ -150,4 +150,6 @@ def test_what_gps_has_shown_of_the_scale_fades() -> None:
     estimate.expect(Scale(0.03, 0.01))
     for _ in range(1000):
         estimate.predict(np.array([0.0, 2.0, 0.0, 0.0]))
-    assert estimate.scale == pytest.approx(0.0, abs=0.002) and estimate.scale_sigma == pytest.approx(SCALE, rel=0.02)
+    assert estimate.scale.mean == pytest.approx(0.0, abs=0.002) and estimate.scale.sigma == pytest.approx(
+        SCALE, rel=0.02
+    )

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.firmware import NO_AID, VISION
 from edge_plugins.motion.camera_motion import CameraSpeed
-from edge_plugins.motion.velocity_sender import VelocityChanged, VelocitySender, body_odometry, position_delta
+from edge_plugins.motion.velocity_sender import VelocityChanged, VelocitySender, odometry, position_delta
 from sim.journal import records_of
 from sim.vehicle.estimator import OdometryErrors
 from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig
@@ -152,9 +152,9 @@ def test_the_messages_as_others_read_them() -> None:
     assert [one / delta.time_delta_usec * 1e6 for one in delta.position_delta] == pytest.approx([SPEED_MPS, 0, 0])
     assert delta.angle_delta[2] / delta.time_delta_usec * 1e6 == pytest.approx(0.1)
     assert delta.confidence == pytest.approx(50.0), "0.5 m/s, halfway from 0.1 to 0.9"
-    (odometry,) = theirs.parse_buffer(ours.encode(body_odometry(speed(10 * S))))
-    assert odometry.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
-    assert (odometry.vx, odometry.vy, odometry.vz) == (SPEED_MPS, 0.0, 0.0)
-    assert math.isnan(odometry.x) and math.isnan(odometry.q[0]), "neither a position nor an attitude"
-    assert odometry.velocity_covariance[0] == pytest.approx(0.04)
-    assert odometry.velocity_covariance[6] == odometry.velocity_covariance[11] == pytest.approx(0.24**2)
+    (sent,) = theirs.parse_buffer(ours.encode(odometry(speed(10 * S))))
+    assert sent.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
+    assert (sent.vx, sent.vy, sent.vz) == (SPEED_MPS, 0.0, 0.0)
+    assert math.isnan(sent.x) and math.isnan(sent.q[0]), "neither a position nor an attitude"
+    assert sent.velocity_covariance[0] == pytest.approx(0.04)
+    assert sent.velocity_covariance[6] == sent.velocity_covariance[11] == pytest.approx(0.24**2)
