@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +26,27 @@ def speed(now_ns: int, mps: float = SPEED_MPS, sigma_mps: float = 0.2, scale_sha
     return CameraSpeed(now_ns - S // 10, mps, sigma_mps, 0.1, 0.01, scale_share)
 
 
-def flying(folder: Path, firmware: str, *, is_on: bool = True, emit: str = "auto") -> Rig:
+def flying(
+    folder: Path, firmware: str, *, is_on: bool = True, emit: str = "auto", errors: OdometryErrors = RUNS_AWAY
+) -> Rig:
     """At 8 m/s; GPS is lost after 6 s."""
     fails_s = START_NS / 1e9 + 6
     motion = "send" if is_on else "odometer"
-    return Rig(folder, emit, LENIENT, motion=motion, firmware=firmware, errors=RUNS_AWAY, gps_fails_s=fails_s)
+    return Rig(folder, emit, LENIENT, motion=motion, firmware=firmware, errors=errors, gps_fails_s=fails_s)
 
 
-def see(rig: Rig, seconds: float, mps: float = SPEED_MPS, followed_mps: float | None = None) -> None:
-    """The camera measures ten times a second. followed_mps: what the positions are made with, if that differs."""
-    sender = VelocitySender(rig.connection)
+def see(
+    rig: Rig,
+    seconds: float,
+    mps: float = SPEED_MPS,
+    followed_mps: float | None = None,
+    found: tuple[float, float] | None = None,
+) -> None:
+    """The camera measures ten times a second. followed_mps: what the positions are made with, if that differs.
+
+    found: error of the heading by looks.
+    """
+    sender = VelocitySender(rig.connection, lambda: found)
     for _ in range(round(10 * seconds)):
         rig.run(0.1)
         measured = speed(rig.now_ns, mps)
@@ -51,6 +63,18 @@ def test_a_filter_that_nothing_else_aids_follows_the_camera(firmware: str, kind:
     assert all(rig.autopilot.inputs.velocities_fused[-100:])
     assert rig.connection.vehicle.velocity.aid.is_any
     assert [one.is_sent for one in records_of(tmp_path / "events.jsonl", VelocityChanged)][-1:] == [True]
+
+
+@pytest.mark.parametrize(("found_deg", "aside_m"), [(None, (8.0, 12.0)), (-5.0, (0.0, 3.0))])
+def test_a_heading_that_looks_have_found_wrong_leads_px4_nowhere(
+    found_deg: float | None, aside_m: tuple[float, float], tmp_path: Path
+) -> None:
+    """Its heading is 5 degrees off to the right for 110 m: by that it goes 10 m aside."""
+    errors = replace(RUNS_AWAY, heading_deg=5.0)
+    rig = flying(tmp_path, "px4", errors=errors)
+    see(rig, 20.0, found=None if found_deg is None else (math.radians(found_deg), 0.01))
+    assert all(rig.autopilot.inputs.velocities_fused[-100:])
+    assert aside_m[0] <= rig.autopilot.estimate.error_m <= aside_m[1]
 
 
 @pytest.mark.parametrize(("firmware", "moved_m"), [("px4", 18.0), ("ardupilot", 24.0)])
@@ -158,3 +182,8 @@ def test_the_messages_as_others_read_them() -> None:
     assert math.isnan(sent.x) and math.isnan(sent.q[0]), "neither a position nor an attitude"
     assert sent.velocity_covariance[0] == pytest.approx(0.04)
     assert sent.velocity_covariance[6] == sent.velocity_covariance[11] == pytest.approx(0.24**2)
+    (sent,) = theirs.parse_buffer(ours.encode(odometry(speed(10 * S), (math.radians(90.0), math.radians(1.0)))))
+    assert sent.child_frame_id == mavlink.MAV_FRAME_LOCAL_NED
+    assert (sent.vx, sent.vy, sent.vz) == pytest.approx((0.0, SPEED_MPS, 0.0), abs=1e-6), "to the east"
+    assert sent.velocity_covariance[0] == pytest.approx(0.24**2 + (math.radians(1.0) * SPEED_MPS) ** 2)
+    assert sent.velocity_covariance[6] == pytest.approx(0.04)
