@@ -28,8 +28,6 @@ STEPS_S, MISFIT = (0.0, 4.0), 4.0
 """Without both, bursts of 10 m that come every 45 s were a drag twice in 100 km, and 37 times where a receiver smooths
 them over 2 s; with them never, and 5 times."""
 RATE_MPS = 2.0  # one standard deviation of a drag, east and north
-SECOND_M = 0.8
-"""What looks are wrong by beside their covariance: a tenth of them are a second solution, 2.5 m off."""
 Array = NDArray[np.float64]
 
 
@@ -50,7 +48,7 @@ def drag_evidence(looks: Sequence[Comparison]) -> float:
     covariance = looks[-1].slow_sigma_m ** 2 * np.exp(-np.abs(since_s) / WANDER_S)
     # What is constant along the way turns with it; half is the share of each of east and north.
     covariance += looks[-1].whole_sigma_m ** 2 / 2 * np.cos(heads_rad[:, None] - heads_rad)
-    covariance += np.diag([(one.look_sigma_m or 0.0) ** 2 + SECOND_M**2 for one in recent])
+    covariance += np.diag([(one.look_sigma_m or 0.0) ** 2 for one in recent])
     precision = np.linalg.inv(covariance)
     dragged, stepped = (_gains(ways, off_m, precision) for ways in (ramps, BURST_M * steps))
     # Half of chi-square with two degrees of freedom for each look.

@@ -25,19 +25,17 @@ import math
 from collections import deque
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from edge.geodesy import east_north, east_north_of
+from edge.geodesy import east_north_of
 from edge.localization.anchor import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import GpsFix
-from edge.localization.gps_comparison import Comparison, evidence_of, meters_from, offset_m
+from edge.localization.gps_agreed import Agreed
+from edge.localization.gps_comparison import Comparison, evidence_of, offset_m
 from edge.localization.gps_drag import MEMORY_S, drag_evidence
-from edge.localization.look import HOLDS_M
-from edge.localization.own_motion import Calibrated, calibrated
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal[
@@ -54,7 +52,7 @@ be elsewhere than half of it in their middle: one that jumps may have been right
 LONGEST_GAP_M = 240.0
 """Without a place or without GPS, after which comparisons do not add up any more."""
 APART_S = 1.0  # looks that are nearer in time than that are alike
-KEPT, SAMPLES = 32, 512  # agreeing comparisons, and all
+SAMPLES = 512  # comparisons that count at most
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
@@ -114,13 +112,6 @@ class _Lost:
     samples: deque[_Sample]
 
 
-class _Agreed(NamedTuple):
-    """A comparison that agreed, and the meters driven by then."""
-
-    comparison: Comparison
-    at_m: float
-
-
 class GpsReferee:
     """Judges GPS by one comparison after another."""
 
@@ -129,10 +120,8 @@ class GpsReferee:
 
         drift: one standard deviation of the vehicle's own motion, as a share of the distance.
         """
-        self._drift = drift
         self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
-        self._agreed: deque[_Agreed] = deque(maxlen=KEPT)  # those that did, CORRELATION_M apart but for the newest
-        self._calibrated: list[Calibrated | None] = []  # up to each of them, [] before it is needed
+        self._agreed = Agreed(drift)
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
         self._since_look: list[Comparison] = []
         self._lost: _Lost | None = None
@@ -178,15 +167,10 @@ class GpsReferee:
         seen = [one.comparison for one in looks]
         if stamp_s - (self._since_look or seen)[-1].stamp_s < APART_S:
             return
-        known, last = [one for one in seen if one.motion is not None], seen[-1]
-        places_m = np.array([meters_from(last, one) for one in known]).reshape(-1, 2, 1)
-        sigmas_m = np.array([[one.place_sigma_m] for one in known])
-        motions = [one.motion for one in known if one.motion is not None]
-        shown = calibrated(motions, places_m, sigmas_m, self._drift) if motions else None
-        led = None if shown is None else shown.predicted(motion)
+        last, led = seen[-1], self._agreed.led_by(seen, motion)
         if led is None:
             return
-        off_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, (last.lat_deg, last.lon_deg))) - led[0][:, 0]
+        off_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, (last.lat_deg, last.lon_deg))) - led[0]
         left_m, left_sigma_m = float(last.axes[1] @ off_m), math.sqrt(float(last.axes[1] @ led[1] @ last.axes[1]))
         self._since_look.append(replace(last, off_left_m=left_m, look_sigma_m=left_sigma_m, stamp_s=stamp_s))
         if drag_evidence([*seen, *self._since_look]) >= self._disagree:
@@ -199,12 +183,7 @@ class GpsReferee:
         """
         if self._lost is None:
             self._lost = _Lost(anchor, self._at_m, deque(self._samples, SAMPLES))
-        if not self._agreed:
-            at = anchor.lat_deg, anchor.lon_deg
-            sigma_m = anchor.sigma_m
-            lost = Comparison(*at, 0.0, 0.0, 0.0, 0.0, sigma_m, sigma_m, sigma_m, anchor.displacement)
-            self._agreed.append(_Agreed(lost, -math.inf))
-            self._calibrated.clear()
+        self._agreed.begin(anchor)
 
     def _since_lost(self, comparison: Comparison) -> GpsVerdict:
         """GPS was lost before it was called: the place against where it had the vehicle, moved on by own motion.
@@ -216,7 +195,7 @@ class GpsReferee:
         is_over = self._settled == "wrong" or self.unsettled_m is not None
         if lost is None or is_over or self._at_m - lost.at_m > LONGEST_GAP_M:
             return self._without_gps
-        goes_on, samples = self._moved_on(lost.anchor, comparison), lost.samples
+        goes_on, samples = self._agreed.moved_on(lost.anchor, comparison), lost.samples
         high = -math.inf if goes_on is None else self._sums(goes_on, samples)[0]
         if high < DOUBTFUL or len(samples) < NEWEST:
             return self._without_gps
@@ -224,26 +203,10 @@ class GpsReferee:
         if state == "wrong":
             self.call(*_mean_offset(samples))
             return self.verdict
-        shapes = {one.comparison.shape for one in self._agreed}
+        shapes = {one.shape for one in self._agreed.before(math.inf)}
         if state == "disagrees" and leans and high >= self._disagree and comparison.shape in shapes - {""}:
             self.unsettled_m = math.hypot(*_mean_offset(samples))
         return self._without_gps
-
-    def _moved_on(self, lost: Anchor, now: Comparison) -> Comparison | None:
-        """A comparison with where GPS would be, had it not been lost; None where own motion is not known."""
-        led, led_then = self._led(-1, now, now.motion), self._led(-1, now, lost.displacement)
-        if led is None or led_then is None:
-            return None
-        along_m, left_m = now.axes @ (meters_from(now, lost) + led[0][:, 1] - led_then[0][:, 1])
-        along, left = np.sqrt(np.diag(now.axes @ led[1] @ now.axes.T) + lost.sigma_m**2)
-        return replace(
-            now,
-            off_along_m=float(along_m),
-            off_left_m=float(left_m),
-            along_sigma_m=math.hypot(now.along_sigma_m, along),
-            left_sigma_m=math.hypot(now.left_sigma_m, left),
-            look_sigma_m=None,
-        )
 
     def _begin_anew(self) -> None:
         self._samples.clear()
@@ -264,7 +227,7 @@ class GpsReferee:
             is_right = low <= self._agree and self._samples[-1].most < 0 and self._samples[-1].drag <= 0
             if is_right and (is_look or self._settled != "wrong"):
                 self._settled = "agrees"
-                self._keep_agreed(comparison)
+                self._agreed.add(comparison, self._at_m)
             elif high >= self._disagree and self._settled != "wrong":
                 self._settled, _ = self._wrong_one(self._samples)
         self.verdict = self._judged(high)
@@ -285,14 +248,6 @@ class GpsReferee:
         samples.append(_Sample(comparison, self._at_m, evidence, max(recent), summed, low, drag))
         return samples[-1].high, low
 
-    def _keep_agreed(self, comparison: Comparison) -> None:
-        agreed = self._agreed
-        apart_m = CORRELATION_M if comparison.look_sigma_m is None else HOLDS_M
-        if len(agreed) > 1 and math.hypot(*meters_from(agreed[-2].comparison, agreed[-1].comparison)) < apart_m:
-            agreed.pop()
-        agreed.append(_Agreed(comparison, self._at_m))
-        self._calibrated.clear()
-
     def _wrong_one(self, among: Sequence[_Sample]) -> tuple[GpsVerdictState, bool]:
         """Which of both moved otherwise than the vehicle, since any time at which they agreed; whether rather GPS did.
 
@@ -305,12 +260,12 @@ class GpsReferee:
             grows -= 1
         began_m = samples[max(0, grows - NEWEST)].at_m  # as many, until it shows
         newest = samples[-(NEWEST if samples[-1].drag < self._disagree else NEWEST_LOOKS) :]
-        agreed = [one.comparison for one in self._agreed if one.at_m < began_m]
+        agreed, lost = self._agreed.before(began_m), None if self._lost is None else self._lost.anchor
         is_gps = is_map = leans = False
         for row in range(len(agreed)):
             least, most = math.inf, -math.inf
             for sample in newest:
-                says = self._moved_without_gps(row, sample.comparison)
+                says = self._agreed.says(row, sample.comparison, lost)
                 least, most = min(least, says), max(most, says)
                 if least <= 0 and most > -DOUBTFUL:  # it can be none of the three
                     break
@@ -339,34 +294,6 @@ class GpsReferee:
         departs_m = max(DEPARTS_M, DEPARTS * float(np.hypot(*offset_m(first))))
         return square >= departs_m**2 and abs(float(half_m @ grown_m) / square - 0.5) <= UNSTEADY
 
-    def _moved_without_gps(self, row: int, now: Comparison) -> float:
-        """Logarithm of how much more likely the places moved as the vehicle did since one than GPS; 0: nobody knows."""
-        found = self._led(row, now, now.motion)
-        if found is None:
-            return 0.0
-        where_m, covariance = found
-        places_off_m, gps_off_m = -where_m[:, 0], offset_m(now) - where_m[:, 1]
-        precision = precision_gps = np.linalg.inv(covariance + now.each_sigma_m**2 * np.eye(2))
-        if self._lost is not None:  # own motion was more certain then
-            lost = self._lost.anchor
-            then = self._led(row, now, lost.displacement)
-            if then is None:
-                return 0.0
-            gps_off_m = meters_from(now, lost) - then[0][:, 1]
-            precision_gps = np.linalg.inv(then[1] + now.each_sigma_m**2 * np.eye(2))
-        return float(gps_off_m @ precision_gps @ gps_off_m - places_off_m @ precision @ places_off_m) / 2
-
-    def _led(
-        self, row: int, here: Comparison, motion: Displacement | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Where own motion leads from a place that agreed, and from GPS, meters from another one; see `Calibrated`."""
-        agreed = self._agreed
-        if agreed and not self._calibrated:
-            self._calibrated = _calibrated([one.comparison for one in agreed], self._drift)
-        shown = self._calibrated[row] if agreed else None
-        led = None if motion is None or shown is None else shown.predicted(motion)
-        return led and (led[0] + meters_from(here, agreed[row].comparison)[:, None], led[1])
-
     def _judged(self, high: float) -> GpsVerdict:
         state, doubt = self._settled, min(max(high / self._disagree, 0.0), 1.0)
         if state == "wrong":
@@ -374,25 +301,6 @@ class GpsReferee:
         elif state in ("agrees", "cannot say") and high >= DOUBTFUL:
             state = "doubtful"
         return GpsVerdict(state, *_mean_offset(self._samples), doubt)
-
-
-def _calibrated(agreed: Sequence[Comparison], drift: float) -> list[Calibrated | None]:
-    """By the places that agreed, and GPS there, up to each of them."""
-    lat_deg, lon_deg = np.array([(one.lat_deg, one.lon_deg) for one in agreed]).T
-    places = east_north(lat_deg, lon_deg)
-    at_m = np.stack([places, places + [offset_m(one) for one in agreed]], axis=2)
-    sigma_m = np.array([(one.place_sigma_m or one.each_sigma_m, one.each_sigma_m) for one in agreed])
-    known: list[int] = []
-    motions: list[Displacement] = []
-    shown: list[Calibrated | None] = []
-    for row, one in enumerate(agreed):
-        if one.motion is None:
-            shown.append(None)
-            continue
-        known.append(row)
-        motions.append(one.motion)
-        shown.append(calibrated(motions, at_m[known] - places[row][:, None], sigma_m[known], drift))
-    return shown
 
 
 def _mean_offset(samples: Sequence[_Sample]) -> tuple[float, float]:

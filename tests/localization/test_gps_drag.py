@@ -148,9 +148,7 @@ def test_multipath_is_no_drag_by_looks_alone() -> None:
     offsets_m = gps_histories.multipath(time_s, np.zeros((5000, 2)), rng) + gps_histories.usual(time_s, rng)
     offsets_m += rng.normal(0.0, LOOK_M, (5000, 2)) + SECOND_M * (rng.random((5000, 1)) < SECOND)
     looks = [
-        Comparison(
-            *HOME, SPACING_M, 0.0, off[0], off[1], 3.2, 3.2, 3.0, stamp_s=s, look_sigma_m=LOOK_M, slow_sigma_m=3.2
-        )
+        Comparison(*HOME, SPACING_M, 0.0, off[0], off[1], 3.2, 3.2, 3.0, stamp_s=s, look_sigma_m=0.9, slow_sigma_m=3.2)
         for s, off in zip(time_s, offsets_m.tolist(), strict=True)
         if not math.isnan(off[0])
     ]
@@ -163,7 +161,7 @@ def test_a_recording_that_is_off_along_the_way_is_no_drag_in_a_bend(whole_m: flo
     looks = [
         Comparison(
             *HOME, SPACING_M, math.radians(9.0 * min(max(s - 10, 0), 10)), 10.0, 0.0, 8.0, 3.2, 8.0,
-            stamp_s=float(s), look_sigma_m=LOOK_M, slow_sigma_m=3.2, whole_sigma_m=whole_m,
+            stamp_s=float(s), look_sigma_m=0.9, slow_sigma_m=3.2, whole_sigma_m=whole_m,
         )
         for s in range(24)
     ]  # fmt: skip
