@@ -34,7 +34,7 @@ from sim.trial.simulation import STEP_S, Silent, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import protection_levels
-from sim.vehicle.pty_link import open_pty
+from sim.vehicle.pty_link import Cable
 from sim.world.scenario import LightName, Scenario, View
 
 JOURNAL = "journal.jsonl"
@@ -66,7 +66,7 @@ class Drive:
         """driven: called with each few meters of the drive with the daemon, which needs nearly all of the time."""
         for suffix in (".jsonl", ".bound", ".height"):
             self.journal.with_suffix(suffix).unlink(missing_ok=True)  # of an earlier drive
-        with TemporaryDirectory(dir=self.journal.parent) as passing, closing(open_pty()) as link:
+        with TemporaryDirectory(dir=self.journal.parent) as passing, closing(Cable()) as link:
             map_path = Path(passing) / "map"
             self.make_map(map_path)
             simulation = self.simulation(link, driven)
