@@ -124,16 +124,22 @@ class _Place(NamedTuple):
 
 
 def compare(
-    match: PlaceMatch, gps: GpsFix | None, sightings: Sightings, route: Route, rig: RigConfig, undated_m: float = 0.0
+    match: PlaceMatch,
+    looked: Sighting | None,
+    gps: GpsFix | None,
+    sightings: Sightings,
+    rig: RigConfig,
+    undated_m: float = 0.0,
 ) -> Comparison | None:
     """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
 
-    undated_m: see `Sighting`.
+    looked: what its picture says, which counts if it is of the same place. undated_m: see `Sighting`.
     """
     if not match.accepted:
         return None
-    looked, place = sightings.looked(match, undated_m), None
-    if looked is not None and looked.look is not None and sightings.origin is not None:
+    route, place = sightings.route, None
+    is_of_it = looked is not None and (looked.match.seen, looked.match.direction) == (match.seen, match.direction)
+    if is_of_it and looked is not None and looked.look is not None and sightings.origin is not None:
         place = _by_look(looked, looked.look, sightings.origin)
     elif line_middle(match, route, sightings.length) is not None:
         place = _by_line(match, route, rig, undated_m)

@@ -24,7 +24,7 @@ from edge.localization.look import HOLDS_M
 from edge.localization.own_motion import Departure, GpsTrack
 from edge.localization.place_fix import heads_along, map_error_m, position_on_route
 from edge.localization.route_estimate import CORRELATION_M
-from edge.localization.sighting import Sightings
+from edge.localization.sighting import Sighting, Sightings
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
@@ -45,10 +45,9 @@ class GpsJudge:
 
     def __init__(self, config: Config) -> None:
         gates = config.gates
-        self._config, self._rig = config, config.rig
+        self._rig = config.rig
         self._acts = gates.doubted_gps != "report"
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
-        self._route: Route | None = None
         self._sightings: Sightings | None = None
         self._since_look_m = math.inf
         self._unseen_road: UnseenRoad | None = None
@@ -60,10 +59,9 @@ class GpsJudge:
         self.published = GpsVerdict()
         """What the places say of GPS, "wrong" until it agrees again."""
 
-    def use_route(self, route: Route) -> None:
+    def use_maps(self, sightings: Sightings) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
-        self._route, self._sightings = route, Sightings(route, self._config)
-        self._unseen_road = UnseenRoad(route, self._rig)
+        self._sightings, self._unseen_road = sightings, UnseenRoad(sightings.route, self._rig)
 
     def reset(self) -> None:
         """No frame from before counts. What is known of GPS stays."""
@@ -71,19 +69,22 @@ class GpsJudge:
         if self._unseen_road is not None:
             self._unseen_road.reset()
 
-    def update(self, frame: Frame, own: Own, anchor: Anchor | None, undated_m: float = 0.0) -> bool:
+    def update(
+        self, frame: Frame, looked: Sighting | None, own: Own, anchor: Anchor | None, undated_m: float = 0.0
+    ) -> bool:
         """Compare GPS with the place of a frame at which the vehicle moved; True where it speaks against GPS by that.
 
-        anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see `Sighting`.
+        looked: what its picture says. anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see
+        `Sighting`.
         """
-        assert self._route is not None and self._sightings is not None and self._unseen_road is not None
+        assert self._sightings is not None and self._unseen_road is not None
         # What GPS has helped to believe does not vouch for it.
         match, gps = frame.match.alone if frame.match else None, frame.gps
         if own.gps_sigma_m is None and anchor is not None:
             self._referee.keep_until_lost(anchor)
         comparison = None
         if match is not None:
-            comparison = compare(match, gps, self._sightings, self._route, self._rig, undated_m)
+            comparison = compare(match, looked, gps, self._sightings, self._rig, undated_m)
             comparison = self._unless_held(comparison, frame.missed)
         if comparison is not None:
             heading_deg = None if own.position is None else own.position.heading_deg

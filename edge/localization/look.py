@@ -48,8 +48,8 @@ class Look:
 
     position_m: meters east and north (2,). pose: covariance (3, 3) of these and of how the camera is turned, clockwise,
     without the map's error. map_sigma_m: of that, in each direction. whole: (2, 2) of what all looks at this drive of
-    the map are off by together besides. heading_rad: of the vehicle, clockwise from north. course: in which it reckons
-    to go there, likewise, and the variance; None where that is not known. points: that agree on it.
+    the map are off by together besides. heading_rad: of the vehicle, clockwise from north. points: that agree on it.
+    course: in which the vehicle reckons to go there, likewise, and the variance; None where that is not known.
     """
 
     position_m: Vector
@@ -57,8 +57,8 @@ class Look:
     map_sigma_m: float
     whole: NDArray[np.float64]
     heading_rad: float
-    course: tuple[float, float] | None
     points: int
+    course: tuple[float, float] | None = None
 
     @property
     def covariance(self) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ from edge.localization.gps_referee import GpsVerdict
 from edge.localization.integrity import by_own
 from edge.localization.refusals import RULES, Refusal, Rule
 from edge.localization.route_filter import RouteFilter
+from edge.localization.sighting import Sightings
 from edge.reference_map import Route
 from edge.sequence import Reckoning
 
@@ -85,7 +86,7 @@ class PositionEstimator:
     def __init__(self, config: Config, *listeners: Listener, rules: Sequence[Rule] = RULES) -> None:
         """rules: fewer only where they are compared, as by `lookback dev ablate`."""
         self._config, self._listeners, self._rules = config, listeners, rules
-        self._route: Route | None = None
+        self._sightings: Sightings | None = None
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
         self._claims = Claims(config.gates)
@@ -143,8 +144,8 @@ class PositionEstimator:
     @property
     def route(self) -> Route:
         """The drives of the maps that are searched."""
-        assert self._route is not None
-        return self._route
+        assert self._sightings is not None
+        return self._sightings.route
 
     @property
     def known(self) -> Known:
@@ -166,21 +167,24 @@ class PositionEstimator:
 
     def _use_maps(self, event: Maps) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
-        if event.has_grown and self._route is not None:
-            self._route.grow(event.map_set)
+        if event.has_grown and self._sightings is not None:
+            self._sightings.route.grow(event.map_set)
             return
-        self._route = Route(event.map_set)
-        self._filter = RouteFilter(self._route, self._config)
-        self._gps.use_route(self._route)
+        self._sightings = Sightings(Route(event.map_set), self._config)
+        self._filter = RouteFilter(self._sightings, self._config)
+        self._gps.use_maps(self._sightings)
 
     def _use_frame(self, frame: Frame) -> None:
-        assert self._filter is not None
-        self._is_recognized = frame.match is not None and frame.match.accepted
+        assert self._filter is not None and self._sightings is not None
+        match = frame.match
+        self._is_recognized = match is not None and match.accepted
         believed, undated_m = self._gps.believed(self._own), frame.undated_s * (self._own.speed_mps or 0.0)
+        looked = None if match is None else self._sightings.looked(match, undated_m)
+        is_against = frame.in_line and self._gps.update(frame, looked, believed, self._bound.when_lost, undated_m)
         self._filter.update(
-            frame.match, frame.stamp_ns, frame.motion, frame.missed, in_line=frame.in_line, undated_m=undated_m
+            match, looked, frame.stamp_ns, frame.motion, frame.missed, in_line=frame.in_line, undated_m=undated_m
         )
-        if frame.in_line and self._gps.update(frame, believed, self._bound.when_lost, undated_m):
+        if is_against:
             self._filter.reject_gps()
         # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
         own, sigma_m = believed.position, believed.gps_sigma_m
@@ -192,7 +196,6 @@ class PositionEstimator:
         self._bound.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
             self._exposed = frame.motion
-            match = frame.match
             # By votes alone: what is reckoned would else be evidence for what it helped to believe.
             if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
                 self._observe(fix, frame.motion)

@@ -28,7 +28,6 @@ from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
 from edge.localization.track import RecentInnovations, ReckonedTrack, Track
-from edge.reference_map import Route
 from edge.sequence import PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -48,11 +47,11 @@ DISAGREE = 3
 class RouteFilter:
     """Follows the vehicle over the ground along the drives of a map."""
 
-    def __init__(self, route: Route, config: Config) -> None:
+    def __init__(self, sightings: Sightings, config: Config) -> None:
         self._config, self._rig = config.tracking, config.rig
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self._shown, self._since_shown_m = Scale(0.0, self._config.scale_error_percent / 100), 0.0
-        self._sightings = Sightings(route, config)
+        self._sightings = sightings
         self._innovations = RecentInnovations()
         self.reset()
 
@@ -145,6 +144,7 @@ class RouteFilter:
     def update(
         self,
         match: PlaceMatch | None,
+        looked: Sighting | None,
         stamp_ns: int,
         displacement: Displacement | None,
         missed: int = 0,
@@ -154,9 +154,9 @@ class RouteFilter:
     ) -> None:
         """Use the answer to one frame; displacement: by the autopilot's velocity at its exposure, None where unknown.
 
-        missed: as `observe` got it. undated_m: see `Sighting`. in_line: whether a line may lead through the frame. Four
-        that counted though none did, beside gaps of 8 to 15 m, put lines 12 m off. Without a displacement there is no
-        position.
+        looked: what its picture says. missed: as `observe` got it. undated_m: see `Sighting`. in_line: whether a line
+        may lead through the frame. Four that counted though none did, beside gaps of 8 to 15 m, put lines 12 m off.
+        Without a displacement there is no position.
         """
         if displacement is None or (self._at is not None and displacement.leg != self._at.leg):
             self.reset()
@@ -177,14 +177,17 @@ class RouteFilter:
                 self._since_lost = ReckonedTrack(track.estimate)
         if match is None or not match.accepted:
             return
-        sighting = self._sighting(match, _vector(displacement), undated_m)
+        looked = looked and looked.on_course(course)
+        sighting = self._sighting(match, looked, _vector(displacement), undated_m)
         if sighting is not None:
             self._use(sighting, stamp_ns)
             self._choose_origin()
 
-    def _sighting(self, match: PlaceMatch, displacement_m: Vector, undated_m: float) -> Sighting | None:
+    def _sighting(
+        self, match: PlaceMatch, looked: Sighting | None, displacement_m: Vector, undated_m: float
+    ) -> Sighting | None:
         """What a match says of where the vehicle is: by one look, or else by its line."""
-        track, looked = self._track, self._sightings.looked(match, undated_m, displacement_m)
+        track = self._track
         if looked is not None and looked.look is not None:
             self._looks.add(looked.look, displacement_m)
             if (track is not None and track.is_looked) or self._agree(looked.look) >= FIRST:

@@ -7,7 +7,7 @@ best known, and says how far the vehicle is along the map's drive.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -74,12 +74,16 @@ class Sighting:
         left = left_of(self.passed.along)
         return math.hypot(math.sqrt(float(left @ (self.look.covariance + self.look.whole) @ left)), self.map_sigma_m)
 
+    def on_course(self, course: tuple[float, float] | None) -> Sighting:
+        """With the course of then, see `Look`."""
+        return self if self.look is None else replace(self, look=replace(self.look, course=course))
+
 
 class Sightings:
     """Matches in local meters, with the readings of the vehicle's displacement that their lines need."""
 
     def __init__(self, route: Route, config: Config) -> None:
-        self._route, self._rig = route, config.rig
+        self.route, self._rig = route, config.rig
         self.length = config.sequence_frames
         """Frames of a line."""
         self._readings = LineReadings(self.length)
@@ -104,15 +108,15 @@ class Sightings:
 
     def position(self, match: PlaceMatch, along_m: float) -> Position | None:
         """Where a match's drive of the map is after so many meters of its route_m, with the heading of travel."""
-        offset_m = along_m - self._route.route_m(match.place_index)
-        return position_on_route(self._route, match.place_index, offset_m, match.direction)
+        offset_m = along_m - self.route.route_m(match.place_index)
+        return position_on_route(self.route, match.place_index, offset_m, match.direction)
 
     def of(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
         """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
         undated_m: see `Sighting`.
         """
-        line = line_middle(match, self._route, self.length)
+        line = line_middle(match, self.route, self.length)
         if line is None or len(self._readings) < self.length:
             return None
         begin, middle, end = (self._on_drive(match, along_m) for along_m in (line.begins_m, line.along_m, line.ends_m))
@@ -123,7 +127,7 @@ class Sightings:
         faint = max(1.0, SHARP / match.sharpness)
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
-        drive = self._route.drive(match.place_index)
+        drive = self.route.drive(match.place_index)
         return Sighting(
             match=match,
             segment=line.segment,
@@ -139,15 +143,12 @@ class Sightings:
             undated_m=undated_m,
         )
 
-    def looked(self, match: PlaceMatch, undated_m: float, displacement_m: Vector | None = None) -> Sighting | None:
-        """What one picture says; None where it says nothing, or the map does not know where the row is and heads.
-
-        displacement_m: (4,) of the vehicle then, for its course.
-        """
+    def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
+        """What one picture says; None where it says nothing, or the map does not know where the row is and heads."""
         seen = match.seen
         if seen is None:
             return None
-        route, drive, rig = self._route, self._route.drive(seen.place_index), self._rig
+        route, drive, rig = self.route, self.route.drive(seen.place_index), self._rig
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:
             return None
@@ -174,7 +175,6 @@ class Sightings:
                 start=np.zeros((2, 2)),
             ),
             heading_rad=heading_rad,
-            course=None if displacement_m is None else self.course(displacement_m),
             points=seen.points,
         )
         return Sighting(
