@@ -56,8 +56,9 @@ def as_written(record: Record) -> dict[str, Any]:
 @cache
 def _digits(kind: type[Record]) -> tuple[tuple[str, int], ...]:
     hints = get_type_hints(kind, include_extras=True)
-    told = ((name, one.extra["digits"]) for name, hint in hints.items() for one in getattr(hint, "__metadata__", ()))
-    return tuple((name, digits) for name, digits in told if digits is not None)
+    told = ((name, one) for name, hint in hints.items() for one in getattr(hint, "__metadata__", ()))
+    extras = ((name, one.extra or {}) for name, one in told if isinstance(one, Meta))
+    return tuple((name, extra["digits"]) for name, extra in extras if extra.get("digits") is not None)
 
 
 class JournalOpened(Record, frozen=True, tag="journal_opened"):
