@@ -276,15 +276,11 @@ class DeadReckoning:
 
         Never less than it was before.
         """
-        driven = self._distance.at(stamp_ns)
-        return None if driven is None else self._not_less(stamp_ns, driven[0])
-
-    def _not_less(self, stamp_ns: int, distance_m: float) -> float:
-        """Hold a distance that was extrapolated while braking, until the vehicle has really driven it."""
-        answered_ns, answered_m = self._answered
-        if stamp_ns < answered_ns:
-            return distance_m
-        self._answered = (stamp_ns, max(distance_m, answered_m))
+        driven, (answered_ns, answered_m) = self._distance.at(stamp_ns), self._answered
+        if driven is None or stamp_ns < answered_ns:
+            return None if driven is None else driven[0]
+        # One that was extrapolated while braking is held until the vehicle has really driven it.
+        self._answered = stamp_ns, max(driven[0], answered_m)
         return self._answered[1]
 
     def displacement(self, stamp_ns: int) -> Displacement | None:

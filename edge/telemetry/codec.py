@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+if TYPE_CHECKING:
+    from edge.telemetry.signing import Signer, Stream
 
 # pymavlink's messages have no static types; `Message` says where one is meant.
 Message: TypeAlias = Any
@@ -39,26 +42,6 @@ class FusionStatus(mavlink.MAVLink_message):  # type: ignore[misc]  # pymavlink 
 
 
 mavlink.mavlink_map.setdefault(FusionStatus.id, FusionStatus)
-Stream: TypeAlias = tuple[int, int, int]
-"""Link, system, component: all three are covered by a signature."""
-
-
-class Unsigned:
-    """Signs nothing, and accepts what is not signed; `signing.Signer` does otherwise."""
-
-    is_signing = False
-
-    def attach(self, codec: mavlink.MAVLink) -> None:
-        """Of a codec that begins."""
-
-    def advance(self) -> None:
-        """Before each frame."""
-
-    def follow_clock(self) -> None:
-        """Before what has arrived is decoded."""
-
-    def store(self) -> None:
-        """Nothing will be sent or decoded for a while."""
 
 
 class _Parser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
@@ -113,13 +96,14 @@ class _Parser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
 class MavlinkCodec:
     """One end of one link: its identity, its sequence counter and its partly received frame."""
 
-    def __init__(self, system_id: int, component_id: int, signer: Unsigned | None = None) -> None:
+    def __init__(self, system_id: int, component_id: int, signer: Signer | None = None) -> None:
         """With a `Signer` all that goes out is signed, and nothing unsigned is decoded."""
         self.component_id = component_id
         self._mavlink = _Parser(None, srcSystem=system_id, srcComponent=component_id)
         self._mavlink.robust_parsing = True  # noise becomes BAD_DATA instead of an exception
-        self._signer = signer or Unsigned()
-        self._signer.attach(self._mavlink)
+        self._signer = signer
+        if signer is not None:
+            signer.attach(self._mavlink)
 
     @property
     def system_id(self) -> int:
@@ -133,18 +117,20 @@ class MavlinkCodec:
     @property
     def awaits_signed(self) -> bool:
         """Whether frames are signed, and none with a valid signature has arrived yet."""
-        return self._signer.is_signing and not self._mavlink.signing.goodsig_count
+        return self._signer is not None and not self._mavlink.signing.goodsig_count
 
     def encode(self, message: Message) -> bytes:
         """One MAVLink 2 frame with the next sequence number."""
-        self._signer.advance()
+        if self._signer is not None:
+            self._signer.advance()
         frame = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return frame
 
     def store_timestamps(self) -> None:
         """To be called when nothing will be sent or decoded for a while."""
-        self._signer.store()
+        if self._signer is not None:
+            self._signer.store()
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages completed by `data`, without noise and without messages that the dialect does not know.
@@ -153,7 +139,8 @@ class MavlinkCodec:
         """
         if not data:
             return []
-        self._signer.follow_clock()
+        if self._signer is not None:
+            self._signer.follow_clock()
         messages = self._mavlink.parse_buffer(data) or []
         if self._mavlink.buf_index > TRIM_BYTES:  # pymavlink only empties its buffer when a read ends with a frame
             del self._mavlink.buf[: self._mavlink.buf_index]

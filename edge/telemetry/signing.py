@@ -14,14 +14,16 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError
 from edge.files import KeptFile, read_key
-from edge.telemetry.codec import Stream, Unsigned
 
+Stream: TypeAlias = tuple[int, int, int]
+"""Link, system, component: all three are covered by a signature."""
 TICKS_PER_S = 100_000
 """Timestamps are in units of 10 us since the beginning of 2015."""
 EPOCH_S = 1_420_070_400  # 2015-01-01, where MAVLink's timestamps of 10 us begin
@@ -39,7 +41,7 @@ class SigningClock(msgspec.Struct, frozen=True):
     heard: tuple[tuple[Stream, int], ...] = ()
 
 
-class Signer(Unsigned):
+class Signer:
     """Has one codec sign what it sends, and drop what arrives unsigned, altered or replayed."""
 
     def __init__(
@@ -54,9 +56,7 @@ class Signer(Unsigned):
         self._stored = self._file.read() or SigningClock()
         self._heard_stored = dict(self._stored.heard)
         self._heard: set[Stream] = set()  # since the start
-        self._logged: set[object] = set()
-
-    is_signing = True
+        self._logged: set[Stream] = set()
 
     def attach(self, codec: mavlink.MAVLink) -> None:
         """Have the codec sign, and drop what is not signed."""
@@ -79,8 +79,10 @@ class Signer(Unsigned):
 
     def _checked(self, stream: Stream, *, is_signed: bool) -> None:
         if not is_signed:
-            words = "link %d, system %d, component %d: signed frame rejected: another key, or its timestamp is not new"
-            self._log_once(stream, words, *stream)
+            if stream not in self._logged:
+                self._logged.add(stream)
+                words = "signed frame rejected: another key, or its timestamp is not new"
+                log.warning("link %d, system %d, component %d: %s", *stream, words)
             return
         self._heard.add(stream)
         if self._signing.stream_timestamps[stream] > self._heard_stored.get(stream, 0):
@@ -98,11 +100,6 @@ class Signer(Unsigned):
             return
         self._stored = stored
         self._file.write(stored)
-
-    def _log_once(self, key: object, words: str, *arguments: object) -> None:
-        if key not in self._logged:
-            self._logged.add(key)
-            log.warning(words, *arguments)
 
 
 def load_key(name: str) -> bytes:
