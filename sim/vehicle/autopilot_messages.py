@@ -16,6 +16,7 @@ from sim.vehicle.firmware import Firmware
 from sim.vehicle.gps import GpsReport
 
 NOT_AIDED_FLAGS = 0x65
+MOST_RATE = 32767  # of RAW_IMU, as of a gyroscope that saturates: the pose may jump within a step
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -106,7 +107,7 @@ def _raw_imu(state: Snapshot) -> Message | None:
     """Of ArduPilot, in thousandths of a radian per second, and of g."""
     if not state.firmware.can.rates_follow_gps:
         return None
-    rates = [int(math.radians(rate) * 1000) for rate in state.attitude.rates_dps]
+    rates = [max(-MOST_RATE, min(int(math.radians(rate) * 1000), MOST_RATE)) for rate in state.attitude.rates_dps]
     return mavlink.MAVLink_raw_imu_message(state.boot_ns // 1000, 0, 0, -1000, *rates, 0, 0, 0)
 
 

@@ -184,6 +184,14 @@ def test_streams_come_at_the_rate_that_was_asked_for_until_a_reboot() -> None:
     assert not bench.of("GLOBAL_POSITION_INT")
 
 
+def test_a_gyroscope_saturates_where_the_pose_jumps() -> None:
+    bench = Bench("ardupilot")
+    bench.tell(encoders.stream_request(1, mavlink.MAVLINK_MSG_ID_RAW_IMU, 100.0))
+    bench.autopilot._pose_at = straight_line(SPEED_MPS, 90.0, START_NS / 1e9)
+    bench.drive(0.05)
+    assert max(message.zgyro for message in bench.of("RAW_IMU")) == 32767
+
+
 def test_timesync_is_answered_on_the_boot_clock() -> None:
     bench = Bench("ardupilot")
     bench.drive(2.0)
