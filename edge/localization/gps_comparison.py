@@ -124,12 +124,7 @@ class _Place(NamedTuple):
 
 
 def compare(
-    match: PlaceMatch,
-    looked: Sighting | None,
-    gps: GpsFix | None,
-    sightings: Sightings,
-    rig: RigConfig,
-    undated_m: float = 0.0,
+    match: PlaceMatch, looked: Sighting | None, gps: GpsFix | None, sightings: Sightings, undated_m: float = 0.0
 ) -> Comparison | None:
     """GPS less place at the newest frame of a match; None where it is not believed, or its line may be pushed.
 
@@ -142,7 +137,7 @@ def compare(
     if is_of_it and looked is not None and looked.look is not None and sightings.origin is not None:
         place = _by_look(looked, looked.look, sightings.origin)
     elif line_middle(match, route, sightings.length) is not None:
-        place = _by_line(match, route, rig, undated_m)
+        place = _by_line(match, route, sightings.rig, undated_m)
     if place is None:
         return None
     gps_m, off_along_m, off_left_m = 0.0, None, None

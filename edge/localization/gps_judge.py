@@ -45,7 +45,6 @@ class GpsJudge:
 
     def __init__(self, config: Config) -> None:
         gates = config.gates
-        self._rig = config.rig
         self._acts = gates.doubted_gps != "report"
         self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
         self._sightings: Sightings | None = None
@@ -61,7 +60,7 @@ class GpsJudge:
 
     def use_maps(self, sightings: Sightings) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
-        self._sightings, self._unseen_road = sightings, UnseenRoad(sightings.route, self._rig)
+        self._sightings, self._unseen_road = sightings, UnseenRoad(sightings.route, sightings.rig)
 
     def reset(self) -> None:
         """No frame from before counts. What is known of GPS stays."""
@@ -84,7 +83,7 @@ class GpsJudge:
             self._referee.keep_until_lost(anchor)
         comparison = None
         if match is not None:
-            comparison = compare(match, looked, gps, self._sightings, self._rig, undated_m)
+            comparison = compare(match, looked, gps, self._sightings, undated_m)
             comparison = self._unless_held(comparison, frame.missed)
         if comparison is not None:
             heading_deg = None if own.position is None else own.position.heading_deg

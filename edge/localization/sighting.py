@@ -83,7 +83,7 @@ class Sightings:
     """Matches in local meters, with the readings of the vehicle's displacement that their lines need."""
 
     def __init__(self, route: Route, config: Config) -> None:
-        self.route, self._rig = route, config.rig
+        self.route, self.rig = route, config.rig
         self.length = config.sequence_frames
         """Frames of a line."""
         self._readings = LineReadings(self.length)
@@ -148,7 +148,7 @@ class Sightings:
         seen = match.seen
         if seen is None:
             return None
-        route, drive, rig = self.route, self.route.drive(seen.place_index), self._rig
+        route, drive, rig = self.route, self.route.drive(seen.place_index), self.rig
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:
             return None
@@ -210,10 +210,10 @@ class Sightings:
         return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
     def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:
-        return MatchErrors(self._rig.sigma_m(match.direction, match.order), whole_m)
+        return MatchErrors(self.rig.sigma_m(match.direction, match.order), whole_m)
 
     def _left_m(self, match: PlaceMatch) -> float:
-        return self._rig.left_reverse_m if match.direction == "reverse" else self._rig.left_forward_m
+        return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m
 
     def _on_drive(self, match: PlaceMatch, along_m: float) -> OnDrive | None:
         """Where the vehicle is on the map's drive when a line is `along_m` along it."""
@@ -230,7 +230,7 @@ class Sightings:
         return self._readings.back(0) - self._readings.back(frames)
 
     def _ahead_m(self, match: PlaceMatch) -> float:
-        return self._rig.ahead_m(match.direction, match.order)
+        return self.rig.ahead_m(match.direction, match.order)
 
 
 def _course_rad(moved_m: Vector) -> float:
