@@ -97,12 +97,12 @@ class Agreed:
             look_sigma_m=None,
         )
 
-    def led_by(self, looks: Sequence[Comparison], motion: Displacement) -> tuple[Array, Array] | None:
+    def led_by(self, looks: Sequence[Comparison], motion: Displacement | None) -> tuple[Array, Array] | None:
         """Where own motion leads from looks, whatever GPS says: meters (2,) from the newest, and the covariance."""
         known = [(one, one.motion) for one in looks if one.motion is not None]
-        if not known:
+        if motion is None or not known:
             return None
-        places_m = np.array([meters_from(looks[-1], one) for one, _ in known])
+        places_m = np.array([meters_from(known[-1][0], one) for one, _ in known])
         sigmas_m = np.array([[one.place_sigma_m] for one, _ in known])
         shown = calibrated([one for _, one in known], places_m[:, :, None], sigmas_m, self._drift)
         led = None if shown is None else shown.predicted(motion)

@@ -14,11 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.gps_comparison import BURST_M, BURST_SHARE, Comparison, offset_m
+from edge.geodesy import east_north_of
+from edge.localization.events import GpsFix
+from edge.localization.gps_comparison import BURST_M, BURST_SHARE, Comparison, meters_from, offset_m
 
 MEMORY_S, LEAST_S = 30.0, 8.0
 """Of a drag: 15 m at 0.5 m/s, 8 m at 1 m/s. From 5 s on, pairs of bursts were a drag eight times as often."""
@@ -28,7 +31,60 @@ STEPS_S, MISFIT = (0.0, 4.0), 4.0
 """Without both, bursts of 10 m that come every 45 s were a drag twice in 100 km, and 37 times where a receiver smooths
 them over 2 s; with them never, and 5 times."""
 RATE_MPS = 2.0  # one standard deviation of a drag, east and north
+APART_S = 1.0  # looks that are nearer in time than that are alike
+CONFIRMED_CHI2 = 11.83
+"""Squared distance of a look from where own motion led, in standard deviations, that 1 of 370 honest ones exceeds."""
 Array = NDArray[np.float64]
+
+
+class Drag:
+    """The newest looks, and own motion between them where the next look confirms it."""
+
+    def __init__(self) -> None:
+        self._looks: list[Comparison] = []
+        self._since: list[Comparison] = []
+        self.evidence = -math.inf
+        """By the looks so far, see `drag_evidence`."""
+
+    def clear(self) -> None:
+        """Nothing is known of GPS."""
+        self._looks, self._since, self.evidence = [], [], -math.inf
+
+    @property
+    def looks(self) -> list[Comparison]:
+        """Without what lay between them."""
+        return [one for one in self._looks if one.motion is not None]
+
+    def is_due(self, stamp_s: float) -> bool:
+        """Whether the last look, or what was added since, is some time ago."""
+        return bool(self._looks) and stamp_s - (self._since or self._looks)[-1].stamp_s >= APART_S
+
+    def at(self, stamp_s: float) -> float:
+        """The evidence, until the last look is forgotten."""
+        return self.evidence if self._looks and stamp_s - self._looks[-1].stamp_s <= MEMORY_S else -math.inf
+
+    def add(self, look: Comparison, led: tuple[Array, Array] | None) -> None:
+        """One more look. led: meters (2,) that own motion leads there from the last one, and the covariance."""
+        if self._since and led is not None:
+            off_m = meters_from(self._looks[-1], look) - led[0]
+            spread = led[1] + look.place_sigma_m**2 * np.eye(2)
+            if float(off_m @ np.linalg.solve(spread, off_m)) <= CONFIRMED_CHI2:
+                self._looks += self._since
+        recent = [one for one in self._looks if look.stamp_s - one.stamp_s <= MEMORY_S]
+        self._looks, self._since = [*recent, look], []
+        self.evidence = drag_evidence(self._looks)
+
+    def go_on(self, gps: GpsFix, led: tuple[Array, Array], stamp_s: float) -> tuple[float, Array]:
+        """The evidence without a look, and how far GPS is from where own motion leads: (2,) meters.
+
+        Only across the way, since along it wheels may slip.
+        """
+        last = self.looks[-1]
+        off_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, (last.lat_deg, last.lon_deg))) - led[0]
+        left = last.axes[1]
+        here = replace(last, off_left_m=float(left @ off_m), look_sigma_m=math.sqrt(float(left @ led[1] @ left)))
+        self._since.append(replace(here, motion=None, stamp_s=stamp_s))
+        return drag_evidence([*self._looks, *self._since]), off_m
 
 
 def drag_evidence(looks: Sequence[Comparison]) -> float:

@@ -24,18 +24,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from edge.geodesy import east_north_of
 from edge.localization.anchor import Anchor
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import GpsFix
 from edge.localization.gps_agreed import Agreed
 from edge.localization.gps_comparison import Comparison, evidence_of, offset_m
-from edge.localization.gps_drag import MEMORY_S, drag_evidence
+from edge.localization.gps_drag import Drag
 from edge.localization.route_estimate import CORRELATION_M
 
 GpsVerdictState: TypeAlias = Literal[
@@ -51,7 +50,6 @@ was off in the first: on another street that looks the same, it is that far off 
 be elsewhere than half of it in their middle: one that jumps may have been right."""
 LONGEST_GAP_M = 240.0
 """Without a place or without GPS, after which comparisons do not add up any more."""
-APART_S = 1.0  # looks that are nearer in time than that are alike
 SAMPLES = 512  # comparisons that count at most
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
@@ -123,7 +121,7 @@ class GpsReferee:
         self._disagree, self._agree = math.log((1 - missed) / false_call), math.log(missed / (1 - false_call))
         self._agreed = Agreed(drift)
         self._samples: deque[_Sample] = deque(maxlen=SAMPLES)
-        self._since_look: list[Comparison] = []
+        self._drag = Drag()
         self._lost: _Lost | None = None
         self._at_m = self._gap_m = 0.0
         self._looked_m = -math.inf
@@ -142,7 +140,7 @@ class GpsReferee:
         if comparison is not None:
             self._at_m, self._gap_m = self._at_m + self._gap_m, 0.0
             if comparison.look_sigma_m is not None:
-                self._since_look, self._looked_m = [], self._at_m
+                self._looked_m = self._at_m
             if comparison.off_along_m is not None:
                 self._lost = self.unsettled_m = None
                 self._add(comparison)
@@ -154,26 +152,20 @@ class GpsReferee:
         """GPS is wrong by so much, as something else has shown: see `GpsTrack`."""
         self._settled, self.verdict = "wrong", GpsVerdict("wrong", east_m, north_m, 1.0)
         self._samples.clear()  # what agreed before does not count for it
+        self._drag.clear()
 
     def go_on(self, gps: GpsFix, motion: Displacement, stamp_s: float) -> None:
         """No look here: GPS is held against where the last ones lead by own motion, unless they spoke against a drag.
 
-        A vehicle that steers by GPS leaves the road that it sees before it is far off. Only across the way, since along
-        it wheels may slip.
+        A vehicle that steers by GPS leaves the road that it sees before it is far off.
         """
-        looks = [one for one in self._samples if one.comparison.look_sigma_m is not None]
-        if self._settled == "wrong" or not looks or looks[-1].drag <= -DOUBTFUL:
+        if self._settled == "wrong" or not self._drag.is_due(stamp_s):
             return
-        seen = [one.comparison for one in looks]
-        if stamp_s - (self._since_look or seen)[-1].stamp_s < APART_S:
-            return
-        last, led = seen[-1], self._agreed.led_by(seen, motion)
+        led = self._agreed.led_by(self._drag.looks, motion)
         if led is None:
             return
-        off_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, (last.lat_deg, last.lon_deg))) - led[0]
-        left_m, left_sigma_m = float(last.axes[1] @ off_m), math.sqrt(float(last.axes[1] @ led[1] @ last.axes[1]))
-        self._since_look.append(replace(last, off_left_m=left_m, look_sigma_m=left_sigma_m, stamp_s=stamp_s))
-        if drag_evidence([*seen, *self._since_look]) >= self._disagree:
+        evidence, off_m = self._drag.go_on(gps, led, stamp_s)
+        if evidence >= self._disagree and self._drag.evidence > -DOUBTFUL:
             self.call(float(off_m[0]), float(off_m[1]))
 
     def keep_until_lost(self, anchor: Anchor) -> None:
@@ -210,6 +202,7 @@ class GpsReferee:
 
     def _begin_anew(self) -> None:
         self._samples.clear()
+        self._drag.clear()
         self._lost = self.unsettled_m = None
         if self._settled != "wrong":
             self._settled = "cannot say"
@@ -240,11 +233,9 @@ class GpsReferee:
         # A sum far beyond a boundary would hide a change for long.
         summed = min(min(recent) + max(0.0, before.summed if before else 0.0), 2 * self._disagree)
         low = max(max(recent) + min(0.0, before.low if before else 0.0), 2 * self._agree)
-        looks, drag = [one.comparison for one in samples if one.comparison.look_sigma_m is not None], -math.inf
         if comparison.look_sigma_m is not None:
-            drag = drag_evidence([*looks, comparison])
-        elif looks and comparison.stamp_s - looks[-1].stamp_s <= MEMORY_S:
-            drag = samples[-1].drag  # a line adds nothing
+            self._drag.add(comparison, self._agreed.led_by(self._drag.looks, comparison.motion))
+        drag = self._drag.at(comparison.stamp_s)  # a line adds nothing
         samples.append(_Sample(comparison, self._at_m, evidence, max(recent), summed, low, drag))
         return samples[-1].high, low
 
