@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -199,10 +201,10 @@ def see_road(rig: Rig) -> None:
     rig.connection.vehicle.velocity.use_speed(rig.now_ns, 8.0)
 
 
-def unaided(open_rig: OpenRig, vision: float | None = 0.0) -> Rig:
+def unaided(open_rig: OpenRig, vision: float | None = 0.0, emit: str = "external_position") -> Rig:
     """PX4 12 s after it has lost GPS, whose velocity runs away, with its EKF2_EV_CTRL; None: it answers no request."""
     errors = OdometryErrors("none", acceleration_mps2=3.0)
-    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5), firmware="px4", errors=errors)
+    rig = open_rig(emit=emit, gates=GatesConfig(min_interval_s=0.5), firmware="px4", errors=errors)
     answers = {} if vision is None else {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
     rig.autopilot.parameters = answers
     rig.run(9.0)
@@ -222,6 +224,14 @@ def test_what_runs_away_does_not_speak_against_a_position(open_rig: OpenRig) -> 
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.bounded_m is None, "our own position, which that velocity carries away, bounds nothing"
+
+
+def test_each_of_a_stream_says_less_where_nothing_but_the_stream_aids_the_velocity(open_rig: OpenRig) -> None:
+    """At 8 m/s and 5 Hz, 37.5 messages share one error: together they say what one does."""
+    rig = unaided(open_rig, emit="global_position_sensor")
+    assert offer_for(rig, 0.9)
+    sigmas_m = [one.eph for one in rig.received("GLOBAL_POSITION_SENSOR")]
+    assert sigmas_m == pytest.approx([math.sqrt(37.5) * rig.fix().sigma_m] * len(sigmas_m), rel=0.02)
 
 
 def test_a_position_is_not_sent_that_is_far_from_where_the_vehicle_is_by_the_camera(open_rig: OpenRig) -> None:
