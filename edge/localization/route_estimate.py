@@ -27,8 +27,10 @@ from edge.localization.odometer import Scale
 
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two matches are about the same."""
-HEADING_M, SCALE_M, DRIVE_M = 3000.0, 700.0, 3000.0
-"""Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive.
+HEADING_M, SCALE_M, DRIVE_M = 250.0, 700.0, 3000.0
+"""Correlation lengths of heading error and scale error of an autopilot's velocity, and of what stays for a drive. How
+far the displacement was off across after 50 to 800 m on 25 recorded drives of ArduPilot fits 200 m and 1.5 degrees; the
+headings of PX4 on two, 220 to 360 m and 2.3 degrees.
 Wheels slip on another surface: where they measured 12 % less or 10 % more from the middle of a drive on, 4 of 8 drives
 on four roads had positions beyond four standard deviations (6.0) with 10 km for the scale, and none with 700 m (3.4);
 drives home were alike."""
