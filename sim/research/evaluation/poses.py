@@ -78,7 +78,7 @@ def main() -> None:
         if args.believed:
             publish("looks", tables.on_map(args.light), args.write)
         if args.off_map:
-            print("\n".join(tables.off_map()))
+            publish("off the map", tables.off_map(), None)
     else:
         cases = product(DRIVES, args.light or LIGHTS, args.roads)
         publish("poses", _poses(args.folder, cases, mounts), args.write)
