@@ -44,11 +44,12 @@ FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
 autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
 """
-USED_FRAME_FILES_MOST = 46
-"""A file counts once, if any function of it is called. Eight keep the evidence and decide by it: telemetry, which asked
-for a decision itself, hid those before; and a network says which regions of a picture it needs. Two
-believe a place with where the vehicle is reckoned to be, one moves it by its gyros, and one looks at keypoints."""
-TURN_FILES_MOST = 61
+USED_FRAME_FILES_MOST = 49
+"""A file counts once, if any function of it is called. Eight keep the evidence and decide by it, and one of them is the
+whole decision; a network says which regions of a picture it needs. Two believe a place with where the vehicle is
+reckoned to be, one moves it by its gyros, and one looks at keypoints. Two were split from long files: where
+GPS had the vehicle last is apart from what bounds a position, and comparing GPS with places from judging it."""
+TURN_FILES_MOST = 64
 """Of a turn that reads a local position as well. One of them is the table of what each autopilot can do."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 18
 """How many classes may have more attributes than that; records are not counted."""

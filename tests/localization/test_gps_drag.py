@@ -94,7 +94,7 @@ def called_m(said: list[Said], state: str = "wrong") -> float:
     ("rate_mps", "way", "most_m"),
     [(0.5, "left", 18.0), (1.0, "left", 12.5), (1.0, "along", 12.5), (2.0, "right", 18.0)],
 )
-@pytest.mark.parametrize("odometer", [0.97, None])
+@pytest.mark.parametrize("odometer", [pytest.param(0.97, marks=pytest.mark.long), None])
 def test_a_drag_is_called_a_few_meters_off(
     long_road: Road, rate_mps: float, way: str, most_m: float, odometer: float | None
 ) -> None:
