@@ -9,8 +9,8 @@ Two hypotheses explain the difference between GPS and a recognized place (a `Com
 
 is Page's CUSUM over sightings that are CORRELATION_M apart. Where looks say that GPS is dragged (`drag_evidence`), that
 counts if it is more. They disagree at log((1 - missed) / false_call), and agree
-when the same sum, with min in the place of max, falls to log(missed / (1 - false_call)): Wald's boundaries.
-docs/integrity.md has the derivation.
+when the same sum, with min in the place of max, falls to log(missed / (1 - false_call)): Wald's boundaries. An honest
+GPS disagrees after 1 / false_call sightings or more on average (Lorden).
 
 Where they disagree, a place may be another one and a recording of the map may lie elsewhere, just as GPS may be wrong.
 The third witness decides: the vehicle's own motion, in which GPS has no part, since the two last agreed (or since GPS

@@ -150,20 +150,24 @@ def looks_table(scores: Sequence[CourseScore]) -> str:
 
 
 def odometers_table(scores: Sequence[CourseScore]) -> str:
-    """What the autopilot made of positions, with Lookback and without; scores: of courses by odometer."""
-    both = "median / 95 %, alone"
-    rows = [f"| course | drives | autopilot's error, {both} | cross-track, {both} |\n|---|---|---|---|"]
+    """What the autopilot made of positions, by lines, by looks where there are any, and without Lookback.
+
+    scores: of a course and an odometer, without and perhaps with keypoints: one row.
+    """
+    drives: dict[str, dict[str, tuple[CourseRun, ...]]] = {}
     for one in scores:
-        tracks = [(run.track, run.alone) for run in one.runs]
-        error_m = [np.concatenate([pair[which].error_m for pair in tracks]) for which in range(2)]
-        left_m = [np.concatenate([np.abs(pair[which].left_m) for pair in tracks]) for which in range(2)]
-        cells = (", ".join(_halves(found_m) for found_m in of) for of in (error_m, left_m))
-        rows.append(f"| {one.name} | {len(tracks)} | {' | '.join(cells)} |")
+        name, _, what = one.name.rpartition(", ")
+        drives.setdefault(name, {})[what] = one.runs
+    said = "95 %: " + ", ".join([*next(iter(drives.values())), "alone"])
+    rows = [f"| course | autopilot's error {said} | cross-track {said} |\n|---|---|---|"]
+    for name, both in drives.items():
+        tracks = [[run.track for run in runs] for runs in both.values()]
+        tracks.append([run.alone for run in next(iter(both.values()))])
+        error_m = ([track.error_m for track in of] for of in tracks)
+        left_m = ([np.abs(track.left_m) for track in of] for of in tracks)
+        cells = (", ".join(_most(one) for one in of) for of in (error_m, left_m))
+        rows.append(f"| {name} | {' m | '.join(cells)} m |")
     return "\n".join(rows)
-
-
-def _halves(off_m: Array) -> str:
-    return " / ".join(f"{one:.1f}" for one in np.percentile(off_m, (50, 95))) + " m"
 
 
 def _short(rows: str) -> str:
@@ -193,4 +197,8 @@ def _spread(errors_m: Array, digits: int = 1) -> str:
 
 
 def _beside(ours: Sequence[Array], alone: Sequence[Array]) -> str:
-    return " m, ".join(f"{np.percentile(np.concatenate(values), 95):.1f}" for values in (ours, alone)) + " m"
+    return " m, ".join(_most(values) for values in (ours, alone)) + " m"
+
+
+def _most(off_m: Sequence[Array]) -> str:
+    return f"{np.percentile(np.concatenate(off_m), 95):.1f}"

@@ -353,9 +353,9 @@ def test_odometers_are_compared_course_by_course() -> None:
     track = replace(straight(), error_m=np.full(600, 4.0))
     runs = {one: run_of(track=track) if one.odometer == 8.0 else run_of() for one in planned}
     table = [row.split(" | ") for row in odometers_table(command.compare(runs)).splitlines()[2:]]
-    names = [f"| {name}, {odometer} %, lines" for name in ("home", "person") for odometer in ("0.3", "8")]
-    assert [row[0] for row in table] == names and {row[1] for row in table} == {"5"}
-    assert [row[2] for row in table[:2]] == ["5.0 / 5.0 m, 5.0 / 5.0 m", "4.0 / 4.0 m, 5.0 / 5.0 m"]
+    names = [f"| {name}, {odometer} %" for name in ("home", "person") for odometer in ("0.3", "8")]
+    assert [row[0] for row in table] == names
+    assert [row[1] for row in table[:2]] == ["5.0, 5.0 m", "4.0, 5.0 m"]
 
 
 @pytest.mark.long
