@@ -87,7 +87,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keypoints", action="store_true", help=keypoints)
     about = "a page of docs, to write what each kind of drive has into, and beside it a CSV file with all drives"
     parser.add_argument("--page", type=Path, metavar="FILE", help=about)
-    parser.add_argument("--summary", type=Path, metavar="FILE", help="a page of docs, to write its last lines into")
     parser.set_defaults(run=_run)
 
 
@@ -104,7 +103,7 @@ def _run(args: argparse.Namespace) -> int:
     flights = replay_all(folders, args.output, views, args.jobs, args.model, listed, keypoints=args.keypoints)
     options = [*([f"--model {args.model}"] if args.model else []), *["--keypoints"] * args.keypoints]
     given = " ".join([*(path.name for path in args.flights), *options])
-    publish(flights, given, args.page, args.summary)
+    publish(flights, given, args.page)
     print(table(flights))
     return 0
 
@@ -115,16 +114,14 @@ def _listed(bundle: Path) -> Flight:
     return Flight(bundle.stem, "from the field", drive.then, drive.now, [], [], [], round(drive.lost_m, 1))
 
 
-def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None, summary_page: Path | None) -> None:
-    """Write the table of kinds into one page, with a CSV of all drives beside it, and what they say together into two.
+def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None) -> None:
+    """Write the table of kinds, and what all drives say together, into a page, with a CSV of all drives beside it.
 
     given: the arguments of the command.
     """
-    made = f"`lookback dev flights {given}` of version {__version__}:\n\n"
-    if summary_page is not None:
-        put_between(SECTION, summary_page, made + summary(flights))
     if page is not None:
-        put_between(SECTION, page, made + kinds_table(flights))
+        made = f"`lookback dev flights {given}` of version {__version__}:"
+        put_between(SECTION, page, f"{made}\n\n{kinds_table(flights)}")
         with page.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows(cells(flights))
 
@@ -145,7 +142,7 @@ def cells(flights: Sequence[Flight | Failed]) -> Iterator[list[object]]:
 
 
 def kinds_table(flights: Sequence[Flight | Failed]) -> str:
-    """The positions of all drives of a firmware in a light together, as recorded and now; and what all say together."""
+    """The positions of today of all drives of a firmware in a light together; and what all drives say together."""
     kinds: dict[str, list[Flight]] = {}
     for flight in flights:
         if isinstance(flight, Flight):
@@ -153,10 +150,9 @@ def kinds_table(flights: Sequence[Flight | Failed]) -> str:
     lines = [KINDS_HEADER]
     for kind, drives in sorted(kinds.items()):
         reckoned_m = [one.reckoned_m[0] for one in drives if one.reckoned_m]
-        for when in ("then", "now"):
-            row = " | ".join(_row(_pooled([getattr(one, when) for one in drives])).split(" | ")[:5])
-            alone = f"{np.median(reckoned_m):.1f} m" if when == "now" and reckoned_m else ""
-            lines.append(f"| {len(drives)} {kind}, {when} | {row} | {alone} |")
+        row = " | ".join(_row(_pooled([one.now for one in drives])).split(" | ")[:5])
+        alone = f"{np.median(reckoned_m):.1f} m" if reckoned_m else ""
+        lines.append(f"| {len(drives)} {kind} | {row} | {alone} |")
     return "\n".join([*lines, "", summary(flights)])
 
 
