@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--stages", action="store_true", help=about)
         parser.add_argument("--quick", action="store_true", help="of --stages: smaller sizes, in about a minute")
         parser.add_argument(
-            "-o", "--output", type=Path, metavar="FILE", help="of --stages: write the page there as well"
+            "-o", "--output", type=Path, metavar="FILE", help="of --stages: the page, and beside it a CSV file"
         )
 
 

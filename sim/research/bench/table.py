@@ -1,8 +1,8 @@
-"""The rows of the bench, and the page of them in Markdown."""
+"""The rows of the bench, the page of them in Markdown, and the file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from sim.bench.machine import machine_name
@@ -50,9 +50,9 @@ def raced(
     return Row(stage, size, times["ours"], times.get("floor"), rival[0] if rival else "", times.get("rival"), most)
 
 
-def page(rows: Sequence[Row], how_run: str) -> str:
-    """The whole page; `how_run` is a sentence about the run."""
-    missed = sum(row.is_missed for row in rows)
+def page(rows: Sequence[Row], how_run: str, file: str) -> str:
+    """The page, with the rows that have an aim; `how_run` is a sentence about the run, `file` has all rows."""
+    aimed = [row for row in rows if row.most is not None]
     lines = [
         "# Bench",
         "",
@@ -60,17 +60,41 @@ def page(rows: Sequence[Row], how_run: str) -> str:
         "",
         "Medians of one thread's CPU time. A floor is what the bytes of a stage take to be read, and its products to",
         "be multiplied, on the same core. Ratios are medians over runs in turns: above 1, ours is slower. **Bold** is",
-        f"over what was aimed for, in brackets ({missed} of {sum(row.most is not None for row in rows)} rows).",
+        f"over what was aimed for, in brackets ({sum(row.is_missed for row in aimed)} of {len(aimed)} rows)."
+        f" [{file}]({file}) has all stages.",
         "",
-        "| stage | of | ms | of its floor | of its rival | rival |",
-        "|---|---|---|---|---|---|",
     ]
-    return "\n".join([*lines, *map(_line, rows)]) + "\n"
+    return "\n".join([*lines, table(aimed)]) + "\n"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """In Markdown."""
+    head = "| stage | of | ms | of its floor | of its rival | rival |\n|---|---|---|---|---|---|"
+    return "\n".join([head, *map(_line, rows)])
+
+
+def cells(rows: Sequence[Row]) -> Iterator[list[str]]:
+    """Of a file, below one of their names; at_most: see `Row.most`."""
+    yield ["stage", "of", "ms", "of_its_floor", "of_its_rival", "rival", "at_most"]
+    for row in rows:
+        most = "" if row.most is None else f"{row.most:g}"
+        yield [
+            row.stage.strip("*").replace("`", ""),
+            row.size,
+            digits(row.times.median_ms),
+            *_ratios(row),
+            row.rival,
+            most,
+        ]
 
 
 def _line(row: Row) -> str:
-    ratios = [f"{row.times.ratio(one):.2f}" if one else "" for one in (row.floor, row.rival_times)]
+    ratios = _ratios(row)
     if row.most is not None:
         at = 0 if row.floor else 1
         ratios[at] = f"{f'**{ratios[at]}**' if row.is_missed else ratios[at]} ({row.most:g})"
     return f"| {row.stage} | {row.size} | {digits(row.times.median_ms)} | {' | '.join([*ratios, row.rival])} |"
+
+
+def _ratios(row: Row) -> list[str]:
+    return [f"{row.times.ratio(one):.2f}" if one else "" for one in (row.floor, row.rival_times)]

@@ -16,7 +16,7 @@ from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.simulated_map import BLOCK, write_simulated_map
 from sim.bench.timing import Times, race
 from sim.research.bench import drives, stages
-from sim.research.bench.table import Row, page
+from sim.research.bench.table import Row, cells, page
 
 KEY = ModelKey("random", "0" * 64, "fc6", 64)
 
@@ -49,10 +49,11 @@ def test_a_row_has_its_floor_its_rival_and_what_was_aimed_for() -> None:
         Row("walking", "1 km", ours, floor, "running", rival, most=1.5),
         Row("cycling", "1 km", ours, None, "running", rival, most=1.5),
     ]
-    text = page(rows, "Made by hand.")
+    text = page([*rows, Row("standing", "1 h", ours)], "Made by hand.", "bench.csv")
     assert "| walking | 1 km | 4.00 | **2.00** (1.5) | 0.50 | running |" in text
     assert "| cycling | 1 km | 4.00 |  | 0.50 (1.5) | running |" in text
-    assert "(1 of 2 rows)" in text.replace("\n", " ")
+    assert "(1 of 2 rows)" in text.replace("\n", " ") and "standing" not in text
+    assert [*cells(rows)][1] == ["walking", "1 km", "4.00", "2.00", "0.50", "running", "1.5"]
 
 
 def test_search_and_its_rival_find_the_same_lines() -> None:
