@@ -118,14 +118,13 @@ def in_short(scores: Sequence[CourseScore]) -> str:
 
 
 def looks_table(scores: Sequence[CourseScore]) -> str:
-    """How far positions are from the truth, in which the map's GPS is, and from the lane that was taught.
+    """How far positions are from the lane that was taught, where the map with its GPS has it.
 
     scores: pairs, of maps without and with keypoints.
     """
     head = (
-        "| course | drives | positions | from the truth | from the taught lane: along | across"
-        " | heading, rms | in sigmas, rms / largest | cross-track 95 %, alone | first after | believed | wrong |\n"
-        "|---|---|---|---|---|---|---|---|---|---|---|---|"
+        "| course | positions | from the taught lane: along | across | heading, rms | in sigmas, rms / largest"
+        " | cross-track 95 %, alone | first after | believed | wrong |\n|---|---|---|---|---|---|---|---|---|---|"
     )
     rows = []
     for one in scores:
@@ -133,11 +132,9 @@ def looks_table(scores: Sequence[CourseScore]) -> str:
         turned_deg, used = np.concatenate([run.turned_deg for run in one.runs]), sum(run.used for run in one.runs)
         cells = (
             one.name,
-            f"{len(one.runs)}",
             f"{len(sigmas)}",
-            _spread(np.concatenate([run.sent.error_m for run in one.runs]), 2),
-            _spread(np.abs(lane_m[:, 0]), 2),
-            _spread(np.abs(lane_m[:, 1]), 2),
+            _halves(lane_m[:, 0]),
+            _halves(lane_m[:, 1]),
             f"{_rms(turned_deg):.2f} deg" if len(turned_deg) else "-",
             f"{_rms(sigmas):.2f} / {sigmas.max():.1f}" if len(sigmas) else "-",
             _beside([abs(run.track.left_m) for run in one.runs], [abs(run.alone.left_m) for run in one.runs]),
@@ -170,6 +167,10 @@ def odometers_table(scores: Sequence[CourseScore]) -> str:
     return "\n".join(rows)
 
 
+def _halves(off_m: Array) -> str:
+    return " / ".join(f"{one:.2f}" for one in np.percentile(np.abs(off_m), (50, 95))) + " m" if len(off_m) else "-"
+
+
 def _short(rows: str) -> str:
     """Rows without the autopilot's error, which says little over several courses, and the share sent."""
     cells = (row.split("|") for row in rows.splitlines())
@@ -190,10 +191,10 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _spread(errors_m: Array, digits: int = 1) -> str:
+def _spread(errors_m: Array) -> str:
     if not len(errors_m):
         return "-"
-    return " / ".join(f"{one:.{digits}f}" for one in np.percentile(errors_m, (50, 95, 100))) + " m"
+    return " / ".join(f"{one:.1f}" for one in np.percentile(errors_m, (50, 95, 100))) + " m"
 
 
 def _beside(ours: Sequence[Array], alone: Sequence[Array]) -> str:
