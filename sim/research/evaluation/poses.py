@@ -12,7 +12,7 @@ folder, and is not made again.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -80,14 +80,17 @@ def main() -> None:
         if args.off_map:
             publish("off the map", tables.off_map(), None)
     else:
-        cases = product(DRIVES, args.light or LIGHTS, args.roads)
-        publish("poses", _poses(args.folder, cases, mounts), args.write)
+        cases = product(DRIVES, args.light or LIGHTS)
+        publish("poses", _poses(args.folder, args.roads, cases, mounts), args.write)
 
 
-def _poses(folder: Path, cases: Iterable[tuple[str, LightName, int]], mounts: tuple[_Mount, _Mount]) -> Iterator[str]:
-    yield "| drive | light | road | with a pose | along | across | heading | rms over sigma |"
-    yield "|---" * 8 + "|"
-    yield from (_row(folder, *case, *mounts) for case in cases)
+def _poses(
+    folder: Path, roads: Sequence[int], cases: Iterable[tuple[str, LightName]], mounts: tuple[_Mount, _Mount]
+) -> Iterator[str]:
+    yield "| drive | with a pose | along | across | heading | rms over sigma |"
+    yield "|---" * 6 + "|"
+    for drive, light in cases:
+        yield _row(f"{drive}, {light}", [_of_road(folder, drive, light, road, *mounts) for road in roads])
 
 
 def _long(folder: Path, mounted: _Mount, draw: int, road: int, drive: str, light: LightName) -> Path:
@@ -116,22 +119,30 @@ class _Mount(NamedTuple):
         return replace(scenario, camera_down_deg=self.down_deg, camera_right_deg=self.right_deg)
 
 
-def _row(folder: Path, drive: str, light: LightName, road: int, of_map: _Mount, mounted: _Mount) -> str:
+def _row(name: str, roads: Sequence[tuple[NDArray[np.float64], int]]) -> str:
+    """Frames of all roads together, and each figure of the road on which it is worst. roads: as `_errors`."""
+    worst, rms = [], []
+    for off, _ in roads:
+        size = np.abs(off[:, 0, [1, 0, 2]]) * (1, 1, np.degrees(1))
+        worst.append(np.percentile(size, (50, 95), axis=0).T)
+        rms.append(np.sqrt(np.square(off[:, 0] / off[:, 1]).mean(axis=0))[[1, 0, 2]])
+    units = zip(np.max(worst, axis=0), ("m", "m", "deg"), strict=True)
+    spelled = [f"{median:.2f} / {nearly:.2f} {unit}" for (median, nearly), unit in units]
+    spelled.append(", ".join(f"{one:.2f}" for one in np.max(rms, axis=0)))
+    posed, frames = sum(len(off) for off, _ in roads), sum(count for _, count in roads)
+    return f"| {name} | {posed} of {frames} | {' | '.join(spelled)} |"
+
+
+def _of_road(
+    folder: Path, drive: str, light: LightName, road: int, of_map: _Mount, mounted: _Mount
+) -> tuple[NDArray[np.float64], int]:
+    """Of the vehicle's poses, not the camera's; as `_errors`."""
     view, made = DRIVES[drive]
     reference = _map(folder, road, view, of_map)
     scenario = mounted.of(replace(made, seed=road, light=light))
     off, count = _errors(reference, _drive(folder / f"{road}_{drive}_{light}{mounted.name}", scenario, QUERY_M))
-    off[:, 0, 2] -= np.radians(mounted.right_deg)  # a pose is the camera's
-    size = np.abs(off[:, 0]) * (1, 1, np.degrees(1))
-    spelled = [
-        f"{median:.2f} / {nearly:.2f} {unit}"
-        for (median, nearly), unit in zip(
-            np.percentile(size, (50, 95), axis=0).T[[1, 0, 2]], ("m", "m", "deg"), strict=True
-        )
-    ]
-    rms = np.sqrt(np.square(off[:, 0] / off[:, 1]).mean(axis=0))[[1, 0, 2]]
-    spelled.append(", ".join(f"{one:.2f}" for one in rms))
-    return f"| {drive} | {light} | {road} | {len(off)} of {count} | {' | '.join(spelled)} |"
+    off[:, 0, 2] -= np.radians(mounted.right_deg)
+    return off, count
 
 
 def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
