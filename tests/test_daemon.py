@@ -176,22 +176,3 @@ def test_a_port_that_vanishes_costs_the_link_and_nothing_else(street: Path, tmp_
     assert [line for line in told.splitlines() if cable.device in line and "trying again" in line]
     assert journal(tmp_path, LinkChanged)[-1].state == "closed"
     assert len(journal(tmp_path, PlaceFix)) > before
-
-
-def test_told_to_stop(street: Path, tmp_path: Path) -> None:
-    process = start(street, tmp_path, f"serial:{tmp_path}/no-port:921600")
-    wait_for(lambda: journal(tmp_path, PlaceFix), "first event")
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(PATIENCE_S) == 0
-    process.communicate()
-    assert len(journal(tmp_path, Stopped)) == 1
-
-
-def test_a_map_that_is_not_there_is_one_line_and_exit_78(street: Path, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    process = start(elsewhere, tmp_path, "udp:127.0.0.1:14550")
-    told = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == 78
-    assert told.count("\n") == 1
-    assert f"{elsewhere}/map: no such map" in told

@@ -163,12 +163,6 @@ def test_while_the_camera_is_lost_health_says_why_and_since_when_and_close_does_
     assert "camera" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_a_camera_that_is_not_there_at_the_start_is_waited_for() -> None:
-    newest = NewestFrame(opener(CameraLost("no such device"), ScriptedCamera(0)), first_back_off_s=0.001)
-    assert newest.take(PATIENCE_S) is not None
-    newest.close()
-
-
 def test_the_back_off_starts_over_once_a_frame_came(let_go: threading.Event) -> None:
     # 24 losses of a camera that gives a frame each time: doubling all along would wait for 1e-4 * 2**24 s in all.
     flapping = [ScriptedCamera(0, CameraLost("gone")) for _ in range(24)]

@@ -153,16 +153,6 @@ def test_a_recording_that_is_not_processed_is_processed_when_it_is_read(feed_pat
             assert np.array_equal(images.read(2), plain.read(2)[:, :32])
 
 
-def test_a_password_is_in_no_words_for_people() -> None:
-    for device, source in {
-        "rtsp://admin:p@ss/word@10.0.0.7:554/live?pwd=1": "stream rtsp://10.0.0.7:554/live",
-        "exec:ffmpeg -i rtsp://admin:secret@cam/ -": "stream exec:ffmpeg",
-        "unix:/run/lookback-camera": "stream unix:/run/lookback-camera",
-    }.items():
-        assert CameraConfig(kind="stream", device=device).source == source
-    assert CameraConfig(device="/dev/video0").source == "v4l2 /dev/video0"
-
-
 def test_a_map_is_built_from_processed_images(feed_path: Path, tmp_path: Path) -> None:
     (tmp_path / HERE).write_text("[camera]\ncrop = [0, 0, 0, 0.5]\n[sampling]\nby = 'frames'\n")
     output = tmp_path / "half.map"

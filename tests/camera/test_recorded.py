@@ -4,10 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from edge.camera import open_camera
 from edge.camera.recorded import RecordedCamera
-from edge.config import CameraConfig
-from edge.errors import FeedError, FrameError
+from edge.errors import FrameError
 from edge.feed import read_feed
 
 
@@ -56,13 +54,3 @@ def test_an_unreadable_picture_is_one_frame_error_and_the_next_goes_on(feed_path
     frame = camera.read()
     assert frame is not None
     assert frame.index == 2
-
-
-def test_open_camera_opens_a_feed_and_names_a_missing_one(feed_path: Path) -> None:
-    camera = open_camera(CameraConfig(kind="feed", device=str(feed_path)))
-    frame = camera.read()
-    assert frame is not None
-    assert frame.index == 0
-    camera.close()
-    with pytest.raises(FeedError, match="nowhere"):
-        open_camera(CameraConfig(kind="feed", device=str(feed_path / "nowhere")))

@@ -129,6 +129,10 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
         {"lat_deg": None, "lon_deg": None},
         {"lon_deg": math.nan},
         {"sigma_across_m": math.nan},
+        {"lat_deg": math.inf},
+        {"lat_deg": 90.1},
+        {"sigma_along_m": math.inf},
+        {"sigma_along_m": 0.0},
         {"age_s": 6.0},
         {"age_s": -0.2},
     ],
@@ -147,16 +151,6 @@ def test_nothing_of_a_fix_goes_out_before_the_link_is_up_nor_later(rig: Rig) -> 
     rig.run(6.0)
     assert not rig.received("COMMAND_INT")
     assert not rig.received("STATUSTEXT")
-
-
-@external
-def test_a_port_that_vanishes_under_a_fix_is_reported_and_not_raised(rig: Rig) -> None:
-    rig.run(4.0)
-    rig.unplug()
-    rig.send_position(rig.fix())
-    assert rig.connection.state == "closed"
-    assert not rig.connection.vehicle.connected
-    assert not rig.send_position(rig.fix())
 
 
 @external
@@ -194,26 +188,6 @@ def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> No
     assert rig.run(7.0, lambda: len(rig.received("COMMAND_LONG")) > asked)
     rig.run(2.0)
     assert rig.connection.vehicle.boot_time_s(rig.now_ns) == pytest.approx(rig.autopilot.boot_s, abs=0.011)
-
-
-def test_an_unplugged_port_is_found_again_under_its_name(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("DEBUG")
-    rig.run(5.0)
-    driven_m = rig.connection.vehicle.motion.distance_m(rig.now_ns)
-    rig.unplug()
-    assert rig.run(1.0, lambda: rig.connection.state == "closed")
-    caplog.clear()
-    rig.run(40.0)
-    tries = len([record for record in caplog.records if "opening" in record.getMessage()])
-    assert 38 <= tries <= 44, "one a second, after back-off"
-    assert len([record for record in caplog.records if "trying again" in record.getMessage()]) <= 2
-    rig.plug()
-    assert rig.run(4.0, lambda: rig.connection.state == "up")  # two heartbeats after at most a second
-    rig.run(3.0)
-    after_m = rig.connection.vehicle.motion.distance_m(rig.now_ns)
-    assert driven_m is not None and after_m is not None
-    assert after_m > driven_m
-    assert [record.state for record in rig.journalled(LinkChanged)] == ["waiting", "up", "closed", "waiting", "up"]
 
 
 def test_a_silent_autopilot_is_reported(rig: Rig) -> None:

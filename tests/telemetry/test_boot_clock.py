@@ -19,12 +19,6 @@ def error_ms(clock: BootClock, now_ns: int, boot_ns: int) -> float:
     return (estimate_ns - boot_ns) / MS
 
 
-def test_unknown_until_the_first_stamp() -> None:
-    clock = BootClock()
-    assert clock.boot_ns(S) is None
-    assert clock.monotonic_ns(S) is None
-
-
 def test_streams_alone_are_as_good_as_their_quickest_message() -> None:
     clock, delays = BootClock(), random.Random(3)
     for now_ns in range(S, 20 * S, 20 * MS):
@@ -75,20 +69,6 @@ def test_a_clock_that_drifts_by_as_much_as_a_simulated_one_is_followed(rate: flo
 
 
 TURN_MS = 2**32
-
-
-@pytest.mark.parametrize("boot_ms", [TURN_MS - 5, TURN_MS + 5, 3 * TURN_MS + 100])
-def test_stamps_of_32_bits_are_continued_where_they_begin_again(boot_ms: int) -> None:
-    clock = BootClock()
-    clock.add_stamp((boot_ms - 20) * MS, S)
-    assert clock.unwrapped_ms(boot_ms % TURN_MS, S + 20 * MS) == boot_ms
-
-
-def test_a_stamp_of_another_boot_is_not_continued() -> None:
-    clock = BootClock()
-    assert clock.unwrapped_ms(7, S) == 7
-    clock.add_stamp(30 * 24 * 3600 * S, S)
-    assert clock.unwrapped_ms(7, 2 * S) == 7
 
 
 def test_a_stamp_minutes_from_each_turn_is_of_another_boot() -> None:

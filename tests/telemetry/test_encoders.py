@@ -15,7 +15,6 @@ from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import Sending
 from edge.telemetry.firmware import firmware_of
-from edge.telemetry.session import Origin
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
 SENDING = Sending(5, 12345.678, 0.42, 3)
@@ -26,47 +25,6 @@ def carried(message: Any) -> Any:
     (received,) = MavlinkCodec(1, 1).decode(MavlinkCodec(5, 191).encode(message))
     assert (received.get_srcSystem(), received.get_srcComponent()) == (5, 191)
     return received
-
-
-def test_heartbeat() -> None:
-    message = carried(encoders.heartbeat(mavlink.MAV_STATE_ACTIVE))
-    assert (message.type, message.autopilot, message.system_status) == (18, 8, 4)
-
-
-def test_external_position() -> None:
-    message = carried(encoders.external_position(FIX, SENDING))
-    assert message.get_type() == "COMMAND_INT"
-    assert (message.target_system, message.target_component) == (5, 1)
-    assert (message.command, message.frame) == (43003, 0)
-    assert (message.x, message.y) == (-274772001, 1530283002)
-    assert math.isnan(message.z)
-    assert (message.param1, message.param2, message.param3) == pytest.approx((12345.678, 0.42, 7.5), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"lat_deg": None},
-        {"lon_deg": None},
-        {"lat_deg": math.nan},
-        {"lon_deg": math.inf},
-        {"lat_deg": 90.1},
-        {"sigma_along_m": math.inf},
-        {"sigma_along_m": math.nan},
-        {"sigma_across_m": math.nan},
-        {"sigma_along_m": 0.0},
-    ],
-)
-@pytest.mark.parametrize("encode", [encoders.external_position, encoders.global_position_sensor])
-def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="finite sigma"):
-        encode(replace(FIX, **change), SENDING)
-
-
-@pytest.mark.parametrize("sending", [Sending(5, math.nan, 0.42), Sending(5, 12345.678, math.inf)])
-def test_a_position_without_its_time_is_not_sent(sending: Sending) -> None:
-    with pytest.raises(ValueError, match="finite times"):
-        encoders.external_position(FIX, sending)
 
 
 def test_a_fix_fits_into_one_status_text() -> None:
@@ -94,55 +52,12 @@ def test_a_status_text_is_lines_of_complete_words(text: str, lines: list[str]) -
     assert {(one.severity, one.id, one.chunk_seq) for one in sent} == {(5, 0, 0)}
 
 
-def test_plotted_values() -> None:
-    messages = [carried(message) for message in encoders.plotted_values(FIX, 2**32 + 5)]
-    assert {message.time_boot_ms for message in messages} == {5}
-    values = {message.name: message.value for message in messages}
-    assert values == {"uniqueness": pytest.approx(1.234), "fix_sigma": pytest.approx(7.5), "place": 1207}
-
-
 def test_a_protection_level_that_nothing_bounds_is_a_large_number() -> None:
     for level, expected in ((ProtectionLevel(12.5, math.inf), (12.5, 1e6)), (None, (1e6, 1e6))):
         messages = [carried(message) for message in encoders.protection_values(level, 2**32 + 5)]
         assert [one.name for one in messages] == ["pl_along", "pl_across"]
         assert tuple(one.value for one in messages) == expected
         assert {one.time_boot_ms for one in messages} == {5}
-
-
-def test_global_position_sensor() -> None:
-    message = carried(encoders.global_position_sensor(FIX, SENDING))
-    assert message.get_msgId() == 296
-    assert (message.target_system, message.target_component, message.id, message.source) == (5, 1, 3, 2)
-    assert (message.lat, message.lon, message.eph, message.flags) == (-274772001, 1530283002, pytest.approx(7.5), 0)
-    assert message.time_usec == 12_345_678_000
-    assert all(math.isnan(value) for value in (message.alt, message.alt_ellipsoid, message.epv))
-
-
-def test_origin_source_set_and_requests() -> None:
-    origin = carried(encoders.set_origin(5, Origin(-27.478, 153.028, 20.0)))
-    assert (origin.target_system, origin.latitude, origin.longitude) == (5, -274780000, 1530280000)
-    assert origin.altitude == 20_000
-    chosen = carried(encoders.source_set(5, 2))
-    assert (chosen.command, chosen.param1, chosen.target_component) == (42007, 2, 1)
-    off = carried(encoders.gps_fusion(5, is_on=False))
-    assert (off.command, off.param1, off.param2, off.param3, off.target_component) == (43006, 0, 0, 0, 1)
-    asked = carried(encoders.message_request(5, 148))
-    assert (asked.command, asked.param1) == (512, 148)
-
-
-def test_stream_request_and_timesync() -> None:
-    request = carried(encoders.stream_request(5, 33, 10.0))
-    assert (request.command, request.param1, request.param2) == (511, 33, 100_000)
-    assert (request.target_system, request.target_component) == (5, 1)
-    theirs = carried(encoders.timesync_request(123))
-    answer = carried(encoders.timesync_answer(theirs, 456))
-    assert (theirs.tc1, theirs.ts1, answer.tc1, answer.ts1) == (0, 123, 456, 123)
-
-
-def test_sequence_numbers_count_up_and_wrap() -> None:
-    sender, receiver = MavlinkCodec(1, 191), MavlinkCodec(1, 1)
-    frames = b"".join(sender.encode(encoders.heartbeat(4)) for _ in range(300))
-    assert [message.get_seq() for message in receiver.decode(frames)] == [index % 256 for index in range(300)]
 
 
 def test_frames_cut_anywhere_arrive_whole() -> None:

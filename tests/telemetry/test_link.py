@@ -192,16 +192,6 @@ def test_a_missing_port_and_a_file_that_is_no_port_say_so(tmp_path: Path) -> Non
         open_link(f"serial:{file}:57600")
 
 
-def test_a_port_has_one_owner() -> None:
-    pty = open_pty()
-    first = open_link(f"serial:{pty.device}:57600")
-    with pytest.raises(LinkLost, match="in use by another program"):
-        open_link(f"serial:{pty.device}:57600")
-    first.close()
-    open_link(f"serial:{pty.device}:57600").close()
-    pty.close()
-
-
 def test_udp_both_ways_and_a_listener_answers_whoever_spoke_last() -> None:
     port = free_port()
     listener = open_link(f"udpin:127.0.0.1:{port}")

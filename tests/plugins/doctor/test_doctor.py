@@ -381,12 +381,6 @@ def test_who_reads_positions_as_nmea_is_said(tmp_path: Path) -> None:
     assert found(port=0) == []
 
 
-def test_a_wrong_connection_is_one_finding(write_config: Callable[..., Path], tmp_path: Path) -> None:
-    findings = list(examine(write_config(telemetry={"connection": "serial:x"}), 0.1, tmp_path / "dev"))
-    assert "is not serial:DEVICE:BAUD" in told(findings, "link", "bad")
-    assert told(findings, "autopilot", "bad") == ""
-
-
 @pytest.mark.parametrize(
     ("connection", "warned"),
     [("udpin:0.0.0.0:14550", True), ("udpin:0.0.0.0:14550@192.168.2.1", False), ("udpin:127.0.0.1:14550", False)],

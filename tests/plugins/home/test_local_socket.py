@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.errors import ConfigError, LinkLost
+from edge.errors import ConfigError
 from edge_plugins.home.home_requests import Answer
 from edge_plugins.home.local_socket import LocalSocket
 from sim.home.client import ask_for_home
@@ -89,11 +89,6 @@ def test_a_silent_client_does_not_keep_others_waiting(tmp_path: Path) -> None:
         assert listener.requested() is None, "one that waits for its answer is not sent away"
         listener.reply(VERIFIED)
         assert client.recv(1000)
-
-
-def test_a_daemon_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LinkLost, match="is `lookback run` running"):
-        ask_for_home(tmp_path / "home.socket", lambda text: None)
 
 
 def test_the_socket_of_a_killed_daemon_is_replaced_and_removed_at_the_end(tmp_path: Path) -> None:

@@ -100,13 +100,6 @@ def test_what_is_no_truth_enters_no_map(
     assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
 
 
-def test_gps_that_the_places_call_wrong_enters_no_map(tmp_path: Path) -> None:
-    mapped = live(tmp_path, without_gps="continue")
-    mapped.add(raw_of(0), IMAGE, GPS, 0.0, "GPS is wrong by 40 m north")
-    assert (mapped.status.places, mapped.status.why) == (0, "GPS is wrong by 40 m north")
-    mapped.store.close()
-
-
 def test_gps_that_is_dragged_ends_mapping(tmp_path: Path) -> None:
     """By 2 m/s at 8 m/s to 100 m; also once it stays there, until the odometer begins again."""
     mapped = live(tmp_path)
@@ -304,26 +297,14 @@ def hold_up(mapped: LiveMap, folder: Path) -> None:
             drive(mapped, range(40, 41))
 
 
-def test_a_full_disk_holds_mapping_up_and_what_is_mapped_is_still_searched(tmp_path: Path) -> None:
-    mapped = live(tmp_path)
-    drive(mapped, range(40))
-    hold_up(mapped, tmp_path)
-    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
-    drive(mapped, range(41, 50))
-    newest = mapped.newly_searchable(1000.0)
-    assert newest is not None
-    assert newest.header.places >= 40
-    mapped.store.close()
-    again = live(tmp_path)
-    assert 40 <= again.status.places <= 50, "what was written is whole, and nothing is there twice"
-    again.store.close()
-
-
-def test_mapping_goes_on_when_there_is_room_again(tmp_path: Path) -> None:
+def test_a_full_disk_holds_mapping_up_until_there_is_room_again(tmp_path: Path) -> None:
     config = MappingConfig(folder=str(tmp_path))
     mapped = LiveMap(config, DriveStore(config, HEADER, "rear", lambda: START_S, retry_s=0.01))
     drive(mapped, range(40))
     hold_up(mapped, tmp_path)
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
+    newest = mapped.newly_searchable(1000.0)
+    assert newest is not None and newest.header.places >= 40, "what is mapped is still searched"
     while mapped.status.why:
         drive(mapped, range(45, 46))
     drive(mapped, range(46, 70))

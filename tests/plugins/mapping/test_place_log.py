@@ -36,16 +36,6 @@ def written(path: Path, places: int) -> None:
     file.close(timeout_s=30)
 
 
-def test_what_was_written_is_there(tmp_path: Path) -> None:
-    written(tmp_path / "log", 100)
-    found = OpenLog(tmp_path / "log")
-    assert found.header == HEADER
-    assert found.drives == [(0, DriveBegun("rear"))]
-    assert [found.place(row).place for row in range(100)] == [place_of(row) for row in range(100)]
-    np.testing.assert_array_equal(found.raw(42), raw_of(42))
-    found.close()
-
-
 def test_raw_rows_are_there_before_and_after_they_are_written(tmp_path: Path) -> None:
     file = PlaceLog(create_log(tmp_path / "log", HEADER))
     for row in range(200):
@@ -144,19 +134,6 @@ def test_the_time_of_the_last_place_is_in_the_file(tmp_path: Path) -> None:
     found.close()
 
 
-def test_places_are_appended_after_a_cut(tmp_path: Path) -> None:
-    path = tmp_path / "log"
-    written(path, 3)
-    os.truncate(path, path.stat().st_size - 5)
-    file = PlaceLog(OpenLog(path))
-    assert file.count == 2
-    assert file.add(raw_of(7), place_of(7))
-    file.close(timeout_s=30)
-    found = OpenLog(path)
-    assert [found.place(row).place.row for row in range(3)] == [0, 1, 7]
-    found.close()
-
-
 def test_a_file_of_another_process_or_of_nothing(tmp_path: Path) -> None:
     written(tmp_path / "log", 1)
     mine = OpenLog(tmp_path / "log")
@@ -168,19 +145,6 @@ def test_a_file_of_another_process_or_of_nothing(tmp_path: Path) -> None:
     (tmp_path / "other").write_bytes(b"something else")
     with pytest.raises(MapError, match="not a file of places"):
         OpenLog(tmp_path / "other")
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_stops_the_writing_and_nothing_else(tmp_path: Path) -> None:
-    found = create_log(tmp_path / "log", HEADER)
-    full = os.open("/dev/full", os.O_RDWR)
-    os.dup2(full, found.descriptor)
-    os.close(full)
-    file = PlaceLog(found)
-    assert file.add(raw_of(0), place_of(0))
-    file.close(timeout_s=30)
-    assert file.stopped == "No space left on device"
-    assert not file.add(raw_of(1), place_of(1))
 
 
 def test_too_little_free_space_stops_the_writing(tmp_path: Path) -> None:

@@ -393,14 +393,3 @@ def test_a_restart_takes_the_same_port_at_once(page: StatusPage, loop: Loop) -> 
     with closing(StatusPage(PageConfig(port=page.port), MAP)) as again:
         assert again.port == page.port
         assert get(again, "/")[0] == 200
-
-
-def test_a_port_in_use_is_an_os_error(page: StatusPage) -> None:
-    with pytest.raises(OSError, match="Address already in use"):
-        StatusPage(PageConfig(port=page.port), MAP)
-
-
-def test_closing_ends_the_thread(page: StatusPage) -> None:
-    page.close()
-    page.close()
-    assert "page" not in [thread.name for thread in threading.enumerate()]

@@ -14,9 +14,8 @@ import pytest
 from msgspec.structs import replace
 
 from edge.camera.picture_age import UNDATED
-from edge.commands.parser import build_parser
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
-from edge.errors import CameraLost, ConfigError, FeedError
+from edge.errors import CameraLost, FeedError
 from edge.feed import FeedHeader, FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
 from edge_plugins.recording.command import record
@@ -96,11 +95,6 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
         assert row.heading_deg == pytest.approx(0.0, abs=0.1)
         assert row.lon_deg == pytest.approx(153.0283, abs=1e-4)
     assert {row.position_source for row in rows[-2:]} == {"gps"}
-
-
-def test_it_stops_when_the_time_is_over(config: Config, tmp_path: Path) -> None:
-    assert record(config, tmp_path / "out", threading.Event(), duration_s=0.2).why == "duration reached"
-    assert 1 <= len(read_feed(tmp_path / "out").rows) <= 5
 
 
 def test_it_stops_before_the_disk_is_full(config: Config, tmp_path: Path) -> None:
@@ -193,10 +187,3 @@ def test_a_signal_closes_the_feed_whole(config_file: Path, tmp_path: Path, numbe
     assert f"{out}: {len(rows)} frames, 0 with a position; stopped by a signal" in errors
     assert "Traceback" not in errors
     assert len(rows) == len(list((out / "frames").iterdir())) < 256
-
-
-def test_the_command_names_a_wrong_config(tmp_path: Path) -> None:
-    argv = ["record", str(tmp_path / "none.toml"), "-o", str(tmp_path / "out")]
-    args = build_parser(argv).parse_args(argv)
-    with pytest.raises(ConfigError, match=r"none\.toml: cannot read it"):
-        args.run(args)

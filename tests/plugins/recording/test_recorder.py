@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import subprocess
 import sys
 import threading
@@ -34,7 +32,7 @@ def frame(index: int) -> Frame:
 
 
 def position(index: int) -> VehiclePosition:
-    return VehiclePosition(index * 1000, 1.0, 2.0, 3.0, 90.0, 4.0)
+    return VehiclePosition(index * 1000, 1.0, 2.0, 3.0, 90.0, 4.0, sigma_m=1.5, source="dgps")
 
 
 def open_recorder(folder: Path, **options: Any) -> Recorder:
@@ -57,30 +55,13 @@ def test_a_run_becomes_a_feed(tmp_path: Path) -> None:
     assert not feed.header.odometer, "while GPS works, the autopilot's distance is GPS's own, and vouches for nothing"
     assert [row.distance_m for row in feed.rows] == [0.0, 2.0, 4.0, 6.0, 8.0]
     assert (feed.rows[0].lat_deg, feed.rows[1].lat_deg, feed.rows[1].speed_mps) == (None, 1.0, 4.0)
+    assert [(row.position_sigma_m, row.position_source) for row in feed.rows[:2]] == [(None, "unknown"), (1.5, "dgps")]
 
 
 def test_every_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
     record(tmp_path)
     record(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, f"{NAME}-2"]
-
-
-def test_a_row_has_the_accuracy_and_the_source_of_its_position(tmp_path: Path) -> None:
-    recorder = open_recorder(tmp_path)
-    known = VehiclePosition(0, 0.1, 2.0, 3.0, None, 4.0, sigma_m=1.5, source="dgps")
-    for index, there in enumerate((known, None)):
-        recorder.record(frame(index), 2.0 * index, there)
-    recorder.close()
-    rows = read_feed(tmp_path / NAME).rows
-    assert [(row.lat_deg, row.distance_m) for row in rows] == [(0.1, 0.0), (None, 2.0)]
-    assert [(row.position_sigma_m, row.position_source) for row in rows] == [(1.5, "dgps"), (None, "unknown")]
-
-
-def test_it_stops_before_the_disk_is_full(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    recording = record(tmp_path, free_bytes=lambda path: 10**9 - 2 * 10**8 * len(list(tmp_path.glob("*/frames/*"))))
-    assert recording.written == 3  # 1000, 800, 600 and then 400 MB
-    assert len(read_feed(tmp_path / NAME).rows) == 3
-    assert "waits after 3 frames: the disk is nearly full" in caplog.text
 
 
 def test_it_goes_on_when_there_is_room_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -116,20 +97,6 @@ def test_a_disk_that_hangs_costs_frames_of_the_recording_only(tmp_path: Path) ->
     assert not waited_for
     assert recording.skipped >= 100 - QUEUE_FRAMES - 2
     test_is_done.set()
-
-
-def test_the_config_is_relative_to_its_file(tmp_path: Path) -> None:
-    from edge.config import parse_config
-    from edge_plugins.recording import RecordingConfig
-
-    config = parse_config('[recording]\nfolder = "runs"\n', tmp_path / "lookback.toml")
-    assert config.of(RecordingConfig).folder == os.fspath(tmp_path / "runs")
-
-
-def test_the_log_names_the_feed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO):
-        record(tmp_path)
-    assert f"recording: {tmp_path / NAME}" in caplog.text
 
 
 def test_the_daemon_records_what_it_uses(make_street: Callable[..., Path], tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from edge.geodesy import east_north_of, moved
+from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
 from edge.telemetry import LinkStatus
 from edge_plugins.ros2 import Ros2Config
@@ -101,14 +101,6 @@ def test_without_a_heading_the_larger_deviation_holds_all_around(ros2: Ros2, rob
     covariance = heard.pose.covariance
     assert (covariance[0], covariance[1], covariance[7]) == (16.0, 0.0, 16.0)
     assert covariance[35] >= 1e6, "the yaw is not known"
-
-
-def test_a_pose_is_in_meters_east_and_north_of_the_datum(ros2: Ros2, robot: Robot) -> None:
-    robot.listen("lookback/place", "geometry_msgs/PoseWithCovarianceStamped")
-    lat_deg, lon_deg = moved(*DATUM, 300.0, -40.0)
-    ros2.publish_place(replace(FIX, lat_deg=lat_deg, lon_deg=lon_deg))
-    (heard,) = robot.heard("lookback/place")
-    assert (heard.pose.pose.position.x, heard.pose.pose.position.y) == pytest.approx((300.0, -40.0), abs=0.02)
 
 
 def test_the_state_is_a_diagnostic_once_a_second(ros2: Ros2, robot: Robot) -> None:
