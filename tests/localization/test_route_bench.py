@@ -113,6 +113,9 @@ def unaligned(begins_m: float, late_m: float, gps: bool = True, has_odometer: bo
     return Course(stretches=(stretch,), gps=gps)
 
 
+IN_FULL = pytest.mark.parametrize("count", [2, pytest.param(50, marks=pytest.mark.soak)], ids=["two", "in full"])
+
+
 def drives(course: Callable[[np.random.Generator], Course], count: int, folder: Path) -> list[Result]:
     return [Bench(course(np.random.default_rng([seed, 9])), seed, folder).run() for seed in range(count)]
 
@@ -150,22 +153,28 @@ def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_of
     assert result.bounded and not any(one.is_exceeded for one in result.bounded)
 
 
-@pytest.mark.parametrize("name", [name for name in RIGHT if name != "false stretch of 140 m"])
-def test_positions_are_as_good_as_they_say(name: str, tmp_path: Path) -> None:
+@IN_FULL
+@pytest.mark.parametrize("name", RIGHT)
+def test_positions_are_as_good_as_they_say(name: str, count: int, tmp_path: Path) -> None:
     # Without GPS from boot there are few positions before places have confirmed each other; an alias follows 200 m.
-    check_right(drives(RIGHT[name], 4 if "no GPS from boot" in name or name == "alias" else 2, tmp_path))
+    few = "no GPS from boot" in name or name == "alias"
+    check_right(drives(RIGHT[name], max(count, 4) if few else count, tmp_path))
 
 
+@IN_FULL
 @pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
 def test_an_odometer_that_is_wrong_by_far_moves_nothing_far(
-    course: Callable[[np.random.Generator], Course], tmp_path: Path
+    course: Callable[[np.random.Generator], Course], count: int, tmp_path: Path
 ) -> None:
-    check_odd(drives(course, 2, tmp_path))
+    check_odd(drives(course, count, tmp_path))
 
 
+@IN_FULL
 @pytest.mark.parametrize("course", FALSE.values(), ids=FALSE.keys())
-def test_no_false_place_is_published(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
-    check_false(drives(course, 2, tmp_path))
+def test_no_false_place_is_published(
+    course: Callable[[np.random.Generator], Course], count: int, tmp_path: Path
+) -> None:
+    check_false(drives(course, count, tmp_path))
 
 
 def test_right_positions_go_on_soon_after_a_false_stretch(tmp_path: Path) -> None:
@@ -193,25 +202,3 @@ def test_positions_of_a_stream_are_as_good_as_they_say(name: str, tmp_path: Path
     """As PX4 follows them."""
     drawn = (Bench(RIGHT[name](np.random.default_rng([seed, 9])), seed, tmp_path, is_stream=True) for seed in range(3))
     check_right([one.run() for one in drawn])
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("course", RIGHT.values(), ids=RIGHT.keys())
-def test_positions_are_as_good_as_they_say_in_full(
-    course: Callable[[np.random.Generator], Course], tmp_path: Path
-) -> None:
-    check_right(drives(course, 50, tmp_path))
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("course", ODD.values(), ids=ODD.keys())
-def test_an_odometer_that_is_wrong_by_far_moves_nothing_far_in_full(
-    course: Callable[[np.random.Generator], Course], tmp_path: Path
-) -> None:
-    check_odd(drives(course, 50, tmp_path))
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("course", FALSE.values(), ids=FALSE.keys())
-def test_no_false_place_is_published_in_full(course: Callable[[np.random.Generator], Course], tmp_path: Path) -> None:
-    check_false(drives(course, 50, tmp_path))
