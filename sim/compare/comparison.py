@@ -89,8 +89,7 @@ def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome)
 
 MEANS_NOTE = (
     "Accuracy: mean R@1 over all pairs. Honesty: mean R@P100, the share of the frames on the map that can be used"
-    " without a single wrong place among them. Pairs: R@1 and R@P100; of several roads the mean, and the lowest and"
-    " highest R@1."
+    " without a single wrong place among them. Pairs: R@1 and R@P100; of several roads the mean."
 )
 
 
@@ -112,8 +111,8 @@ def means(runner: MethodRunner, results: Results) -> Table:
 
 def _mean_cell(each: NDArray[np.float64]) -> str:
     """R@1 and R@P100 (n, 2) of pairs of one kind."""
-    (first, sure), lowest, highest = each.mean(axis=0), each[:, 0].min(), each[:, 0].max()
-    return f"{first:.2f}" + (f" ({lowest:.2f} to {highest:.2f})" if len(each) > 1 else "") + f", {sure:.2f}"
+    first, sure = each.mean(axis=0)
+    return f"{first:.2f}, {sure:.2f}"
 
 
 def as_short(cell: Cell) -> str:
