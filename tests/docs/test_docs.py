@@ -232,14 +232,6 @@ def test_no_sentence_is_long(page: Path) -> None:
     assert long_sentences(page.read_text(encoding="utf-8")) == []
 
 
-def test_a_long_sentence_is_found_in_a_list_and_in_a_cell_and_not_in_code() -> None:
-    words = "word " * MOST_WORDS
-    assert long_sentences(f"Begin. {words}end.\n\n- {words}end.\n- {words}\n\n| a | {words}end |\n|---|---|") != []
-    assert len(long_sentences(f"- {words}end.\n- {words}\n\n| a | {words}end |")) == 2
-    assert long_sentences(f"{words[:-1]}. More.\n\n    {words}end\n\n```sh\n{words}end\n```\n") == []
-    assert long_sentences(f"<!-- rows: begin -->\n{words}end\n<!-- rows: end -->") == []
-
-
 WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
 """A word in code type that looks like a key, perhaps after its section: `spacing_m`, `[sampling] spacing_m`."""
 
@@ -311,13 +303,6 @@ def unknown_words(text: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_key_that_the_docs_name_exists(page: Path) -> None:
     assert unknown_words(page.read_text(encoding="utf-8")) == []
-
-
-def test_a_word_that_names_nothing_is_found() -> None:
-    """Also a word that stands somewhere in the program, and a key that is in another section."""
-    assert unknown_words("`[sampling] spacing_m`, `spacing_m`, `fix_sent`, `lat_deg`, `external_position`") == []
-    wrong = unknown_words("`[telemetry] spacing_m`, `spacing_metres`, `running_sums`, `[none] spacing_m`")
-    assert wrong == ["spacing_m", "spacing_metres", "running_sums", "spacing_m"]
 
 
 def test_the_examples_of_good_code_are_code_of_this_repository() -> None:

@@ -44,17 +44,3 @@ def test_nothing_runs_what_it_reads() -> None:
     for file in files:
         found = words_in(file.read_text(encoding="utf-8"))
         assert not found, f"{file.relative_to(ROOT)}: {found}"
-
-
-def test_the_search_finds_what_it_looks_for() -> None:
-    for text in (
-        "pickle.load(f)",
-        "pickle.Unpickler(f).load()",
-        "class Any(pickle.Unpickler): pass",
-        "from yaml import load",
-        "eval(x)",
-        "np.load(f, allow_pickle=True)",
-        "torch.load(f)",
-    ):
-        assert words_in(text), text
-    assert not words_in("class Arrays(pickle.Unpickler):\n    def find_class(self, module, name):\n        return None")

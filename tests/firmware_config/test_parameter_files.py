@@ -192,18 +192,3 @@ def test_readme_connections_are_understood(connection: str) -> None:
 
     assert str(parse_connection(connection)) == connection
     assert Config(telemetry=TelemetryConfig(connection=connection)).telemetry.connection == connection
-
-
-@pytest.mark.parametrize(
-    ("known", "good", "bad"),
-    [
-        (Known(values=[0, 3, 6]), 3, 2),
-        (Known(range=(0.01, None)), 5, 0),
-        (Known(range=(-5, 5)), -5, 5.1),
-        (Known(bits=[0, 1]), 3, 4),
-        (Known(bits=[0, 1]), 0, 0.5),
-    ],
-)
-def test_the_check_itself_refuses(known: Known, good: float, bad: float) -> None:
-    assert known.takes(good)
-    assert not known.takes(bad)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,10 +71,3 @@ def test_what_is_wrong_is_one_line(
     assert main(["compare", str(plan_path), "-o", str(plan_path.parent / "out")]) == 78
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("lookback: ") and says in error
-
-
-def test_the_options_do_not_wait_for_what_a_comparison_needs() -> None:
-    code = "import sys, edge.__main__ as m; m.build_parser(['compare']); print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert "sim.compare.command" in loaded
-    assert not {"sim.compare.run", "matplotlib", "jinja2", "onnxruntime"} & set(loaded)

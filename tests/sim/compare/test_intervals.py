@@ -45,8 +45,3 @@ def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
     assert covered_by_blocks >= 80
     # Drawing frames one by one is what would call noise a result.
     assert covered_by_frames <= 60
-
-
-def test_the_same_seed_gives_the_same_interval() -> None:
-    answers = runs_of_luck(np.random.default_rng(3), 200, 10, 0.5)
-    assert intervals(accuracy, answers, 20, 50, seed=7) == intervals(accuracy, answers, 20, 50, seed=7)

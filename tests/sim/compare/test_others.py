@@ -16,7 +16,7 @@ import pytest
 from edge.__main__ import main
 from edge.errors import ConfigError, ModelError
 from sim.compare.foreign import ForeignNetwork, open_file
-from sim.compare.matching import counted, judge, match_alone
+from sim.compare.matching import match_alone
 from sim.compare.method_runner import Outcome
 from sim.compare.plan import Pair
 from sim.compare.truth import matrix_errors, read_array
@@ -162,18 +162,6 @@ def test_a_network_of_others_gets_rgb_as_imagenet_has_it(tmp_path: Path) -> None
     (tmp_path / "broken.onnx").write_bytes(b"no network")
     with pytest.raises(ModelError, match=r"broken\.onnx: ONNX Runtime rejects it"):
         open_file(tmp_path / "broken.onnx")
-
-
-def test_what_is_neither_right_nor_wrong_does_not_count(tmp_path: Path) -> None:
-    np.save(tmp_path / "hard.npy", np.eye(3, dtype=bool))
-    np.save(tmp_path / "soft.npy", np.eye(3, k=1, dtype=bool) | np.eye(3, dtype=bool))
-    pair = Pair("p", "r", "q", "hard.npy", soft="soft.npy", length=1)
-    errors = matrix_errors(pair, (3, 3), tmp_path)
-    assert np.isnan(errors).sum() == 2 and (errors == 0).sum() == 3
-    matches = match_alone(np.eye(3, k=1) + 0.1)
-    answers = judge(matches, errors, 1.0, counted(matches, errors, np.arange(3)))
-    assert answers.correct.tolist() == [False]  # the first two found their soft neighbor; the third one is wrong
-    assert answers.has_truth.tolist() == [True]
 
 
 def test_truth_as_vpr_bench_has_it_and_nothing_that_a_file_could_run(tmp_path: Path) -> None:

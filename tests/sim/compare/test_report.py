@@ -11,7 +11,7 @@ import pytest
 
 from edge.errors import ConfigError
 from sim.compare.plots import match_plot
-from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell, write_report
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, write_report
 from tests.chromium import NEEDS_CHROMIUM, browser
 
 
@@ -56,14 +56,6 @@ def test_tables_and_figures_are_files_too(tmp_path: Path) -> None:
         rows = list(csv.reader(stream))
     assert rows == [["m", "f", "n"], ["NSD <best>", "0.5 [0.4, 0.625]", "nan"], ["SeqSLAM", "1.0", "3"]]
     assert (tmp_path / "matches.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_same_numbers_draw_the_same_file() -> None:
-    assert drawn() == drawn()
-
-
-def test_cells_are_as_people_read_them() -> None:
-    assert [format_cell(cell) for cell in ("a", 3, 0.12345, float("nan"))] == ["a", "3", "0.123", "–"]
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

@@ -44,15 +44,6 @@ def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_po
         Track("log", fixes[1:])
 
 
-def test_a_gap_ends_what_is_known_but_for_its_two_ends() -> None:
-    track = Track("log", [Fix(int(stamp), 51.0, -1.0) for stamp in stamps(0, 1, 8, 9)], max_gap_s=5.0)
-    assert track.covers(stamps(-0.1, 0, 0.5, 1, 1.1, 7.9, 8, 8.5, 9, 9.1)).tolist() == [
-        *(False, True, True, True),
-        *(False, False),
-        *(True, True, True, False),
-    ]
-
-
 def test_nanoseconds_since_1970_keep_their_precision() -> None:
     track = Track("log", [Fix(EPOCH, 51.0, -1.0), Fix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
     assert [fix.stamp_ns for fix in track.at(np.array([EPOCH + 1, EPOCH + 3]))] == [EPOCH + 1, EPOCH + 3]

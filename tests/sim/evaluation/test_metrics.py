@@ -67,23 +67,6 @@ def test_scores_are_those_counted_by_hand(answers: Answers) -> None:
         assert accuracy == pytest.approx((answers.correct & answered).sum() / on_map)
 
 
-def test_off_map_queries_count_against_a_method_that_accepts_them() -> None:
-    flags = np.array([True, True])
-    bold = Answers(np.array([1.0, 1.0, 2.0]), np.array([True, True, False]), np.array([True, True, False]))
-    silent = Answers(np.array([1.0, 1.0, np.nan]), np.array([True, True, False]), np.array([True, True, False]))
-    assert recall_at_precision(precision_recall(bold), 1.0) == 0.0
-    assert recall_at_precision(precision_recall(silent), 1.0) == 1.0
-    bold_f1, silent_f1, right_f1 = (of_curve(one)[-1] for one in (bold, silent, Answers(np.ones(2), flags, flags)))
-    assert bold_f1 < silent_f1 == right_f1
-
-
-def test_a_correct_match_off_the_map_is_refused() -> None:
-    with pytest.raises(ValueError, match="off the map"):
-        Answers(np.ones(1), np.array([True]), np.array([False]))
-    with pytest.raises(ValueError, match="one shape"):
-        Answers(np.ones(2), np.array([True]), np.array([True]))
-
-
 def test_precision_and_recall_at_a_threshold_count_unanswered_queries_as_missed() -> None:
     confidence = np.array([0.9, 0.6, 0.5, 0.4, np.nan, 0.7])
     correct = np.array([True, True, True, True, False, False])

@@ -184,23 +184,6 @@ def test_streams_come_at_the_rate_that_was_asked_for_until_a_reboot() -> None:
     assert not bench.of("GLOBAL_POSITION_INT")
 
 
-def test_a_gyroscope_saturates_where_the_pose_jumps() -> None:
-    bench = Bench("ardupilot")
-    bench.tell(encoders.stream_request(1, mavlink.MAVLINK_MSG_ID_RAW_IMU, 100.0))
-    bench.autopilot._pose_at = straight_line(SPEED_MPS, 90.0, START_NS / 1e9)
-    bench.drive(0.05)
-    assert max(message.zgyro for message in bench.of("RAW_IMU")) == 32767
-
-
-def test_timesync_is_answered_on_the_boot_clock() -> None:
-    bench = Bench("ardupilot")
-    bench.drive(2.0)
-    bench.tell(mavlink.MAVLink_timesync_message(0, 123456789))
-    answer = next(message for message in bench.of("TIMESYNC") if message.tc1)
-    assert answer.ts1 == 123456789
-    assert answer.tc1 == pytest.approx(2.01e9, abs=1e6)
-
-
 @pytest.mark.parametrize("changed", [{"z": 0.0}, {"frame": 6}])
 def test_a_fix_with_an_altitude_or_of_another_frame_is_denied(changed: dict[str, Any]) -> None:
     bench = Bench("ardupilot", gps=False)
@@ -252,15 +235,6 @@ def test_ages_are_heeded_up_to_a_limit(firmware: str, age_s: float, off_m: float
     bench.drive(20.0)
     bench.tell_fix(north_m=-SPEED_MPS * age_s, age_s=age_s)
     assert bench.autopilot.resets[-1].error_after_m == pytest.approx(off_m, abs=0.3)
-
-
-def test_an_age_that_is_not_told_costs_what_was_driven_meanwhile() -> None:
-    bench = Bench("ardupilot")
-    bench.drive(3.0)
-    bench.autopilot.gps = False
-    bench.drive(10.0)
-    bench.tell_fix(north_m=-SPEED_MPS * 2.0)
-    assert bench.autopilot.resets[-1].error_after_m == pytest.approx(10.0, abs=0.3)
 
 
 def test_only_px4_takes_a_long_command_and_in_steps_of_a_float() -> None:

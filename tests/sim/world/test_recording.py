@@ -13,7 +13,7 @@ from edge.errors import ConfigError, FeedError
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north_of
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
-from sim.world.recording import record_drive, times_by_distance, times_by_rate
+from sim.world.recording import record_drive, times_by_distance
 from sim.world.scenario import Scenario
 
 HOME = Scenario(seed=3, length_m=200.0, direction="reverse", light="dusk", view="rear", width=64, height=48)
@@ -91,13 +91,6 @@ def test_a_drive_that_was_interrupted_before_its_first_frame_begins_anew(tmp_pat
     if not has_header:
         (path / "frames.csv").write_bytes(b"")
     assert record_drive(HOME, path, spacing_m=50.0) == len(read_feed(path).rows) == 4
-
-
-def test_a_steady_rate_covers_the_whole_drive() -> None:
-    drive = HOME.drive()
-    times_s = times_by_rate(drive, 4.0)
-    assert np.allclose(np.diff(times_s), 0.25)
-    assert drive.duration_s - times_s[-1] < 0.26
 
 
 def test_the_command_writes_a_feed_and_refuses_a_folder_that_has_one(

@@ -20,13 +20,6 @@ def positions(motion: Drive, step_s: float) -> np.ndarray:
     return np.array([(pose.east_m, pose.north_m) for pose in poses])
 
 
-def test_a_route_is_its_seed() -> None:
-    again, other = generate_route(7, 600.0), generate_route(8, 600.0)
-    assert np.array_equal(ROUTE.points_m, again.points_m)
-    assert ROUTE.districts == again.districts
-    assert not np.allclose(ROUTE.points_m, other.points_m)
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_a_route_never_comes_near_itself(seed: int) -> None:
     points = generate_route(seed, 1500.0).points_m[::10]
@@ -96,12 +89,6 @@ def test_the_way_home_is_the_route_backwards_on_the_other_lane() -> None:
         to_home = np.array((b.east_m - a.east_m, b.north_m - a.north_m))
         right = np.array((np.cos(np.radians(a.heading_deg)), -np.sin(np.radians(a.heading_deg))))
         assert to_home @ right == pytest.approx(3.5, abs=0.1)  # left-hand traffic: home is on the right
-
-
-def test_time_at_is_the_inverse_of_distance() -> None:
-    motion = drive(stops=1)
-    for distance_m in (0.0, 1.0, 123.4, 599.0, 600.0):
-        assert motion.distance_m(motion.time_at_s(distance_m)) == pytest.approx(distance_m, abs=1e-6)
 
 
 def test_a_shaking_car_lifts_its_nose_when_it_pulls_away_and_drives_where_a_stiff_one_does() -> None:

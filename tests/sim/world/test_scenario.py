@@ -5,24 +5,13 @@ from pathlib import Path
 import pytest
 
 from edge.errors import ConfigError
-from sim.world.scenario import Scenario, load_scenario
+from sim.world.scenario import load_scenario
 
 
 def write(folder: Path, text: str) -> Path:
     path = folder / "drive.toml"
     path.write_text(text)
     return path
-
-
-def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
-    assert load_scenario(write(tmp_path, "")) == Scenario()
-
-
-def test_keys_are_read_and_processes_that_share_a_file_agree(tmp_path: Path) -> None:
-    path = write(tmp_path, 'seed = 4\nlength_m = 400.0\ndirection = "reverse"\nlight = "night"\nepoch_ns = 17\n')
-    one, two = load_scenario(path), load_scenario(path)
-    assert (one.seed, one.direction, one.light, one.epoch_ns) == (4, "reverse", "night", 17)
-    assert one.drive().pose(12.5) == two.drive().pose(12.5)
 
 
 @pytest.mark.parametrize(

@@ -224,11 +224,6 @@ def test_what_a_rule_finds(rule: Rule, run: CourseRun, found: str) -> None:
     assert bool(rule(run)) == bool(found)
 
 
-def test_where_the_first_position_comes() -> None:
-    assert run_of().first_after_m == pytest.approx(8.8)  # GPS is lost at 71.2 m
-    assert np.isnan(run_of(sent=NOTHING).first_after_m)
-
-
 def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
     failed = run_of(error_m=10.0)
     failed = replace(failed, failures=failures(failed, (course_rules.close, course_rules.within_sigmas)))
