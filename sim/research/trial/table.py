@@ -110,7 +110,8 @@ def in_short(scores: Sequence[CourseScore]) -> str:
     several, courses = [one for one in scores if one.is_several], [one for one in scores if not one.is_several]
     passed, failed = [one for one in courses if one.passes], [one for one in courses if not one.passes]
     odd = ", ".join(f"`{one.name}` ({one.odd_rms})" for one in passed if one.odd_rms)
-    lines = [_short(HEADER), *(_short(one.row()) for one in several or failed), ""]
+    rows = [HEADER, *(one.row() for one in several or failed)]
+    lines = [*(_short(row, with_why=not several) for row in rows), ""]
     if several and failed:
         named = (f"`{one.name}`: {', '.join(one.failures)}" for one in failed)
         lines += [f"Not as required: {'; '.join(named)}.", ""]
@@ -171,10 +172,10 @@ def _halves(off_m: Array) -> str:
     return " / ".join(f"{one:.2f}" for one in np.percentile(np.abs(off_m), (50, 95))) + " m" if len(off_m) else "-"
 
 
-def _short(rows: str) -> str:
+def _short(rows: str, *, with_why: bool) -> str:
     """Rows without the autopilot's error, which says little over several courses, and the share sent."""
     cells = (row.split("|") for row in rows.splitlines())
-    return "\n".join("|".join([*one[:6], one[7], *one[9:]]) for one in cells)
+    return "\n".join("|".join([*one[:6], one[7], *one[9 if with_why else 10 :]]) for one in cells)
 
 
 def put_between(name: str, page: Path, text: str) -> None:
