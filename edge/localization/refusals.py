@@ -43,14 +43,14 @@ class Facts:
 
 
 class Rule(NamedTuple):
-    """A reason as the journal and the pilot have it; when it holds; what would happen without it; the test that fails
-    without it; its predicate. detail: what else is said of it. is_certain: whether the place is certain enough by then.
-    lacks: for people, what is missing, in figures that change with every frame.
+    """A reason as the journal and the pilot have it; when it holds; the test that fails without it; its predicate.
+
+    detail: what else is said of it. is_certain: whether the place is certain enough by then. lacks: for people, what is
+    missing, in figures that change with every frame.
     """
 
     reason: str
     when: str
-    hazard: str
     test: str
     holds: Callable[[Facts], bool]
     detail: Callable[[Facts], str] = lambda facts: ""
@@ -66,21 +66,19 @@ RULES = (
     Rule(
         TWO_AUTOPILOTS,
         "positions or velocities of two vehicles come in turns",
-        "nothing is known of either, and both use what is sent",
         "test_two_autopilots_with_the_same_ids_get_no_position",
         lambda now: now.own.is_doubled,
     ),
     Rule(
         "the autopilot's clock is not known",
+        # After one position with the stamp of the old clock, the next hundred would count as half a second old.
         "it sent nothing for 0.3 s, or its newest stamp is of another clock: it may have rebooted",
-        "after one position with the stamp of the old clock, the next hundred count as half a second old",
         "test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known",
         lambda now: now.limits.moves_autopilot and not now.own.is_clock_known,
     ),
     Rule(
         "nothing is recognized now",
         "the pictures are dark, frozen or of an unknown time, or the vehicle is off the map",
-        "the vehicle is moved to where it was recognized last",
         "test_situations_in_which_nothing_is_published",
         lambda now: bool(now.limits.unable),
         lambda now: now.limits.unable,
@@ -89,35 +87,30 @@ RULES = (
         "recognized, but not exactly",
         "the newest place is recognized, and no line shows to a few meters where: its sharpness is below 5 %, another "
         "place fits the newest frame better, or the vehicle goes another way",
-        "the vehicle is moved to somewhere on the road",
         "test_a_line_that_is_not_sharp_is_not_used",
         lambda now: now.place is None and now.is_blurred,
     ),
     Rule(
         NO_PLACES,
         "no place was recognized lately, or where it was the vehicle is not any more",
-        "there is nothing to publish",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place is None,
     ),
     Rule(
         "too old",
         "its exposure is older than the message allows, or lies ahead",
-        "the vehicle is moved to where it was",
         "test_situations_in_which_nothing_is_published",
         lambda now: not 0 <= now.age_s <= now.limits.oldest_s,
     ),
     Rule(
         GPS_HEALTHY,
         "GPS works, and `with_gps` is not set",
-        "a better position is made worse",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.own.gps == "healthy" and now.limits.moves_autopilot and not now.gates.with_gps,
     ),
     Rule(
         "GPS is unknown",
         "a receiver is silent or unsteady, or the filter does not use it",
-        "two positions compete in the filter",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.own.gps == "unknown" and now.limits.moves_autopilot and not now.gates.with_gps,
         lambda now: now.own.gps_why,
@@ -125,28 +118,24 @@ RULES = (
     Rule(
         "the speed is not known",
         "no speed has come for a second",
-        "nobody knows how old the picture's place is in meters",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.own.speed_mps is None or not math.isfinite(now.own.speed_mps),
     ),
     Rule(
-        STANDING,
+        STANDING,  # One error would be sent again and again, and the filter believe it more each time.
         "slower than `min_speed_mps`",
-        "one error is sent again and again, and the filter believes it more each time",
         "test_situations_in_which_nothing_is_published",
         lambda now: (now.own.speed_mps or 0.0) < now.gates.min_speed_mps,
     ),
     Rule(
         "the newest matches disagree",
         "matches or reckoning contradict the estimate",
-        "the vehicle follows one of two places",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place is not None and now.place.disputed,
     ),
     Rule(
         "impossibly far",
         "over `max_move_m` from where GPS or a position bounded the autopilot",
-        "a single error carries the vehicle away",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.move_m > now.gates.max_move_m,
         lacks=lambda now: f"{now.move_m:.0f} m",
@@ -154,7 +143,6 @@ RULES = (
     Rule(
         "not confirmed by another place yet",
         "the probability of another place is above `risk`",
-        "a wrong map, or a road that resembles it, moves the vehicle",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
         lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
         lacks=lambda now: f"{now.distance_m:.0f} m from the autopilot" if now.is_contradicted else "",
@@ -162,7 +150,6 @@ RULES = (
     Rule(
         "its protection level is above the alert limit",
         "`alert_limit_m` is set, and the level along or across is above it",
-        "the vehicle goes on where it may be further off than it can tolerate",
         "test_a_position_above_the_alert_limit_is_not_published",
         lambda now: not now.level.is_within(now.gates.alert_limit_m or math.inf),
         is_certain=True,
@@ -171,7 +158,6 @@ RULES = (
         "less accurate than the autopilot",
         "a reset that is less certain than the autopilot along the road and across it: by over a fifth, or over 10 m "
         "and not twice as certain; any of over 10 m where nothing measures the velocity",
-        "a good position is replaced by a worse one",
         "test_a_reset_never_makes_a_position_less_accurate",
         lambda now: now.worse_m is not None,
         is_certain=True,

@@ -12,8 +12,8 @@ PAGE = Path(__file__).parents[2] / "docs/positions.md"
 
 def as_table() -> str:
     """The rules for people, as a table in Markdown."""
-    rows = (f"| {one.reason} | {one.when} | {one.hazard} |" for one in RULES)
-    return "\n".join(["| reason | when | what it prevents |", "|---|---|---|", *rows])
+    rows = (f"| {one.reason} | {one.when} |" for one in RULES)
+    return "\n".join(["| reason | when |", "|---|---|", *rows])
 
 
 if __name__ == "__main__":
