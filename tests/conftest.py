@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import struct
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,6 +25,7 @@ from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
+from tests.tlog import frames_of
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
@@ -52,16 +52,6 @@ def shared() -> Path:
 def read_tlog(shared: Path) -> Callable[[str], Iterator[tuple[int, bytes]]]:
     """Yields (arrival in ns, one MAVLink 2 frame) of a real autopilot's recording, named without its suffix."""
     return lambda name: frames_of(shared / "autopilot" / f"{name}.tlog")
-
-
-def frames_of(tlog: Path) -> Iterator[tuple[int, bytes]]:
-    """The arrival in ns and the bytes of each MAVLink 2 frame in a recording."""
-    data, at = tlog.read_bytes(), 0
-    while at + 20 <= len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        yield stamp_us * 1000, data[at + 8 : at + 8 + size]
-        at += 8 + size
 
 
 SMALL_COUNT = 12

@@ -15,21 +15,9 @@ from edge.feed import read_feed
 from edge_plugins.cameras.oak import OakCamera, OakSource
 from sim.world.camera import SimCamera
 from sim.world.scenario import Scenario
+from tests.moved_clock import Clock
 
 WIDTH, HEIGHT = 64, 48
-
-
-class Clock:
-    """A clock that only sleep() moves: real time without the wait."""
-
-    def __init__(self) -> None:
-        self.now_ns = 1_000_000_000
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-    def sleep(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
 
 
 @pytest.fixture(params=["folder", "video", "oak", "sim"])

@@ -7,21 +7,7 @@ import pytest
 from edge.camera.recorded import RecordedCamera
 from edge.errors import FrameError
 from edge.feed import read_feed
-
-
-class Clock:
-    """A clock that only sleep() moves."""
-
-    def __init__(self) -> None:
-        self.now_ns = 777_000_000_000
-        self.slept_s: list[float] = []
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-    def sleep(self, seconds: float) -> None:
-        self.slept_s.append(seconds)
-        self.now_ns += round(seconds * 1e9)
+from tests.moved_clock import Clock
 
 
 def test_each_frame_comes_when_it_is_due(feed_path: Path) -> None:

@@ -12,10 +12,8 @@ import fcntl
 import hashlib
 import json
 import re
-import struct
 import sys
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing
 from multiprocessing import get_context
@@ -38,6 +36,7 @@ from sim.research.trial.recorded_drive import read_drive
 from sim.research.trial.replayed_drive import replay
 from sim.trial.views import RoadLibrary
 from sim.vehicle.pty_link import Cable
+from tests.tlog import frames_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -120,7 +119,7 @@ class PlayedTelemetry:
     """Sends recorded telemetry when it is due, and keeps what the daemon sends as JSON lines."""
 
     def __init__(self, path: Path, cable: Cable) -> None:
-        self._frames, self._cable = list(read_tlog(path)), cable
+        self._frames, self._cable = list(frames_of(path)), cable
         self._next = 0
         self._parser = mavlink.MAVLink(None)
         self.sent: list[str] = []
@@ -136,16 +135,6 @@ class PlayedTelemetry:
 def sent_line(at_s: float, message: Message) -> str:
     """A message that the daemon sent, as a line of SENT; at_s: since the start of the run."""
     return json.dumps({"at_s": at_s, "seq": message.get_seq(), **message.to_dict()}) + "\n"
-
-
-def read_tlog(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Arrival in ns since the start of the run, and the bytes of one MAVLink 2 frame."""
-    data, at = path.read_bytes(), 0
-    while at < len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        end = at + 8 + 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        yield stamp_us * 1000, data[at + 8 : end]
-        at = end
 
 
 class PlayedFrames:

@@ -35,16 +35,6 @@ def test_a_long_silence_adds_no_distance_of_its_own() -> None:
     assert motion.speed_mps(34 * S) is None
 
 
-def test_reports_that_come_twice_or_in_the_wrong_order_are_ignored() -> None:
-    motion = DeadReckoning()
-    for stamp_s in (0, 1, 2, 2, 1, 3):
-        motion.add_speed(stamp_s * S, 10.0, GOOD)
-    motion.add_speed(1 * S, 500.0, GOOD)
-    motion.add_speed(3 * S, 500.0, GOOD)
-    assert motion.distance_m(3 * S) == pytest.approx(30.0)
-    assert motion.distance_m(3 * S + S // 2) == pytest.approx(35.0)
-
-
 def test_a_day_of_reports_is_counted_and_not_kept() -> None:
     motion = DeadReckoning()
     for tenth in range(20_000):
@@ -63,14 +53,6 @@ def test_a_speed_that_is_none_is_ignored(speed_mps: float) -> None:
     assert motion.speed_mps(2_000_000_000) == 10.0
 
 
-def test_between_two_reports_both_are_interpolated() -> None:
-    motion = driven((10, 0, 0), (11, 2, -4))
-    motion.add_speed(10 * S, 0.0, GOOD)
-    motion.add_speed(11 * S, 4.0, GOOD)
-    assert motion.distance_m(10 * S + S // 2) == pytest.approx(1.0)
-    assert moved(motion, 10.5) == pytest.approx((0.5, -1.0))
-
-
 def driven(*velocities: tuple[float, float, float]) -> DeadReckoning:
     motion = DeadReckoning()
     for time_s, east_mps, north_mps in velocities:
@@ -81,19 +63,6 @@ def driven(*velocities: tuple[float, float, float]) -> DeadReckoning:
 def moved(motion: DeadReckoning, time_s: float) -> tuple[float, float] | None:
     found = motion.displacement(round(time_s * S))
     return (found.east_m, found.north_m) if found else None
-
-
-def test_it_integrates_by_trapezoids_and_goes_on_with_the_last_velocity() -> None:
-    motion = driven((10, 0, 0), (11, 2, -4), (12, 2, -4))
-    assert moved(motion, 12) == pytest.approx((3, -6))
-    assert moved(motion, 11) == pytest.approx((1, -2))
-    assert moved(motion, 12.5) == pytest.approx((4, -8))
-
-
-def test_it_knows_nothing_of_before_and_of_long_after() -> None:
-    motion = driven((10, 1, 0), (11, 1, 0))
-    assert moved(motion, 9.9) is None
-    assert moved(motion, 13.1) is None
 
 
 def test_a_silence_begins_a_new_leg() -> None:

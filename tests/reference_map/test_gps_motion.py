@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from edge.geodesy import east_north, moved
 from edge.reference_map.gps_motion import disagreements, moved_as_driven
 from edge.reference_map.place_records import PLACE
-from edge.telemetry.codec import MavlinkCodec
+from tests.tlog import messages_of
 
 STEP_M, PLACES, FROM = 2.0, 600, 150
 SIGMA_M = 1.4
@@ -157,11 +156,10 @@ def test_recorded_drives(shared: Path, name: str, least: int, most: int) -> None
     folder = shared / "flights_b06f79e" / name
     if not folder.is_dir():
         pytest.skip(f"needs the recorded drive {folder}")
-    data, codec, at = gzip.decompress((folder / "telem2.tlog.gz").read_bytes()), MavlinkCodec(1, 191), 0
     positions, wheels, has_fix = [], [], False
-    while at < len(data):
-        size, time_s = 12 + data[at + 9] + 13 * (data[at + 10] & 1), int.from_bytes(data[at : at + 8], "big") / 1e6
-        for message in codec.decode(data[at + 8 : at + 8 + size]):
+    for now_ns, messages in messages_of(folder / "telem2.tlog.gz"):
+        time_s = now_ns / 1e9
+        for message in messages:
             kind = message.get_type()
             if kind == "GPS_RAW_INT":
                 has_fix = message.fix_type >= 3
@@ -170,7 +168,6 @@ def test_recorded_drives(shared: Path, name: str, least: int, most: int) -> None
             elif kind == "GLOBAL_POSITION_INT" and message.lat and has_fix:
                 speed_mps = float(np.hypot(message.vx, message.vy)) / 100
                 positions.append((time_s, message.lat / 1e7, message.lon / 1e7, message.hdg / 100, speed_mps))
-        at += 8 + size
     times_s, lat_deg, lon_deg, heading_deg, speed_mps = np.array(positions).T
     driven_m = np.r_[0.0, np.cumsum((speed_mps[1:] + speed_mps[:-1]) / 2 * np.diff(times_s))]
     if wheels:

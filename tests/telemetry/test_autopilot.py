@@ -190,15 +190,6 @@ def test_a_reboot_is_noticed_and_the_streams_are_asked_for_again(rig: Rig) -> No
     assert rig.connection.vehicle.boot_time_s(rig.now_ns) == pytest.approx(rig.autopilot.boot_s, abs=0.011)
 
 
-def test_a_silent_autopilot_is_reported(rig: Rig) -> None:
-    rig.run(4.0)
-    pty, rig.pty = rig.pty, None  # plugged in, but no longer stepped
-    assert rig.run(7.0, lambda: rig.connection.state == "waiting")
-    assert rig.connection.vehicle.motion.distance_m(rig.now_ns) is None
-    rig.pty = pty
-    assert rig.run(4.0, lambda: rig.connection.state == "up")
-
-
 def test_a_second_owner_is_refused_and_told_why(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.run(1.0)
     second = AutopilotConnection(TelemetryConfig(connection=f"serial:{rig.port}:921600"), lambda: rig.now_ns)

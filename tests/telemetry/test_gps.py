@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from edge.telemetry.link_protocol import STREAMS_HZ
 from edge.telemetry.vehicle import Vehicle
 from sim.vehicle.command import straight_line
 from tests.telemetry.rig import OpenRig, Rig
+from tests.tlog import messages_of
 
 OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0)
 GPS_EACH_NS = 250_000_000
@@ -354,15 +354,12 @@ def test_a_late_answer_does_not_give_up_another_stream(rig: Rig) -> None:
 
 def flown(name: str) -> Iterator[tuple[float, Vehicle, int]]:
     """A recorded drive: seconds since its start, the vehicle, and the time."""
-    data = gzip.decompress((FLIGHTS / name / "telem2.tlog.gz").read_bytes())
-    vehicle, codec = Vehicle(), MavlinkCodec(1, 191)
-    at, start_us = 0, int.from_bytes(data[:8], "big")
-    while at < len(data):
-        now_us, size = int.from_bytes(data[at : at + 8], "big"), 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        for message in codec.decode(data[at + 8 : at + 8 + size]):
-            vehicle.handle(message, now_us * 1000)
-        at += 8 + size
-        yield (now_us - start_us) / 1e6, vehicle, now_us * 1000
+    vehicle, start_ns = Vehicle(), 0
+    for now_ns, messages in messages_of(FLIGHTS / name / "telem2.tlog.gz"):
+        start_ns = start_ns or now_ns
+        for message in messages:
+            vehicle.handle(message, now_ns)
+        yield (now_ns - start_ns) / 1e9, vehicle, now_ns
 
 
 @pytest.mark.skipif(not FLIGHTS.exists(), reason="the recorded drives are not there")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -16,12 +15,11 @@ from edge.telemetry.codec import FusionStatus, MavlinkCodec
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
 from edge.telemetry.session import Origin, Session
 from edge.telemetry.vehicle import Vehicle
-from tests.conftest import frames_of
 from tests.telemetry.rig import STEP_NS
 from tests.telemetry.speaker import S, Speaker, connect
+from tests.tlog import frames_of
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]
-RECORDINGS = {"ardurover-4.6.3-nogps": mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, "px4-1.18-agp": mavlink.MAV_AUTOPILOT_PX4}
 
 
 def replay(frames: Iterator[tuple[int, bytes]], vehicle: Vehicle) -> Iterator[tuple[int, Any]]:
@@ -78,20 +76,6 @@ def test_a_recorded_px4_reports_that_its_filter_may_fuse_gps(read_tlog: ReadTlog
     assert len(reports) > 100
     assert all(intended == [1, 1, 0, 1, 1, 1, 1, 0, 0] and is_on for intended, _, is_on in reports[1:])
     assert [reports[index][1] for index in (20, -1)] == [1, 0]
-
-
-def test_noise_never_brings_the_link_up(read_tlog: ReadTlog) -> None:
-    noise, codec, vehicle = random.Random(7), MavlinkCodec(1, 191), Vehicle()
-    for second in range(400):
-        for message in codec.decode(noise.randbytes(2048)):
-            vehicle.handle(message, second * S)
-    assert not vehicle.connected
-    assert vehicle.boot_time_s(0) is None
-    # And after all of it, a real autopilot is understood.
-    for now_ns, frame in read_tlog("ardurover-4.6.3-nogps"):
-        for message in codec.decode(frame):
-            vehicle.handle(message, now_ns)
-    assert vehicle.connected
 
 
 def test_one_heartbeat_is_not_a_link_and_two_too_far_apart_are_none_either() -> None:

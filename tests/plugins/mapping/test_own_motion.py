@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import math
 import os
 from dataclasses import replace
@@ -13,7 +12,6 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.reference_map import read_header
-from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.position_history import Awaiting, PositionHistory
 from edge.telemetry.vehicle import Vehicle
 from edge_plugins.mapping import MappingConfig
@@ -23,6 +21,7 @@ from tests.plugins.mapping.test_outage import at
 from tests.reference_map.test_gps_motion import STEP_M
 from tests.reference_map.test_gps_motion import drive as gps_drive
 from tests.telemetry.speaker import S, Speaker, connect
+from tests.tlog import messages_of
 
 PLACES, SPEED_MPS = 400, 8.0
 
@@ -93,16 +92,14 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
     file = shared / name / "telem2.tlog.gz"
     if not file.is_file():
         pytest.skip(f"needs the recorded drive {file.parent}")
-    data, codec, at_byte, now_ns = gzip.decompress(file.read_bytes()), MavlinkCodec(1, 191), 0, 0
+    now_ns = 0
     vehicle, own, history = Vehicle(), OwnMotion(MappingConfig(folder="maps"), STEP_M), PositionHistory(lambda: now_ns)
     counted: Awaiting[OwnDriven] = Awaiting(history)
     meters = OwnMeters()
     vehicle.velocity.listen = meters.hear
     found, newest = [], None
-    while at_byte < len(data):
-        end = at_byte + 20 + data[at_byte + 9] + 13 * (data[at_byte + 10] & 1)
-        now_ns = int.from_bytes(data[at_byte : at_byte + 8], "big") * 1000
-        for message in codec.decode(data[at_byte + 8 : end]):
+    for now_ns, messages in messages_of(file):
+        for message in messages:
             vehicle.handle(message, now_ns)
             position = vehicle.position(now_ns)
             receiver = vehicle.session.gps.behind(position, now_ns) if position is not None else None
@@ -115,7 +112,6 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
                 counted.add(newest.stamp_ns, newest)
             for each, there in counted.known():
                 own.compare(each, there)
-        at_byte = end
     assert len(found) > 1000
     assert found[-1] == is_vouched
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from sim.vehicle.command import straight_line
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.px4_modes import MODES, NO_AID_TIMEOUT
+from tests.tlog import messages_of
 
 RECORDED = {"ardupilot": "ardurover-4.6.3-nogps", "px4": "px4-1.18-agp"}
 SPEED_MPS = 5.0
@@ -95,14 +95,10 @@ class Bench:
 
 
 def recorded(shared: Path, name: str) -> Iterator[tuple[float, Any]]:
-    data, at, codec = (shared / "autopilot" / f"{name}.tlog").read_bytes(), 0, MavlinkCodec(1, 191)
-    while at + 20 <= len(data):
-        (stamp_us,) = struct.unpack_from(">Q", data, at)
-        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        for message in codec.decode(data[at + 8 : at + 8 + size]):
+    for now_ns, messages in messages_of(shared / "autopilot" / f"{name}.tlog"):
+        for message in messages:
             if (message.get_srcSystem(), message.get_srcComponent()) == (1, 1):
-                yield stamp_us / 1e6, message
-        at += 8 + size
+                yield now_ns / 1e9, message
 
 
 def facts(said: list[tuple[float, Any]]) -> dict[str, Any]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.mission_store import KINDS, MissionStore
+from tests.tlog import messages_of
 
 
 def test_an_upload_keeps_the_item_that_a_real_px4_kept(shared: Path) -> None:
@@ -17,14 +16,11 @@ def test_an_upload_keeps_the_item_that_a_real_px4_kept(shared: Path) -> None:
     folder = shared / "flights_b06f79e" / "px4_take_me_home_wrong_item_w924"
     if not folder.is_dir():
         pytest.skip(f"needs the recorded drive {folder}")
-    data = gzip.decompress((folder / "telem2.tlog.gz").read_bytes())
-    store, codec = MissionStore(is_ardupilot=False), MavlinkCodec(5, 1)
+    store = MissionStore(is_ardupilot=False)
     store.items = [mavlink.MAVLink_mission_item_int_message(5, 1, number, *[0] * 12) for number in range(13)]
-    at, recorded, simulated = 0, [], []
-    while at < len(data):
-        size = 12 + data[at + 9] + 13 * (data[at + 10] & 1)
-        time_s = int.from_bytes(data[at : at + 8], "big") / 1e6
-        for message in codec.decode(data[at + 8 : at + 8 + size]):
+    recorded, simulated = [], []
+    for now_ns, messages in messages_of(folder / "telem2.tlog.gz"):
+        for message in messages:
             if message.get_type() == "MISSION_CURRENT":
                 if len(store.items) == 13:
                     store.current = message.seq  # as it drove
@@ -32,8 +28,7 @@ def test_an_upload_keeps_the_item_that_a_real_px4_kept(shared: Path) -> None:
                     recorded.append(message.seq)
                     simulated.append(store.current)
             elif message.get_srcComponent() == 191 and message.get_msgId() in KINDS:
-                store.handle(message, time_s)
-        at += 8 + size
+                store.handle(message, now_ns / 1e9)
     assert len(store.items) == 14
     assert len(recorded) > 20
     driven_until_the_end = recorded.index(13)

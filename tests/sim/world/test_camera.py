@@ -22,23 +22,11 @@ from edge.config import CameraConfig
 from edge.errors import ConfigError
 from sim.world.camera import BANDS, SimCamera, open_renderer, picture
 from sim.world.scenario import Scenario
+from tests.moved_clock import Clock
 
 EPOCH_NS = 5_000_000_000
 SCENARIO = Scenario(length_m=200.0, speed_mps=20.0, width=64, height=48, epoch_ns=EPOCH_NS)
 CONFIG = CameraConfig(kind="sim", width=64, height=48, fps=10.0)
-
-
-class Clock:
-    """A clock that only sleep() moves."""
-
-    def __init__(self, now_ns: int) -> None:
-        self.now_ns = now_ns
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-    def sleep(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
 
 
 def open_at(now_ns: int) -> tuple[SimCamera, Clock]:
