@@ -30,7 +30,7 @@ from sim.evaluation.metrics import Answers
 from sim.research.evaluation.roads import World, foreign_confidence, judge_world, worlds
 from sim.research.evaluation.tables import options, publish
 
-TENTHS, LEAST_SHOWN = 10, 5
+TENTHS, LEAST_SHOWN = 10, 7
 """What is believed has more than the second; the picture shows all."""
 Floats = NDArray[np.float64]
 

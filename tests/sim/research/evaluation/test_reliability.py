@@ -20,7 +20,7 @@ def test_frames_on_the_map_count_as_much_as_all_off_it() -> None:
     assert tenths[9][1:] == pytest.approx((0.95, 1.0))
     assert [count for count, _, _ in tenths] == [0, 0, 0, 0, 0, 5, 0, 0, 0, 1]
     rows = list(rows_of({"roads": claims}))
-    assert rows[2:4] == ["| 0.5 to 0.6 | 5, 0.55, 0.43 |", "| 0.6 to 0.7 | - |"]
+    assert rows[2:] == ["| 0.7 to 0.8 | - |", "| 0.8 to 0.9 | - |", "| 0.9 to 1.0 | 1, 0.95, 1.00 |"]
 
 
 @pytest.mark.parametrize("at_half", [4.0, RIGHT_AT_HALF, 30.0])
