@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from edge.config import AcceptanceConfig, Config, MapConfig, SequenceConfig
 from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
-from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, ModelKey
+from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS
 from edge.sequence import Near, PlaceMatch
 from edge.sequence.lane import NO_LAGS, Lanes
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
@@ -31,7 +31,6 @@ from tests.sequence.test_place_search import Drive, look_at
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800
-KEY = ModelKey("test", "0" * 64, "fc6", 48)
 CONFIG = Config(
     map=MapConfig(places_per_frame=LIMIT),
     sequence=SequenceConfig(length=LENGTH),
@@ -173,45 +172,6 @@ def test_a_drive_across_borders_has_no_hole(city: Path, known: bool, look: Look)
         assert abs(match.place_index - place) <= 1 or place - passed[0] < 2 * first
 
 
-@pytest.mark.parametrize("file", [PLACES, DESCRIPTORS, STATISTICS, "map.json"])
-def test_a_damaged_tile_is_excluded(city: Path, known: bool, look: Look, tmp_path: Path, file: str) -> None:
-    """Nothing is believed of that tile, and the others work."""
-    if not known:
-        pytest.skip("needs positions")
-    shutil.copytree(city / "tiles", tmp_path / "tiles")
-    damaged = sorted((tmp_path / "tiles").iterdir())[3]
-    data = bytearray((damaged / file).read_bytes())
-    data[len(data) // 2] ^= 1
-    (damaged / file).write_bytes(data)
-    first, last = open_map_set(city / "tiles").index.rows[3]
-    maps = open_map_set(tmp_path / "tiles")
-    at_the_start = len(maps.excluded)
-    assert at_the_start == (file == "map.json")
-    checksums, drive = maps.checksum_schedule(), drive_on(maps, look)
-    believed: dict[int, int] = {}
-    for place in range(700, 1700):
-        match = drive.see(place, close_to(place))
-        behind = maps.folders_behind(match.place_index, LENGTH) if match and is_unique(match) else []
-        while not checksums.is_verified([*drive.search.folders_in_use, *behind]):
-            damaged_maps = checksums.step(1 << 20, [*drive.search.folders_in_use, *behind])
-            if damaged_maps:
-                maps, match = maps.without(damaged_maps), None
-                drive = drive_on(maps, look)
-                break
-        if match and is_unique(match):
-            believed[place] = match.place_index
-    (excluded,) = maps.excluded
-    assert excluded.name == damaged.name
-    assert f"{damaged / file}: " in excluded.why
-    assert not [place for place in believed if first + LENGTH <= place < last]
-    assert believed.keys() >= {*range(700 + 2 * LENGTH, first), *range(last + 3 * LENGTH, 1700)}
-    # Where the tile begins and ends, a sequence is partly on it, and its end looks like what is left.
-    clear = {place: match for place, match in believed.items() if not first <= place < last + 3 * LENGTH}
-    missing = last - first  # places are counted without it, once it is excluded
-    assert {place - match for place, match in clear.items() if place >= last} == {missing}
-    assert {place - match for place, match in clear.items() if place < first} == {0}
-
-
 def test_a_name_that_is_no_text_can_be_written_all_the_same(city: Path, tmp_path: Path) -> None:
     name = os.fsdecode(b"\xff1")
     for folder in (name, "2"):
@@ -276,15 +236,6 @@ def test_a_pass_is_as_unique_at_the_edge_of_a_slice_as_one_search_of_all(city: P
         found.append(next(match for match in steps if match is not None))
     assert found[0].place_index == found[1].place_index == end
     assert found[0].uniqueness == pytest.approx(found[1].uniqueness, rel=0.05)
-
-
-def test_nothing_left_to_use_is_an_error(city: Path, tmp_path: Path) -> None:
-    (tmp_path / "maps").mkdir()
-    for number in range(2):
-        shutil.copytree(city / "tiles" / "03", tmp_path / "maps" / str(number))
-        (tmp_path / "maps" / str(number) / PLACES).unlink()
-    with pytest.raises(MapError, match=f"none of its 2 maps is usable; the first: .*{PLACES}: cannot read it"):
-        open_map_set(tmp_path / "maps")
 
 
 def test_maps_of_places_far_apart(tmp_path: Path) -> None:

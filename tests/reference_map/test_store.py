@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -231,19 +230,6 @@ def test_a_large_file_is_checked_in_pieces_after_opening(small_map: Path) -> Non
     (small_map / DESCRIPTORS).unlink()
     with pytest.raises(MapError, match=rf"{DESCRIPTORS}: cannot read it"):
         check_files(small_map, files, [DESCRIPTORS])
-
-
-def test_a_map_that_is_cut_off_while_in_use_is_named_and_read_no_more(small_map: Path, tmp_path: Path) -> None:
-    """To read beyond the end of a file that is mapped to memory is the end of the process."""
-    for name in "ab":
-        shutil.copytree(small_map, tmp_path / "maps" / name)
-    maps = open_map_set(tmp_path / "maps")
-    query = np.zeros((1, maps.headers[0].regions.count, maps.headers[0].model.dimensions), np.float32)
-    os.truncate(tmp_path / "maps" / "b" / DESCRIPTORS, 0)
-    places = maps.index.places
-    with pytest.raises(MapError, match=rf"b/{DESCRIPTORS}: cut off while it is in use; copy the map again"):
-        maps.costs(query, [(0, places)])
-    assert maps.costs(query, [(0, places // 2)]).shape[2] == places // 2, "of the other one"
 
 
 def test_maps_in_use_are_checked_first_and_a_damaged_one_is_named(small_map: Path, tmp_path: Path) -> None:

@@ -143,13 +143,6 @@ def test_adding_a_frame_keeps_the_picture_and_copies_nothing(
     assert peak_bytes < item.frame.image.nbytes
 
 
-def test_the_map_of_the_page_is_thinned_out(street: ReferenceMap) -> None:
-    view = map_view(MapSet.of(street))
-    assert (view.places, len(view.drives), len(view.drives[0])) == (FRAMES, 1, FRAMES)
-    assert view.drives[0][0] == (-27.0, 153.0)
-    assert view.thumbnail(3).startswith(b"\xff\xd8")
-
-
 def test_no_page_is_no_reason_to_stop(street: ReferenceMap, caplog: pytest.LogCaptureFixture) -> None:
     assert not PageConfig(port=0).asks(Config())
     with socket.create_server(("127.0.0.1", 0)) as taken, caplog.at_level(logging.INFO):
