@@ -16,8 +16,6 @@ from edge.config import (
     SHIPPED,
     START_TOML,
     Config,
-    SequenceConfig,
-    checked_option,
     load_config,
     parse_config,
 )
@@ -158,9 +156,3 @@ def test_paths_are_relative_to_the_file() -> None:
 )
 def test_a_sequence_spans_80_m_unless_the_file_says_otherwise(text: str, frames: int) -> None:
     assert parse_config(text, HERE).sequence_frames == frames
-
-
-def test_an_option_out_of_range_names_the_option() -> None:
-    assert checked_option(SequenceConfig(), "--sequence-length", length=40).length == 40
-    with pytest.raises(ConfigError, match=r"^--sequence-length: expected `int` >= 2$"):
-        checked_option(SequenceConfig(), "--sequence-length", length=0)

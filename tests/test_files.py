@@ -32,11 +32,6 @@ def test_an_exception_in_the_block_leaves_the_old_file_and_nothing_else(tmp_path
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), replacing(tmp_path / "none" / "state") as stream:
-        stream.write(b"x")
-
-
 def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path) -> None:
     """A pipe that nobody reads stands for the disk: it cannot even be opened."""
     os.mkfifo(tmp_path / "pipe")

@@ -34,19 +34,6 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_was_kept_comes_back(file: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    kept = StateFile(file, KEY, SHAPE).read(later(60), 1800)
-    assert kept is not None
-    np.testing.assert_array_equal(kept.mean, KEPT.mean)
-    np.testing.assert_allclose(kept.deviation, KEPT.deviation, rtol=1e-15)
-    assert kept.count == 120
-    assert [one.getMessage() for one in caplog.records] == [
-        "starting with the statistics of the run that ended 60 s ago"
-    ]
-    assert [path.name for path in file.parent.iterdir()] == ["events.state"]
-
-
 @pytest.mark.parametrize("change", ["model_sha256", "tap", "regions", "map_sha256"])
 def test_of_another_model_cut_or_map_it_is_refused_in_one_line(
     file: Path, change: str, caplog: pytest.LogCaptureFixture
@@ -79,9 +66,3 @@ def test_a_disk_that_takes_nothing_costs_the_state_and_is_told_once(
     write(state)
     (record,) = caplog.records
     assert "cannot write it: No such file" in record.getMessage()
-
-
-def test_this_moment_can_be_told() -> None:
-    first, second = Moment.now(), Moment.now()
-    assert 0 <= second.since(first) < 60
-    assert first.boot_id == second.boot_id
