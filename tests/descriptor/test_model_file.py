@@ -143,11 +143,6 @@ def test_other_files(data: bytes, save: Save) -> None:
     )
 
 
-def test_foreign_network_without_metadata(model: Any, save: Save) -> None:
-    del model.metadata_props[:]
-    assert_refused(save(model), "no 'lookback' in its metadata; make it with `lookback model import`")
-
-
 def test_metadata_of_a_wrong_type(model: Any, save: Save) -> None:
     model.metadata_props[0].value = model.metadata_props[0].value.replace('"dimensions":4', '"dimensions":"4"')
     assert_refused(save(model), r"metadata 'lookback': Expected `int`, got `str` - at `\$.dimensions`")
@@ -162,8 +157,3 @@ def test_shape_that_is_not_what_the_metadata_says(info: ModelInfo, save: Save) -
 def test_graph_that_does_not_fit_together(model: Any, save: Save) -> None:
     model.graph.node[0].input[0] = "nothing"
     assert_refused(save(model), "ONNX Runtime rejects it: ")
-
-
-def test_sha256_is_of_the_file(model: Any, save: Save) -> None:
-    file = save(model)
-    assert read_model_file(file).info.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()

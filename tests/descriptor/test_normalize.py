@@ -35,15 +35,6 @@ def nsd(raw: NDArray[np.float32]) -> NDArray[np.float64]:
         return np.asarray(np.nan_to_num((raw - mean) / deviation, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def test_running_statistics_are_those_of_the_set() -> None:
-    raw = descriptors(200)
-    statistics = RunningStatistics((2, 50))
-    for row in raw:
-        statistics.update(row)
-    np.testing.assert_allclose(statistics.mean, raw.mean(axis=0, dtype=np.float64), atol=1e-12)
-    np.testing.assert_allclose(statistics.deviation, raw.std(axis=0, dtype=np.float64), atol=1e-12)
-
-
 def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
     raw = descriptors(30)
     normalized = normalize(raw, raw.mean(axis=0, dtype=np.float64), raw.std(axis=0, dtype=np.float64))
@@ -77,11 +68,6 @@ def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics(
             assert min(when for when, _ in ring) >= min(count - 8, count / (1 + STALE_GROWTH) - 8)
     renewals = [online.push(row).ages for row in descriptors(40, seed=1)]
     assert sum(len(ages) > 1 for ages in renewals) <= 10  # of forty frames
-
-
-def test_first_frame_is_exactly_zero() -> None:
-    online = OnlineNormalizer(5, renormalize_ring=True)
-    assert not online.push(descriptors(1)[0]).rows.any()
 
 
 def test_raw_descriptors_pass_unchanged() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
+from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.prior import BESIDE_M, Prior
 from tests.sequence.test_consensus import STRONG
 
@@ -104,9 +104,3 @@ def test_what_was_matched_before_the_vehicle_came_onto_the_map_does_not_count_ag
     assert both.along_m == pytest.approx(58.0)
     assert consensus.by_votes is not None
     assert not consensus.by_votes.is_believed
-
-
-def test_odds_multiply_those_of_the_votes() -> None:
-    p = probability(0.4)
-    assert probability(0.4, 3.0) == pytest.approx(3 * p / (3 * p + 1 - p))
-    assert probability(0.4, 1.0) == p

@@ -175,14 +175,6 @@ def test_gps_that_the_pilot_took_from_px4_stays_off(doubted_px4: Rig) -> None:
     assert not doubted_px4.journalled(SourceSetAnswered)
 
 
-def test_nothing_is_restored_that_was_not_changed(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position")
-    rig.run(6.0)
-    rig.connection.close()
-    rig.autopilot.step()
-    assert not selections(rig)
-
-
 def test_after_a_crash_the_first_set_is_restored_when_gps_agrees_and_not_before(doubted: Rig) -> None:
     """The next run does not know what GPS is; until a place says so, the vehicle must not follow it."""
     doubted.judge_gps(WRONG)
