@@ -32,16 +32,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Bound:
-    """GPS or a position of ours bounded the autopilot's: to one standard deviation, after so many meters driven.
+    """GPS or a position of ours bounded the autopilot's.
 
-    wrong: probability that it was wrong. by_gps: whether GPS did. errors: in each direction by itself.
+    errors: of that now. wrong: probability that what bounded it was wrong. by_gps: whether GPS did.
     """
 
-    sigma_m: float
-    driven_m: float
+    errors: Errors
     wrong: float
     by_gps: bool
-    errors: Errors
 
 
 class Drift(NamedTuple):
@@ -95,6 +93,10 @@ class Errors:
         by_velocity, by_way = self.by_velocity * (drift.scale, drift.heading_rad), drift.way * self.by_way
         covariance: Matrix = self.covariance + by_velocity @ by_velocity.T + by_way @ by_way.T
         return covariance
+
+    def most_m(self, drift: Drift) -> float:
+        """One standard deviation in the direction where it is largest."""
+        return math.sqrt(np.linalg.eigvalsh(self._covariance(drift))[-1])
 
     def along_and_across_m(self, heading_deg: float, drift: Drift) -> tuple[float, float]:
         """One standard deviation along a heading, and across it."""
@@ -181,8 +183,7 @@ class OwnPosition:
     def bind(self, sigma_m: float, own: Own, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            errors = Errors(sigma_m**2 * np.eye(2))
-            self.bound, self._has_run_away = Bound(sigma_m, own.driven_m, wrong, by_gps, errors), False
+            self.bound, self._has_run_away = Bound(Errors(sigma_m**2 * np.eye(2)), wrong, by_gps), False
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: Own) -> None:
         """It has used a position, and is so far from it now."""
@@ -275,8 +276,7 @@ class OwnPosition:
         """One standard deviation, None where nothing bounds it."""
         if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
-        driven_m = max(0.0, own.driven_m - self.bound.driven_m)
-        return max(math.hypot(self.bound.sigma_m, self.drift.most * driven_m), least_m)
+        return max(self.bound.errors.most_m(self.drift), least_m)
 
     def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
         """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""

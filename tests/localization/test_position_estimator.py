@@ -103,7 +103,7 @@ def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road
     one.use(fix, left_m=40.0)
     assert one.drive.known.own_sigma_m == 40.0 and one.drive.known.rests_on_fixes
     one.use(fix, left_m=0.1)
-    assert one.drive.known.own_sigma_m == fix.place.sigma_m
+    assert one.drive.known.own_sigma_m == pytest.approx(max(fix.place.sigma_along_m, fix.place.sigma_across_m))
     one.own(is_aided=False)
     one.use(fix, left_m=0.1)
     assert known(one).own_sigma_m is None, "of one that nothing aids, nobody knows"
