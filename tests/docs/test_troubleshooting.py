@@ -27,10 +27,11 @@ def spoken() -> str:
 
 def unspoken(page: str) -> list[str]:
     """The quoted sentences that no text in the code has."""
-    quoted = [one for row in re.findall(r"^\| (`.*?) \|", page, re.MULTILINE) for one in re.findall(r"`([^`]+)`", row)]
+    rows = re.findall(r"^- ((?:`[^`]+`[^`:]*)+):\s", page, re.MULTILINE)
+    quoted = [one for row in rows for one in re.findall(r"`([^`]+)`", row)]
     return [one for one in quoted if one.removesuffix("...").rstrip() not in spoken()]
 
 
 def test_every_quoted_sentence_is_said_by_the_program() -> None:
-    assert len(re.findall(r"^\| `", PAGE, re.MULTILINE)) > 20
+    assert len(re.findall(r"^- `", PAGE, re.MULTILINE)) > 20
     assert unspoken(PAGE) == []
