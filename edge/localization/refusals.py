@@ -1,4 +1,4 @@
-"""Why a position may not be published: every reason, in the order of the checks. docs/positions.md shows the table.
+"""Why a position may not be published: every reason, in the order of the checks. docs/positions.md lists them.
 
 A position passes only if none holds, and what is not known counts as against it. One may rest on those before it, so
 none is asked after one that holds.

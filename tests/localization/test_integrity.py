@@ -23,7 +23,7 @@ from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
 from edge.localization.refusals import RULES
 from edge.sequence import PlaceMatch
-from tests.docs.refusals_table import as_table
+from tests.docs.refusals_list import as_list
 from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
 from tests.localization.route_course import Stretch
 
@@ -170,7 +170,7 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     argument, page = ((root / "docs" / name).read_text(encoding="utf-8") for name in ("integrity.md", "positions.md"))
     named = {rule.test for rule in RULES} | set(re.findall(r"`(test_\w+)`", argument))
     assert {name for name in named if f"def {name}(" not in tests} == set()
-    assert as_table() in page, "write it anew: python -m tests.docs.refusals_table"
+    assert as_list() in page, "write it anew: python -m tests.docs.refusals_list"
 
 
 def test_people_read_what_is_missing(long_road: Road) -> None:
