@@ -153,7 +153,7 @@ def kinds_table(flights: Sequence[Flight | Failed]) -> str:
         row = " | ".join(_row(_pooled([one.now for one in drives])).split(" | ")[:5])
         alone = f"{np.median(reckoned_m):.1f} m" if reckoned_m else ""
         lines.append(f"| {len(drives)} {kind} | {row} | {alone} |")
-    return "\n".join([*lines, "", summary(flights)])
+    return "\n".join([*lines, "", summary(flights, ("now",))])
 
 
 def _pooled(scores: Sequence[Score]) -> Score:
@@ -290,10 +290,10 @@ def table(flights: Sequence[Flight | Failed]) -> str:
     return "\n".join([HEADER, *map(rows, flights), f"\n{summary(flights)}"])
 
 
-def summary(flights: Sequence[Flight | Failed]) -> str:
-    """What all drives say together."""
+def summary(flights: Sequence[Flight | Failed], times: Sequence[str] = ("then", "now")) -> str:
+    """What all drives say together, at some of both times."""
     replayed = [one for one in flights if isinstance(one, Flight)]
-    together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in ("then", "now")]
+    together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in times]
     together += [_made_worse(replayed)]
     lost_km = sum(one.lost_m for one in replayed) / 1000
     return "\n".join([f"All {len(replayed)} drives together, {lost_km:.1f} km since GPS was lost:\n", *together])
