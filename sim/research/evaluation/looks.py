@@ -147,7 +147,7 @@ class Tables:
 
     def on_map(self, only: Sequence[LightName] | None = None) -> Iterator[str]:
         """Rows of the table by drive and light; only: some lights."""
-        yield "| drive | light | first belief after | standing | believed | wrong |"
+        yield "| drive | light | first belief after, median, 90 % | standing | believed | wrong |"
         yield "|---|---|---|---|---|---|"
         for drive, lights in LIGHTS.items():
             for light in (one for one in lights if only is None or one in only):
@@ -203,7 +203,7 @@ def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator
             found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
             wrong[True] += int((_off_m(mapped, answers, at_m) > TOLERANCE_M).any())
             standing[found] += 1
-    yield " -> ".join(f"{np.median(one):.0f} (90 %: {np.percentile(one, 90):.0f}) m" for one in first_m)
+    yield " -> ".join(f"{np.median(one):.0f}, {np.percentile(one, 90):.0f} m" for one in first_m)
     shares = np.cumsum(standing)[:-1] / standing.sum()
     yield ", ".join(f"{share:.2f}" for share in shares[1:])
     yield " -> ".join(f"{one / frames:.3f}" for one in believed)
