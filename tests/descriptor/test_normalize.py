@@ -42,15 +42,6 @@ def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
     np.testing.assert_allclose(normalized, nsd(raw), atol=1e-4)
 
 
-def test_online_as_the_paper_has_it_normalizes_each_frame_with_the_frames_up_to_it() -> None:
-    raw = descriptors(40)
-    online = OnlineNormalizer(10, renormalize_ring=False)
-    for count, row in enumerate(raw, start=1):
-        change = online.push(row)
-        assert change.ages == (0,)
-        np.testing.assert_allclose(change.rows[0], nsd(raw[:count])[-1], atol=1e-3)
-
-
 def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics() -> None:
     raw = descriptors(400)
     online = OnlineNormalizer(10, renormalize_ring=True)
@@ -68,21 +59,3 @@ def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics(
             assert min(when for when, _ in ring) >= min(count - 8, count / (1 + STALE_GROWTH) - 8)
     renewals = [online.push(row).ages for row in descriptors(40, seed=1)]
     assert sum(len(ages) > 1 for ages in renewals) <= 10  # of forty frames
-
-
-def test_raw_descriptors_pass_unchanged() -> None:
-    raw = descriptors(3)
-    online = OnlineNormalizer(5, renormalize_ring=True, enabled=False)
-    for row in raw:
-        np.testing.assert_array_equal(online.push(row).rows, row[np.newaxis])
-
-
-def test_statistics_outlive_a_gap_and_the_ring_does_not() -> None:
-    raw = descriptors(30)
-    online = OnlineNormalizer(10, renormalize_ring=True)
-    for row in raw[:15]:
-        online.push(row)
-    online.clear_ring()
-    rows = online.push(raw[15])
-    assert len(rows.rows) == 1
-    np.testing.assert_allclose(rows.rows[0], nsd(raw[:16])[-1], atol=1e-3)

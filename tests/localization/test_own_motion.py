@@ -25,14 +25,6 @@ def drive(
     return radius_m * (1 - math.cos(turned)), radius_m * math.sin(turned)
 
 
-def test_a_circle_by_gyros_ends_where_it_was_driven() -> None:
-    own = OwnMotion()
-    expected = drive(own, 20.0, 0.05)
-    now = own.displacement(21 * S)
-    assert now is not None
-    assert (now.east_m, now.north_m) == pytest.approx(expected, abs=0.05)
-
-
 def test_the_autopilots_heading_only_begins_it() -> None:
     """The autopilot turns its heading afterwards, as one that follows a GPS that is dragged: that turns nothing."""
     own = OwnMotion()

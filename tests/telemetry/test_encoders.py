@@ -27,6 +27,32 @@ def carried(message: Any) -> Any:
     return received
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"lat_deg": None},
+        {"lon_deg": None},
+        {"lat_deg": math.nan},
+        {"lon_deg": math.inf},
+        {"lat_deg": 90.1},
+        {"sigma_along_m": math.inf},
+        {"sigma_along_m": math.nan},
+        {"sigma_across_m": math.nan},
+        {"sigma_along_m": 0.0},
+    ],
+)
+@pytest.mark.parametrize("encode", [encoders.external_position, encoders.global_position_sensor])
+def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="finite sigma"):
+        encode(replace(FIX, **change), SENDING)
+
+
+@pytest.mark.parametrize("sending", [Sending(5, math.nan, 0.42), Sending(5, 12345.678, math.inf)])
+def test_a_position_without_its_time_is_not_sent(sending: Sending) -> None:
+    with pytest.raises(ValueError, match="finite times"):
+        encoders.external_position(FIX, sending)
+
+
 def test_a_fix_fits_into_one_status_text() -> None:
     of_tile = replace(FIX, map="tile-3", place=7)
     assert encoders.describe(of_tile) == "Place 7 of tile-3 backwards, confidence 0.87"

@@ -67,6 +67,13 @@ def test_scores_are_those_counted_by_hand(answers: Answers) -> None:
         assert accuracy == pytest.approx((answers.correct & answered).sum() / on_map)
 
 
+def test_a_correct_match_off_the_map_is_refused() -> None:
+    with pytest.raises(ValueError, match="off the map"):
+        Answers(np.ones(1), np.array([True]), np.array([False]))
+    with pytest.raises(ValueError, match="one shape"):
+        Answers(np.ones(2), np.array([True]), np.array([True]))
+
+
 def test_precision_and_recall_at_a_threshold_count_unanswered_queries_as_missed() -> None:
     confidence = np.array([0.9, 0.6, 0.5, 0.4, np.nan, 0.7])
     correct = np.array([True, True, True, True, False, False])
