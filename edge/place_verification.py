@@ -1,6 +1,6 @@
 """One look: which of some places of the map a picture shows, by the points that both have, and from where.
 
-    picture -> keypoints -> matches with each candidate -> one geometry for the best -> a pose by the best of these
+    picture -> keypoints -> matches with each candidate -> poses by the best -> the same pose by rows around the best
 
 A candidate has keypoints of the network that ships, and its camera looked the way that the vehicle's does.
 """
@@ -19,19 +19,25 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import Camera, Keypoints
-from edge.keypoints.matching import mutual_matches, verify
+from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
-from edge.keypoints.pose import Pose, look
+from edge.keypoints.pose import STARTS, Pose, look
 from edge.reference_map import MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
 from edge.sequence import MOST_ASIDE_RAD, Agreeing, Direction, Seen
-from edge.sequence.looks import confidence_of
+from edge.sequence.looks import ENOUGH, confidence_of
 
 MOST = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
 VERIFIED = 3
-"""Candidates with most matches whose geometry is compared, which takes eight times as long as to match them."""
+"""Candidates with most matches that a pose is sought by, which takes 18 times as long as to match them. On the way home
+on a rear camera's map (two roads, 480 frames) the best of 3 of 30 was right in .88, of 10 of 30 in .91; of 3 of 10 in
+.84, and in .80 where the best was the one of most matches that one fundamental matrix explains."""
+ROWS_M = -4.0, 4.0, -8.0, 8.0
+"""Along the drive, to the rows that are asked for the same pose."""
+ROWS_APART_M, ROWS_TURNED_RAD = 2.0, math.radians(5)
+"""By which their poses may differ."""
 HOPS, NEAR_M = 2, 1.5
 """How often a pose that lies further ahead of its place, or behind it, is taken again from the place nearest to it."""
 MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD = 8.0, 8.0, math.radians(25)
@@ -109,20 +115,39 @@ class PlaceVerification:
         """
         query = self.network.extract(image, MOST)
         alike = sorted(((self._matches(query, place), place) for place in places), reverse=True)[:VERIFIED]
-        inliers, place = max((self._inliers(query, place), place) for _, place in alike)
-        pose = self._pose(query, place)
-        for _ in range(HOPS):
-            if pose is None or abs(pose.ahead_m) <= NEAR_M:
-                break
-            nearer = self._nearest_to(place, pose)
-            if nearer == place or (of_nearer := self._inliers(query, nearer)) <= inliers:
-                break
-            inliers, place, pose = of_nearer, nearer, self._pose(query, nearer)
-        if pose is None or not _is_on_the_road(pose):
-            self._newest = None
+        posed: list[tuple[int, Pose]] = []
+        for _, place in alike:
+            if (found := self._pose(query, place)) and _is_on_the_road(found):
+                posed.append((place, found))
+                if _support_of(found) >= ENOUGH:
+                    break
+        self._newest = None
+        if not posed:
             return None
+        place, pose = max(posed, key=lambda one: _support_of(one[1]))
+        for _ in range(HOPS):
+            nearer = self._row_at(place, self.facing(place) * pose.ahead_m) if abs(pose.ahead_m) > NEAR_M else place
+            again = None if nearer == place else self._pose(query, nearer, self._from(nearer, place, pose))
+            if again is None or not (_is_on_the_road(again) and _support_of(again) > _support_of(pose)):
+                break
+            place, pose = nearer, again
         self._newest = query, place, pose
-        return self._seen(place, inliers, pose)
+        where = pose.right_m, pose.ahead_m, pose.turn, pose.covariance
+        return Seen(place, *where, pose.count, confidence_of(self._support(query, place, pose)))
+
+    def _support(self, query: Keypoints, place: int, pose: Pose) -> float:
+        """That a pose has by its place and by the rows around it whose own pose is the same one, up to ENOUGH."""
+        support = _support_of(pose)
+        for row in dict.fromkeys(self._row_at(place, along_m) for along_m in ROWS_M):
+            if support >= ENOUGH:
+                break
+            start = self._from(row, place, pose)
+            found = None if row == place else self._pose(query, row, start)
+            if found is not None:
+                right_m, ahead_m, turn = np.array([found.right_m, found.ahead_m, found.turn]) - start[0]
+                if math.hypot(right_m, ahead_m) <= ROWS_APART_M and abs(turn) <= ROWS_TURNED_RAD:
+                    support += _support_of(found)
+        return support
 
     @property
     def agreeing(self) -> Agreeing | None:
@@ -135,28 +160,30 @@ class PlaceVerification:
         rows = pose.pairs[pose.agrees]
         return Agreeing(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
-    def _seen(self, place: int, inliers: int, pose: Pose) -> Seen:
-        where = pose.right_m, pose.ahead_m, pose.turn, pose.covariance
-        return Seen(place, inliers, *where, pose.count, confidence_of(pose.count, float(pose.agrees.mean()), inliers))
-
     def _matches(self, query: Keypoints, place: int) -> int:
         return len(mutual_matches(query.descriptors, self._record(place)["descriptor"]))
 
-    def _inliers(self, query: Keypoints, place: int) -> int:
-        return verify(query, keypoints_of(self._record(place), self._key(place))).inliers
-
-    def _pose(self, query: Keypoints, place: int) -> Pose | None:
+    def _pose(self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS) -> Pose | None:
         key, record = self._key(place), self._record(place)
         height = round(key.width * query.size[0] / query.size[1])
         camera = Camera(key.width, height, self._fov_deg or key.fov_deg)
-        return look(query, keypoints_of(record, key), points_of(record), camera)
+        return look(query, keypoints_of(record, key), points_of(record), camera, starts)
 
-    def _nearest_to(self, place: int, pose: Pose) -> int:
-        """The place of the same drive that lies nearest along it to where a pose has the camera."""
+    def _row_at(self, place: int, along_m: float) -> int:
+        """The place of the same drive that lies nearest to so many meters further along it."""
         first, end = self._map_set.index.segment(self._map_set.index.segment_of(place))
         route_m = self._map_set.places["route_m"][first:end]
-        at_m = route_m[place - first] + self.facing(place) * pose.ahead_m
-        return first + int(np.abs(route_m - at_m).argmin())
+        return first + int(np.abs(route_m - route_m[place - first] - along_m).argmin())
+
+    def _from(self, row: int, place: int, pose: Pose) -> NDArray[np.float64]:
+        """A pose by a place as another row of its drive has it (1, 3): on the chord of an arc between the two."""
+        moved = self._map_set.places[[place, row]]
+        along_m, turned_deg = (float(np.diff(moved[name])[0]) for name in ("route_m", "heading_deg"))
+        turned = 0.0 if math.isnan(turned_deg) else math.remainder(math.radians(turned_deg), 2 * math.pi)
+        along_m *= self.facing(place)
+        right_m, ahead_m = pose.right_m - along_m * math.sin(turned / 2), pose.ahead_m - along_m * math.cos(turned / 2)
+        cos, sin = math.cos(turned), math.sin(turned)
+        return np.array([[cos * right_m - sin * ahead_m, sin * right_m + cos * ahead_m, pose.turn - turned]])
 
     def _record(self, place: int) -> NDArray[np.void]:
         return self._map_set.keypoints_of(place)
@@ -169,3 +196,8 @@ class PlaceVerification:
 
 def _is_on_the_road(pose: Pose) -> bool:
     return abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn) <= MOST_TURN_RAD
+
+
+def _support_of(pose: Pose) -> float:
+    """That a row of the map gives to a pose: its points, each as much as those agree that it is one of."""
+    return pose.count * float(pose.agrees.mean()) ** 2

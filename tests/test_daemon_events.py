@@ -57,7 +57,7 @@ def test_what_is_no_list_of_a_drive_is_rejected_with_its_name(data: bytes, tmp_p
 
 
 def test_the_list_of_a_drive_keeps_what_keypoints_saw(tmp_path: Path) -> None:
-    seen = Seen(3, 90, 0.5, -1.0, 0.01, np.diag([0.1, 0.2, 0.01]), 60, 0.9)
+    seen = Seen(3, 0.5, -1.0, 0.01, np.diag([0.1, 0.2, 0.01]), 60, 0.9)
     alone = PlaceMatch(3, 3, "forward", "same", 0.0, 0.0, 1.0, seen=seen, has_line=False)
     frames = [Frame(1), Frame(2, alone), Frame(3, dataclasses.replace(alone, seen=None))]
     with closing(DriveFile(tmp_path / "list.drive", Config())) as file:

@@ -37,14 +37,13 @@ vehicle went on, places of the way back were believed for 40 m, and an honest GP
 class Seen:
     """One look: the keypoints of the frame agree with those of one place of the map, so its camera was near that one's.
 
-    place_index: of that place, counted through all maps that are open. inliers: matches that one fundamental matrix
-    explains; points: those of them, of known distance, that agree on the pose. right_m, ahead_m, turn_rad: of the
-    frame's camera from the place's, in that one's frame, turned clockwise; covariance: (3, 3) of these three, of
-    geometry alone, without the error of the map's position. confidence: that this place is right, by this look alone.
+    place_index: of that place, counted through all maps that are open. points: matches of known distance that agree on
+    the pose. right_m, ahead_m, turn_rad: of the frame's camera from the place's, in that one's frame, turned clockwise;
+    covariance: (3, 3) of these three, of geometry alone, without the error of the map's position. confidence: that this
+    place is right, by this look alone.
     """
 
     place_index: int
-    inliers: int
     right_m: float
     ahead_m: float
     turn_rad: float

@@ -342,7 +342,7 @@ class Bench:
         right_m, ahead_m = self.rng.normal((-self.right_m, begins_m + row * SPACING_M - along_m), LOOK_SIGMAS[0])
         covariance = np.diag(np.square(LOOK_SIGMAS))
         turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
-        return Seen(first + row, 90, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
+        return Seen(first + row, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""

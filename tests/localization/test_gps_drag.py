@@ -81,7 +81,7 @@ def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> Plac
     place = round(at_m / SPACING_M)
     covariance = np.diag(np.square([LOOK_M, LOOK_M, math.radians(0.5)]))
     ahead_m = place * SPACING_M - at_m - north_m  # towards the south, where both cameras look
-    seen = Seen(place, 90, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
+    seen = Seen(place, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
     return match(place + 2, "reverse", order="same", seen=seen)
 
 

@@ -53,7 +53,7 @@ ROW = 5
 
 def seen(place: int, west_m: float = 0.0, ahead_m: float = 0.0, turn_deg: float = 0.0, **changes: Any) -> Seen:
     """A camera that looks south as the row's did, so far to its right, which is west, and ahead of it."""
-    fields = {"inliers": 90, "points": 40, "confidence": 0.9, "covariance": np.diag(np.square(SIGMAS))}
+    fields = {"points": 40, "confidence": 0.9, "covariance": np.diag(np.square(SIGMAS))}
     return Seen(place, right_m=west_m, ahead_m=ahead_m, turn_rad=math.radians(turn_deg), **{**fields, **changes})
 
 
@@ -98,7 +98,7 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
     pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
-    found = Seen(ROW, 90, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
+    found = Seen(ROW, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
     sighting = sightings.looked(match(ROW, direction, order="same", seen=found), 0.0)
 
     assert sighting is not None and sighting.look is not None and sightings.origin is not None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig
 from edge.sequence import Direction
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import ALONE, MOST_ODDS, Looks, PriorOf, Sighted, confidence_of, joined
+from edge.sequence.looks import ALONE, ENOUGH, MOST_ODDS, Looks, PriorOf, Sighted, confidence_of, joined
 from edge.sequence.prior import LEAST
 
 FROM = AcceptanceConfig().confidence_from
@@ -92,6 +92,6 @@ def test_of_one_place_the_surer_of_votes_and_looks_counts_and_two_places_speak_a
     assert joined(looks, None, FROM, is_one_place=False) == (looks, None)
 
 
-def test_points_that_few_matches_agree_on_say_little() -> None:
-    assert confidence_of(60, 0.7, 90) == pytest.approx(STRONG / (1 + STRONG))
-    assert confidence_of(25, 0.4, 50) < 0.2 < confidence_of(30, 0.6, 60)
+def test_one_look_is_as_sure_as_its_support_and_no_surer_than_two() -> None:
+    assert [confidence_of(support) for support in (ENOUGH, 100.0)] == pytest.approx([STRONG / (1 + STRONG)] * 2)
+    assert confidence_of(3.0) < 0.01 < confidence_of(12.0) < 0.4
