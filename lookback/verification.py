@@ -30,8 +30,8 @@ def keypoints(picture: Picture, most: int = MOST) -> Keypoints:
 def verify(query: Picture | Keypoints, reference: Picture | Keypoints) -> Verified:
     """Which points of two pictures one geometry explains; their number, `inliers`, says whether it is one place.
 
-    Of two looks the same way at one place 100 and more, at two places about 20 (docs/keypoints.md has the figures, and
-    what this cannot know). Give the `keypoints` of pictures that are compared with several others.
+    Of two looks the same way at one place 100 and more, at two places about 20 (docs/keypoints.md has what this cannot
+    know). Give the `keypoints` of pictures that are compared with several others.
 
     >>> image = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
     >>> verify(image, image).inliers == len(keypoints(image))
