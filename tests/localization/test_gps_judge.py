@@ -174,9 +174,9 @@ def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says
 
     aside: meters to the side for each that is driven, from 300 m on.
     """
-    one, aside_m = Vehicle(Road(tmp_path, Stretch(0.0, 900.0))), 0.0
+    one, aside_m = Vehicle(Road(tmp_path, Stretch(0.0, 1360.0))), 0.0
     called_m = None
-    while one.north_m < 740.0 and called_m is None:
+    while one.north_m < 1200.0 and called_m is None:
         is_dragged = one.north_m >= 300.0
         one.aside_m = aside * SPACING_M if is_dragged else 0.0
         one.odometer = odometer if is_dragged or odometer > 0.9 else 1.0
