@@ -83,9 +83,8 @@ class Known:
 class PositionEstimator:
     """Follows one vehicle, one event after another."""
 
-    def __init__(self, config: Config, *listeners: Listener, rules: Sequence[Rule] = RULES) -> None:
-        """rules: fewer only where they are compared, as by `lookback dev ablate`."""
-        self._config, self._listeners, self._rules = config, listeners, rules
+    def __init__(self, config: Config, *listeners: Listener) -> None:
+        self._config, self._listeners = config, listeners
         self._sightings: Sightings | None = None
         self._filter: RouteFilter | None = None
         self._gps = GpsJudge(config)
@@ -120,10 +119,10 @@ class PositionEstimator:
             case Maps():
                 self._use_maps(event)
 
-    def fix(self, t_ns: int, limits: Limits) -> Fix | Refusal:
-        """A position that may be published at a moment, or why none may."""
+    def fix(self, t_ns: int, limits: Limits, rules: Sequence[Rule] = RULES) -> Fix | Refusal:
+        """A position that may be published at a moment, or why none may; rules: fewer to see what each is worth."""
         known = self._estimate(*self._asked(t_ns, limits))
-        answer = decide(t_ns, known, limits, self._config.gates, self._rules)
+        answer = decide(t_ns, known, limits, self._config.gates, rules)
         self._publish(t_ns, Asked(limits, answer))
         return answer
 

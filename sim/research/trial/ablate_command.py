@@ -10,17 +10,18 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from edge import __version__
+from edge.config import Config
 from edge.errors import FeedError
 from edge.localization import NO_PLACES, Fix, PositionEstimator
 from edge.localization.drive_file import read_drive
 from edge.localization.events import Frame
 from edge.localization.position_estimator import Asked, Entry, Restored
-from edge.localization.refusals import RULES
+from edge.localization.refusals import RULES, Refusal, Rule
 from sim.research.trial import recorded_drive
 from sim.research.trial.flight_score import off_truth
 from sim.research.trial.recorded_drive import LINK, RecordedDrive
@@ -32,20 +33,26 @@ STREAM_S = 0.2
 SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
     "bound.SETTLED_NS": 0,
+    "gps_comparison.SHAPED": 0.0,
     "gps_judge.BESIDE_SIGMAS": math.inf,
     "gps_judge.FIRM": 0.0,
     "gps_judge.MOST_PLACES": math.inf,
     "gps_referee.LONGEST_GAP_M": math.inf,
-    "integrity.GROWS": math.inf,
+    "integrity.BESIDE_M": math.inf,
+    "integrity.BOUND": 1.0,
+    "integrity.GROWS": 1.0,
     "integrity.MAP_SHIFTED": 0.0,
     "integrity.ONE_MORE": 1.0,
-    "own_motion.CHANGES": math.inf,
+    "look.LOOK_CHI2": math.inf,
+    "look.OUTVOTES": math.inf,
+    "own_motion.CHANGES": 0.0,
     "place_fix.LEAST_SHARPNESS": 0.0,
     "place_fix.PUSHED": -math.inf,
     "place_fix.heads_along": lambda road_rad, heading_rad: True,
     "route_estimate.WANDER": 0.0,
     "route_filter.DISAGREE": math.inf,
     "route_filter.STOOD_NS": math.inf,
+    "route_filter.UNEXPECTED_SIGMAS": math.inf,
     "sighting.SHARP": 1e-9,
     "track.BY_CHANCE": math.inf,
     "track.FADES_M": 1e-6,
@@ -59,14 +66,16 @@ HEADER = (
 )
 
 
+Off: TypeAlias = tuple[float, float, float, float]
+"""Of a position: meters, standard deviations, and the shares of its levels along and across, 0 without one."""
+Run: TypeAlias = tuple[Config, Sequence[tuple[int, Entry]]]
+"""The list of a drive, or of a part of it."""
+
+
 class Answers(NamedTuple):
-    """What a drive got.
+    """What a drive got; verdicts: on GPS."""
 
-    positions: (n, 4), of each meters off, standard deviations off, and the shares of its levels along and across that
-    it is off by, 0 without one. verdicts: those on GPS which the pilot was warned of.
-    """
-
-    positions: list[tuple[float, float, float, float]]
+    positions: list[Off]
     verdicts: list[str]
 
 
@@ -88,12 +97,14 @@ def _run(args: argparse.Namespace) -> int:
         raise FeedError(
             f"{args.lists}: no list of these drives; `lookback dev flights FOLDER -o {args.lists}` makes it"
         )
+    without = args.without or NAMES
     with get_context("spawn").Pool(args.jobs) as pool:
-        found = pool.map(partial(ablated, args.lists, args.without or NAMES), drives, chunksize=1)
+        found = pool.map(partial(ablated, args.lists, without), drives, chunksize=1)
     text = table(found)
     if args.page is not None:
         given = " ".join(path.name for path in args.flights)
-        rules = f"Without each of {len(NAMES) - len(CONSTANTS)} rules and {len(CONSTANTS)} constants"
+        constants = sum(name in CONSTANTS for name in without)
+        rules = f"Without each of {len(without) - constants} rules and {constants} constants"
         names = "all" if len(drives) == len(folders) else ", ".join(drive.name for drive in drives)
         made = f"`lookback dev ablate LISTS {given}` of version {__version__}:\n\n{rules}; drives: {names}."
         put_between(SECTION, args.page, f"{made}\n\n{text}")
@@ -105,64 +116,82 @@ def ablated(lists: Path, names: Sequence[str], folder: Path) -> dict[str, Answer
     """What one drive got, "" for all rules and constants as they are, and without each."""
     truth = recorded_drive.read_drive(folder)
     runs = [read_drive(path) for path in sorted((lists / folder.name).glob("*.drive"))]
-    found: dict[str, Answers] = {}
-
-    def replay(name: str, without: str = "") -> None:
-        found[name] = Answers([], [])
-        for config, entries in runs:
-            estimator = PositionEstimator(config, rules=[rule for rule in RULES if rule.reason != without])
-            one = _replayed(estimator, entries, truth, config.gates.min_interval_s)
-            found[name] = Answers(found[name].positions + one.positions, found[name].verdicts + one.verdicts)
-
-    replay("")
+    found = _replayed(runs, truth, ["", *(name for name in names if name not in CONSTANTS)])
     for name in names:
-        if name not in CONSTANTS:
-            replay(name, name)
-            continue
-        with _set(name.partition(".")[2], CONSTANTS[name]):
-            replay(name)
-    return found
+        if name in CONSTANTS:
+            with _set(name, CONSTANTS[name]):
+                found[name] = _replayed(runs, truth, [""])[""]
+    return {name: found[name] for name in ("", *names)}
 
 
 @contextmanager
-def _set(name: str, value: object) -> Iterator[None]:
-    """A constant of `edge.localization` has another value, wherever it is used."""
+def _set(path: str, value: object) -> Iterator[None]:
+    """A constant of `edge.localization` has another value, wherever it is used; not one of the same name elsewhere."""
+    home, _, name = path.partition(".")
+    before = getattr(sys.modules[f"edge.localization.{home}"], name)
     modules = [module for key, module in sys.modules.items() if key.startswith("edge.localization.")]
-    before = [(module, getattr(module, name)) for module in modules if hasattr(module, name)]
-    for module, _ in before:
+    users = [module for module in modules if getattr(module, name, None) is before]
+    for module in users:
         setattr(module, name, value)
     try:
         yield
     finally:
-        for module, old in before:
-            setattr(module, name, old)
+        for module in users:
+            setattr(module, name, before)
 
 
-def _replayed(
-    estimator: PositionEstimator, entries: Sequence[tuple[int, Entry]], truth: RecordedDrive, interval_s: float
-) -> Answers:
-    """Open loop: the autopilot goes on by the positions of the list, but for those that no estimator here has given."""
-    found = Answers([], [])
-    answered_ns, stamp_ns, verdict = -math.inf, 0, ""
-    for t_ns, entry in entries:
-        if isinstance(entry, Asked):
-            answer = estimator.fix(t_ns, entry.limits)
-            period_s = STREAM_S if entry.limits.at == "now" else interval_s
-            is_new = isinstance(answer, Fix) and answer.place.stamp_ns != stamp_ns
-            if isinstance(answer, Fix) and is_new and t_ns - answered_ns >= period_s * 1e9 - STREAM_S * 1e9 / 2:
-                answered_ns, stamp_ns = t_ns, answer.place.stamp_ns
-                found.positions.append(_off(answer, truth))
-        elif isinstance(entry, Restored):
-            estimator.restore(t_ns, entry.kept)
-        else:
-            estimator.update(t_ns, entry)
-            if isinstance(entry, Frame) and estimator.known.gps.state != verdict:
-                verdict = estimator.known.gps.state
-                found.verdicts.append(verdict)
+def _replayed(runs: Sequence[Run], truth: RecordedDrive, without: Sequence[str]) -> dict[str, Answers]:
+    """Open loop: the autopilot goes on by the positions of the list, but for those that no estimator here has given.
+
+    without: rules, "" for none, which are compared in one replay, since asking changes nothing.
+    """
+    found = {name: Answers([], []) for name in without}
+    for config, entries in runs:
+        estimator, verdict = PositionEstimator(config), ""
+        streams = {name: _Stream(answers.positions) for name, answers in found.items()}
+        for t_ns, entry in entries:
+            if isinstance(entry, Asked):
+                period_s = STREAM_S if entry.limits.at == "now" else config.gates.min_interval_s
+                due = [name for name, stream in streams.items() if stream.is_due(t_ns, period_s)]
+                answer = estimator.fix(t_ns, entry.limits) if due else None
+                for name in due:
+                    withheld = isinstance(answer, Refusal) and answer.reason == name
+                    one = estimator.fix(t_ns, entry.limits, _without(name)) if withheld else answer
+                    streams[name].add(t_ns, one, truth)
+            elif isinstance(entry, Restored):
+                estimator.restore(t_ns, entry.kept)
+            else:
+                estimator.update(t_ns, entry)
+                if isinstance(entry, Frame) and estimator.known.gps.state != verdict:
+                    verdict = estimator.known.gps.state
+                    for answers in found.values():
+                        answers.verdicts.append(verdict)
     return found
 
 
-def _off(fix: Fix, truth: RecordedDrive) -> tuple[float, float, float, float]:
+def _without(name: str) -> list[Rule]:
+    return [rule for rule in RULES if rule.reason != name]
+
+
+class _Stream:
+    """Positions as they would be sent, one a period at most."""
+
+    def __init__(self, positions: list[Off]) -> None:
+        self._positions = positions
+        self._answered_ns, self._stamp_ns = -math.inf, 0
+
+    def is_due(self, t_ns: int, period_s: float) -> bool:
+        """Whether one more may be sent; drives were sent them up to half a period of a stream early."""
+        return t_ns - self._answered_ns >= period_s * 1e9 - STREAM_S * 1e9 / 2
+
+    def add(self, t_ns: int, answer: Fix | Refusal | None, truth: RecordedDrive) -> None:
+        """What was asked for then."""
+        if isinstance(answer, Fix) and answer.place.stamp_ns != self._stamp_ns:
+            self._answered_ns, self._stamp_ns = t_ns, answer.place.stamp_ns
+            self._positions.append(_off(answer, truth))
+
+
+def _off(fix: Fix, truth: RecordedDrive) -> Off:
     place = fix.place
     here_m = east_north_m(place.lat_deg or 0.0, place.lon_deg or 0.0)
     error_m, along_m, across_m = off_truth(truth, here_m, place.stamp_ns / 1e9)
