@@ -141,7 +141,7 @@ class PlaceRecognizer:
         raw = self.describe(image)
         frame = _UsedFrame(raw, stamp_ns, travel.distance_m)
         self.was_carried = self.is_in_line = False
-        if self._used.stands_still(frame):
+        if self._used.stands_still(frame) and not self._is_first_with_distance(frame):
             # A feed whose every frame is a place has passed one, even if it looks like the last.
             self._used.unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
@@ -159,6 +159,12 @@ class PlaceRecognizer:
             return None
         self.state = "on the map" if match.accepted else "off the map"
         return self._as_event(match, stamp_ns)
+
+    def _is_first_with_distance(self, frame: _UsedFrame) -> bool:
+        """Whether the last frame was not searched for, since it came before the odometer was known."""
+        last = self._used.newest
+        is_unknown = last is not None and last.distance_m is None
+        return is_unknown and frame.distance_m is not None and self.matcher.needs_odometer
 
     def may_look_again(self, stamp_ns: int, distance_m: float | None) -> bool:
         """Whether a further picture from the spot of the newest frame, where the vehicle stands, may show its place."""

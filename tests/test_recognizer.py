@@ -167,6 +167,14 @@ def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(open
     assert recognizer.state != "standing"
 
 
+def test_a_vehicle_that_stands_is_searched_for_once_its_odometer_is_known(opened: Opened, frames: Frames) -> None:
+    recognizer = opened(msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="distance")))
+    for index, travel in enumerate((Travel(), Travel(7.0), Travel(7.0))):
+        recognizer.observe(frames[5], index * FRAME_NS, travel)
+        assert recognizer.matcher.search.nearest(1).size == (index > 0)
+    assert recognizer.state == "standing"
+
+
 @pytest.mark.parametrize(("moved_m", "is_kept"), [(2.0, True), (60.0, False), (None, False), (-20.0, False)])
 def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was_passed(
     opened: Opened, frames: Frames, moved_m: float | None, is_kept: bool

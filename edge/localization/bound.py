@@ -263,6 +263,10 @@ class OwnPosition:
         elif own.gps_sigma_m is not None and self.by_gps is not None and not self.rests_on_fixes:
             self._trusted = self.by_gps, self._by_gps_m
 
+    def carry(self) -> None:
+        """The vehicle was moved without its wheels: what was reckoned says nothing of where it is now."""
+        self._trusted = None
+
     def reckoning(self, motion: Displacement | None, own: Own) -> Reckoning | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
         if self._trusted is None or motion is None or own.driven_m is None:

@@ -113,6 +113,8 @@ class PositionEstimator:
                 self._bound.restart()
             case Break():
                 self._is_recognized = False
+                if event.kind == "carried":
+                    self._bound.carry()
                 if self._filter is not None:
                     self._filter.reset()
                 self._gps.reset()

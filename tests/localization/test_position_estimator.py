@@ -213,6 +213,20 @@ def reckoned_m(one: Vehicle) -> tuple[float, float] | None:
     return None if found is None else (east_north_of(found.lat_deg, found.lon_deg, HOME)[1], found.sigma_m)
 
 
+@pytest.mark.parametrize(("kind", "is_reckoned"), [("blind", True), ("carried", False)])
+def test_nothing_is_reckoned_of_a_vehicle_that_was_carried_until_gps_has_it_again(
+    kind: Any, is_reckoned: bool, road: Road
+) -> None:
+    one = Vehicle(road)
+    one.go(20, gps=True)
+    one.go(10, gps=False)
+    one.drive.update(one.t_ns, Break(kind))
+    one.go(2, gps=False)
+    assert (reckoned_m(one) is not None) == is_reckoned
+    one.go(2, gps=True)
+    assert reckoned_m(one) is not None
+
+
 def test_the_vehicle_is_reckoned_by_gps_and_its_motion_and_by_no_place(road: Road) -> None:
     one = Vehicle(road, settings(gates=GatesConfig(risk=1.0)))
     assert reckoned_m(one) is None
