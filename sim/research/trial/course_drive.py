@@ -237,13 +237,23 @@ class CourseDrive(Drive):
             if one.points and one.heading_deg is not None
         ]
         frames = list(records_of(self.journal, FrameUsed))
-        off_m = [
-            math.dist(east_north_m(one.lat_deg, one.lon_deg, self.draft.lon_shift_deg), true(one.stamp_ns, 3, 4))
-            for one in frames
-            if one.accepted and one.lat_deg is not None and one.lon_deg is not None
-        ]
-        wrong = sum(one > WRONG_M for one in off_m)
-        return {"turned_deg": np.array(turned_deg), "used": len(frames), "believed": len(off_m), "wrong": wrong}
+
+        def off(one: FrameUsed | PlaceFix) -> list[tuple[float, float]]:
+            if one.lat_deg is None or one.lon_deg is None:
+                return []
+            there_m = east_north_m(one.lat_deg, one.lon_deg, self.draft.lon_shift_deg)
+            return [(simulation.time_s(one.stamp_ns / 1e9), math.dist(there_m, true(one.stamp_ns, 3, 4)))]
+
+        believed = [found for one in frames if one.accepted for found in off(one)]
+        known = believed + [found for one in records_of(self.journal, PlaceFix) for found in off(one)]
+        return {
+            "turned_deg": np.array(turned_deg),
+            "used": len(frames),
+            "believed": len(believed),
+            "wrong": sum(off_m > WRONG_M for _, off_m in believed),
+            "known": np.array(known).reshape(-1, 2),
+            "set_down_m": float(np.flatnonzero(self.draft.way.carried).max(initial=-1) + 1),
+        }
 
     def _from_lane_m(self, run: Run) -> Array:
         """How far positions are from where the map would have the vehicle, whose errors are those of its places."""

@@ -14,7 +14,7 @@ from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Array, Run, lane_o
 
 FALSE_M, WRONG_M = 40.0, 20.0
 """Of a position from the truth, and of the place that a frame is believed to show."""
-LINE_M = 80.0
+LINE_M, AT_REST_M = 80.0, 0.5
 FIRST_M, AGAIN_M = 350.0, 200.0
 SENT_WITHIN_S = 3.0
 LEVEL_FOLLOWS_S = 0.15
@@ -44,7 +44,8 @@ class CourseRun(Run):
     source_set: of ArduPilot's filter, at the end. lane_m: how far positions (n, 2) are along the way and across it from
     where the map, with its errors, would have the vehicle: from the lane that was taught. Of none on several drives.
     turned_deg: how far the headings of places (n,) are off that rest on looks. used, believed, wrong: frames, see
-    WRONG_M.
+    WRONG_M. known: (n, 2), when places were believed, at rest as well, and by how many meters they are off. set_down_m:
+    where the vehicle was carried to, along the way, or began.
     """
 
     expected: NDArray[np.bool_]
@@ -56,6 +57,8 @@ class CourseRun(Run):
     used: int = 0
     believed: int = 0
     wrong: int = 0
+    known: Array = field(default_factory=lambda: np.empty((0, 2)))
+    set_down_m: float = 0.0
     failures: tuple[Failure, ...] = ()
 
     @property
@@ -67,6 +70,17 @@ class CourseRun(Run):
         before = np.searchsorted(self.sent.time_s, times_s, side="right")
         last_s = np.concatenate([[-math.inf], self.sent.time_s])[before]
         return float(np.mean(times_s - last_s <= SENT_WITHIN_S))
+
+    @property
+    def known_after_m(self) -> float:
+        """Meters from where the vehicle was set down to the first right place; NaN without any."""
+        track = self.track
+        row = np.searchsorted(track.along_m, self.set_down_m).clip(0, len(track.along_m) - 1)
+        since = self.known[:, 0] >= track.time_s[row]
+        right_s = self.known[since & (self.known[:, 1] <= WRONG_M), 0]
+        if not len(right_s):
+            return math.nan
+        return float(np.interp(right_s.min(), track.time_s, track.along_m)) - self.set_down_m
 
 
 Rule = Callable[[CourseRun], str]
@@ -115,6 +129,22 @@ def not_worse(run: CourseRun) -> str:
 
 HONEST: tuple[Rule, ...] = (within_sigmas, no_false_place)
 USUAL: tuple[Rule, ...] = (*HONEST, not_worse)
+
+
+def never_wrong(run: CourseRun) -> str:
+    """No place is believed that is over 20 m off."""
+    wrong = run.known[run.known[:, 1] > WRONG_M, 1]
+    return f"{len(wrong)} places wrong, up to {wrong.max():.0f} m" if len(wrong) else ""
+
+
+def known_at_rest(run: CourseRun) -> str:
+    """A place is believed before the vehicle sets off."""
+    return "" if run.known_after_m < AT_REST_M else f"believed after {run.known_after_m:.0f} m"
+
+
+def known_again(run: CourseRun) -> str:
+    """A place is believed within 80 m of where the vehicle was set down."""
+    return "" if run.known_after_m <= LINE_M else f"believed after {run.known_after_m:.0f} m"
 
 
 def resumes(run: CourseRun) -> str:

@@ -18,7 +18,16 @@ from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_keypoints
-from sim.research.trial.table import HEADER, CourseScore, in_short, line, looks_table, odometers_table, put_between
+from sim.research.trial.table import (
+    HEADER,
+    CourseScore,
+    in_short,
+    known_table,
+    line,
+    looks_table,
+    odometers_table,
+    put_between,
+)
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -80,6 +89,8 @@ def _run(args: argparse.Namespace) -> int:
     name, table = "results", in_short(scores)
     if len(args.odometer) > 1:
         name, table = "odometers", odometers_table(scores)
+    elif args.keypoints and all(COURSES[one.course].case == "L" for one in runs):
+        name, table = "known", known_table(scores)
     elif args.keypoints:
         name, table = "keypoints", looks_table(scores)
     print("\n" + "\n".join([HEADER, *(score.row() for score in scores), *(["", table] if name != "results" else [])]))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from edge.errors import ConfigError
-from sim.research.trial.course_rules import CourseRun
+from sim.research.trial.course_rules import WRONG_M, CourseRun
 from sim.trial.records import Array, lane_off_m
 
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
@@ -33,7 +33,8 @@ def line(name: str, run: CourseRun) -> str:
     lanes = ", ".join(f"{lane_off_m(track):.1f} m" for track in (run.track, run.alone))
     return (
         f"{name:<26} seed {run.seed:3d} road {run.world:3d}  {len(sent.time_s):4d} positions  {_spread(sent.error_m)}"
-        f"  first after {run.first_after_m:.0f} m  believed {run.believed} of {run.used}, wrong {run.wrong}"
+        f"  first known after {run.known_after_m:.0f} m, sent after {run.first_after_m:.0f} m"
+        f"  believed {run.believed} of {run.used}, wrong {run.wrong}"
         f"  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
     )
 
@@ -145,6 +146,24 @@ def looks_table(scores: Sequence[CourseScore]) -> str:
         )
         rows.append("| " + " | ".join(cells) + " |")
     return "\n".join([head, *rows])
+
+
+def known_table(scores: Sequence[CourseScore]) -> str:
+    """When a place is believed where nobody knew the vehicle; scores: pairs, of maps without and with keypoints."""
+    rows = [
+        "| course | drives | place believed after | positions | in sigmas, largest | wrong |\n|---|---|---|---|---|---|"
+    ]
+    for one in scores:
+        cells = (
+            one.name,
+            f"{len(one.runs)}",
+            ", ".join("-" if math.isnan(run.known_after_m) else f"{run.known_after_m:.0f} m" for run in one.runs),
+            f"{len(one.sigmas)}",
+            f"{one.sigmas.max():.1f}" if len(one.sigmas) else "-",
+            f"{sum(int((run.known[:, 1] > WRONG_M).sum()) for run in one.runs)}",
+        )
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
 
 
 def odometers_table(scores: Sequence[CourseScore]) -> str:

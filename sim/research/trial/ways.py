@@ -41,6 +41,18 @@ def carried_on(way: Way, length_m: int) -> Way:
     return way.then(line)
 
 
+def carried_to(way: Way, other: Way, rows: int = 4) -> Way:
+    """A way, and another that the vehicle is carried to within `rows` / 8 s, while it sees what it saw last."""
+    share = np.arange(1, rows + 1) / (rows + 1)
+    between = replace(
+        way.stays(rows),
+        east_m=way.east_m[-1] + share * (other.east_m[0] - way.east_m[-1]),
+        north_m=way.north_m[-1] + share * (other.north_m[0] - way.north_m[-1]),
+        carried=np.ones(rows, bool),
+    )
+    return way.then(between).then(other)
+
+
 def towed(way: Way, start_m: int, end_m: int) -> Way:
     """The same, but carried from one meter to another."""
     carried = way.carried.copy()

@@ -1,18 +1,25 @@
-"""B: vehicles that leave the road, turn, reverse, stand, and are carried."""
+"""B and L: vehicles that leave the road, turn, reverse, stand, and are carried."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from sim.research.trial.course import CourseDraft, Stretch
-from sim.research.trial.course_rules import USUAL, resumes, sends
+from sim.research.trial.course_rules import HONEST, USUAL, known_again, known_at_rest, never_wrong, resumes, sends
 from sim.research.trial.courses.registry import course
-from sim.research.trial.ways import bent, beside, carried_on, joined, towed
+from sim.research.trial.ways import bent, beside, carried_on, carried_to, joined, towed
 from sim.trial.driver import Leg
 from sim.trial.way import Way, along
 
 APART_M = 12.0
+STANDS_S = 10.0
+FOLLOWED_M, CARRIED_M = 150.0, 100.0
+OFF_S, OFF_FOR_S, SET_DOWN_S = 40.0, 30.0, 30.0
+"""A vehicle that stops after FOLLOWED_M, within 33 s, is switched off later, carried while it is off, and set down for
+as long as it stood before."""
 
 
 @course("B", "turn-off")
@@ -123,3 +130,30 @@ def _tow(draft: CourseDraft) -> None:
     """100 m along the mapped road with the wheels in the air."""
     draft.steers = False
     draft.drive(towed(draft.way, int(draft.share(0.5)), int(draft.share(0.5) + 100)))
+
+
+@course("L", "standing-start", rules=(*HONEST, never_wrong, known_at_rest))
+def _standing_start(draft: CourseDraft) -> None:
+    """Switched on at rest anywhere on the map of repeat-dusk, without GPS, and with an origin 260 m off; then on."""
+    draft.origin_off_m = draft.side(260.0)
+    draft.home = draft.road(light="dusk", direction="forward")
+    draft.map = [Stretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
+    way = along(draft.home, draft.rng.uniform(0.0, 0.6) * draft.length_m, draft.length_m)
+    draft.drive(way, Leg(0.0, then_wait_s=STANDS_S), Leg(way.length_m - 2))
+    draft.has_gps = draft.steers = False
+
+
+@course("L", "kidnapped{}", "", "-off", rules=(*HONEST, never_wrong, known_again))
+def _kidnapped(draft: CourseDraft, value: str) -> None:
+    """Home at dusk; carried 100 m ahead on the map at rest, also while it is switched off; a person drives on."""
+    draft.home = draft.road(light="dusk")
+    followed_m = draft.length_m - FOLLOWED_M
+    there = along(draft.home, draft.length_m, followed_m)
+    way = carried_to(there, along(draft.home, followed_m - CARRIED_M, 0.0))
+    wait_s, carried = SET_DOWN_S if value else STANDS_S, np.flatnonzero(way.carried)
+    picked_up, set_down = (Leg(float(row), then_wait_s=wait_s) for row in (carried[0], carried[-1] + 1))
+    draft.drive(way, picked_up, set_down, Leg(way.length_m - 2))
+    draft.steers = False
+    if value:
+        draft.killed_s, draft.down_s, draft.restarted_s = OFF_S, OFF_FOR_S, OFF_S + 1.0
+        draft.origin_off_m = (0.0, 0.0)

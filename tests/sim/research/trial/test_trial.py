@@ -28,6 +28,7 @@ from sim.research.trial.table import (
     HEADER,
     CourseScore,
     in_short,
+    known_table,
     line,
     looks_table,
     odometers_table,
@@ -146,6 +147,8 @@ WARNED = ((30.0, 4, "Lookback: not recognized where GPS says we are"),)
 DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
 """45 m wrong from 160 m on."""
 NOTHING = Sent(np.array([]), np.array([]), np.array([]))
+BELIEVED = np.array([(5.0, 90.0), (9.0, 3.0), (30.0, 2.0)])
+"""A place that is 90 m off, and right ones after 72 and 240 m."""
 
 
 def with_levels(along_m: float, across_m: float) -> CourseRun:
@@ -217,6 +220,13 @@ def with_levels(along_m: float, across_m: float) -> CourseRun:
         (course_rules.back_to_usual, run_of(track=DRAGGED, texts=CALLED), "error 45 m after the call"),
         (course_rules.first_in_time, run_of(), ""),
         (course_rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
+        (course_rules.never_wrong, run_of(known=BELIEVED), "1 places wrong, up to 90 m"),
+        (course_rules.never_wrong, run_of(known=BELIEVED[1:]), ""),
+        (course_rules.known_at_rest, run_of(known=BELIEVED), "believed after 72 m"),
+        (course_rules.known_at_rest, run_of(known=BELIEVED, set_down_m=71.6), ""),
+        (course_rules.known_again, run_of(known=BELIEVED), ""),
+        (course_rules.known_again, run_of(known=BELIEVED[:1]), "believed after nan m"),
+        (course_rules.known_again, run_of(known=BELIEVED, set_down_m=100.0), "believed after 140 m"),
     ],
 )
 def test_what_a_rule_finds(rule: Rule, run: CourseRun, found: str) -> None:
@@ -341,6 +351,12 @@ def test_headings_and_beliefs_of_drives_are_counted_together() -> None:
     assert row[4] == "5.00 deg" and row[-2:] == ["80 of 100", "6 |"]
 
 
+def test_of_vehicles_that_nobody_knew_it_is_said_after_which_way_a_place_was_believed() -> None:
+    runs = run_of(known=BELIEVED), run_of(known=BELIEVED[:1])
+    row = known_table([CourseScore("kidnapped, looks", runs)]).splitlines()[2]
+    assert row == "| kidnapped, looks | 2 | 72 m, - | 100 | 0.7 | 2 |"
+
+
 def test_odometers_are_compared_course_by_course() -> None:
     planned = command.plan(_options(["--course", "home,person", "--odometer", "0.3,8", "--worlds", "7,8"]))
     assert len(planned) == 20 and [one.odometer for one in planned[:3]] == [0.3, 8.0, 0.3]
@@ -365,6 +381,15 @@ def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     assert len(run.lane_m) > 20 and max(along_m, across_m) < 1.0
     sent = [json.loads(one) for one in (tmp_path / JOURNAL).read_text().splitlines()]
     assert any(one.get("points", 0) >= 12 for one in sent if one["event"] == "fix_sent")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["standing-start", "kidnapped-off"])
+def test_with_keypoints_a_place_is_known_where_nobody_knew_the_vehicle(
+    name: str, library: RoadLibrary, tmp_path: Path
+) -> None:
+    run = drive(on_keypoints(COURSES[name]), 1, LENGTH_M, WORLD, tmp_path, library)
+    assert not run.failures, line(name, run)
 
 
 @pytest.mark.long
