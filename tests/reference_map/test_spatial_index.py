@@ -68,17 +68,6 @@ def test_far_blocks_are_excluded() -> None:
     assert index.within(1000.0 / 110_600, 500.0 / 111_320, 50.0) == []
 
 
-def test_a_map_without_positions_is_allowed_nowhere_and_unknown_places_where_their_map_is() -> None:
-    places = np.zeros(300, dtype=PLACE)
-    places["lat_deg"][100:] = np.arange(200) * 2.0 / 110_600
-    places["lat_deg"][:100] = places["lon_deg"][:100] = np.nan
-    places["lat_deg"][290:] = places["lon_deg"][290:] = np.nan
-    index = SpatialIndex(places, [(0, 100, None), (100, 300, bounds_of(places[100:]))])
-    assert index.within(0.0, 0.0, 5.0) == [(100, 164), (228, 300)]
-    assert index.within(1.0, 0.0, 5.0) == []
-    assert not SpatialIndex(places[:100], [(0, 100, None)]).is_known
-
-
 def test_widening_merges_what_touches() -> None:
     assert widened([(100, 200), (230, 300), (900, 990)], 10, [0, 1000]) == [(80, 320), (880, 1000)]
     assert widened([(100, 200), (230, 300)], 10, [0, 220, 1000]) == [(80, 320)]
