@@ -27,7 +27,7 @@ from edge.localization.odometer import Scale
 from edge.localization.place_fix import LEAST_SHARPNESS, map_error_m
 from edge.localization.route_estimate import MatchErrors, RouteEstimate, VelocityErrors, left_of
 from edge.localization.sighting import KNOWN_SCALE, Sighting, Sightings
-from edge.localization.track import RecentInnovations, ReckonedTrack, Track
+from edge.localization.track import ReckonedTrack, Track
 from edge.sequence import PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -52,7 +52,6 @@ class RouteFilter:
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self._shown, self._since_shown_m = Scale(0.0, self._config.scale_error_percent / 100), 0.0
         self._sightings = sightings
-        self._innovations = RecentInnovations()
         self.reset()
 
     def reset(self) -> None:
@@ -237,9 +236,7 @@ class RouteFilter:
         now_m = _vector(displacement)
         if self._at is not None:
             moved_m = now_m - _vector(self._at)
-            driven_m = float(np.hypot(*moved_m[:2]))
-            self._innovations.move(driven_m)
-            self._since_shown_m += driven_m
+            self._since_shown_m += float(np.hypot(*moved_m[:2]))
             if self._track is not None:
                 self._track.move(moved_m)
             for one in self._reckoned:
@@ -266,7 +263,6 @@ class RouteFilter:
         if track is None:
             track = self._track = self._begin(sighting, stamp_ns)
         elif track.agrees(sighting, self._rig.sigma_across_m):
-            self._innovations.add(track.innovation(sighting))
             track.add(sighting, self._rig.sigma_across_m, stamp_ns)
         elif look is not None and self._is_outvoted(track, look):
             track.begin_at_look(sighting, look, stamp_ns)
@@ -286,8 +282,6 @@ class RouteFilter:
             one.estimate.begin_drive(sighting.errors)
         known = next((one for one in tracks if one.agrees(sighting, road_sigma_m)), None)
         track = known or Track(estimate, sighting, stamp_ns)
-        if known is not None:
-            self._innovations.add(known.innovation(sighting))
         if tracks:
             track.by_chance = track.agrees_by_chance(sighting) if track is tracks[0] else math.inf
         if known is None and sighting.look is not None:
@@ -325,7 +319,7 @@ class RouteFilter:
         if track.is_looked and course_rad is not None:
             heading_rad = course_rad + estimate.turned_rad + math.pi * track.goes_back
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        covariance = self._innovations.factor**2 * estimate.covariance[:2, :2]
+        covariance = estimate.covariance[:2, :2].copy()
         # No number of a drive's own places shows by how much all of them are off.
         for direction, whole_m in zip((along, left_of(along)), newest.whole_sigma_m, strict=True):
             lacks = max(0.0, whole_m**2 - float(direction @ covariance @ direction))

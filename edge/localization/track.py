@@ -1,4 +1,4 @@
-"""A hypothesis of where the vehicle is: an estimate, and the matches that agreed; how well they agree. Pure."""
+"""A hypothesis of where the vehicle is: an estimate, and the matches that agreed. Pure."""
 
 from __future__ import annotations
 
@@ -11,11 +11,6 @@ from edge.localization.claims import SPREAD_M, STRETCH_WRONG
 from edge.localization.look import HOLDS_M, LOOK_CHI2, Look, Vector
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M, RouteEstimate
 from edge.localization.sighting import Sighting
-
-FADES_M, EXPECTED = 300.0, 1.0
-"""Meters driven within which innovations are recent, and how many as large as expected count besides. On the recorded
-drive ardupilot_dusk912, 2 of 5 positions are beyond three standard deviations with it, 4 of 6 without (`lookback dev
-ablate`). Of 44 other drives it changes only the positions of one that is 12 m beside the map's."""
 
 BY_CHANCE = STRETCH_WRONG  # probability of agreeing with reckoning by chance, up to which a first match is certain
 
@@ -52,8 +47,8 @@ class Track:
         agreed with it for a correlation length.
 
         After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
-        recorded drive from 20 m off to 41 (fc6, confidence 0.92). Of 36 recorded drives with the grid, three wait for
-        it, with 47 positions instead of 131; none is beyond three standard deviations either way.
+        recorded drive from 20 m off to 41 (fc6, confidence 0.92). 52 recorded drives on maps with keypoints have 7,987
+        positions with it and 7,933 without, none beyond three standard deviations either way.
         """
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
@@ -163,33 +158,3 @@ class ReckonedTrack:
             self.aside = off_m, sigma_m
         elif self.aside is not None and self.aside[0] - off_m > AGREE_SIGMAS * sigma_m:
             self.aside = None
-
-
-class RecentInnovations:
-    """By how much the innovations of recent matches are larger than expected.
-
-    In light or weather that is unlike the map's, lines are wrong by more than the rig's calibration says.
-    """
-
-    def __init__(self) -> None:
-        self._squares = self._count = EXPECTED
-        self._since_m = math.inf
-
-    def move(self, driven_m: float) -> None:
-        """The vehicle has moved on."""
-        kept = math.exp(-driven_m / FADES_M)
-        self._squares = EXPECTED + kept * (self._squares - EXPECTED)
-        self._count = EXPECTED + kept * (self._count - EXPECTED)
-        self._since_m += driven_m
-
-    def add(self, innovation: float) -> None:
-        """Of a match that agrees, in standard deviations. It counts as far as it is independent of the last one."""
-        share = 1 - math.exp(-self._since_m / CORRELATION_M)
-        self._squares += share * innovation**2
-        self._count += share
-        self._since_m = 0.0
-
-    @property
-    def factor(self) -> float:
-        """Times by which standard deviations are too small, at least 1."""
-        return math.sqrt(max(1.0, self._squares / self._count))

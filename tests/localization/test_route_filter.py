@@ -207,22 +207,6 @@ def test_a_frame_that_no_line_leads_through_moves_none(road: Road) -> None:
     assert north_m(one.place) == pytest.approx(north_m(expected.place), abs=0.001)
 
 
-def test_a_position_is_less_certain_where_matches_are_further_off_than_calibrated(road: Road) -> None:
-    """Each 60 m, faint matches are as far ahead as the last ones were behind, as in light that is unlike the map's."""
-
-    def after(apart_m: float) -> tuple[float, float]:
-        one = Vehicle(road, north_m=80.0)
-        for _ in range(4):
-            one.go(50, nothing)
-            one.go(10, shown(road, apart_m, sharpness=0.06))
-            apart_m = -apart_m
-        return north_m(one.place) - one.north_m, placed(one).sigma_along_m
-
-    (_, usual_m), (off_m, sigma_m) = after(2.0), after(12.0)
-    assert sigma_m > 1.15 * usual_m
-    assert abs(off_m) < sigma_m
-
-
 def test_many_matches_are_hardly_better_than_one(road: Road) -> None:
     few, many = (placed(warm(road, meters=meters)) for meters in (2.0, 60.0))
     assert 3.0 <= many.sigma_along_m < few.sigma_along_m < 1.5 * many.sigma_along_m

@@ -55,7 +55,6 @@ CONSTANTS: dict[str, object] = {
     "route_filter.UNEXPECTED_SIGMAS": math.inf,
     "sighting.SHARP": 1e-9,
     "track.BY_CHANCE": math.inf,
-    "track.FADES_M": 1e-6,
 }
 """Of `edge.localization`, with what puts each out of action."""
 NAMES = (*(rule.reason for rule in RULES if rule.reason != NO_PLACES), *CONSTANTS)
