@@ -59,6 +59,8 @@ CONSTANTS: dict[str, object] = {
 """Of `edge.localization`, with what puts each out of action."""
 NAMES = (*(rule.reason for rule in RULES if rule.reason != NO_PLACES), *CONSTANTS)
 """Without a place there is nothing to publish."""
+FEW = 0.01
+"""By less than this share of the positions hardly anything changes."""
 HEADER = (
     "| without | positions | beyond 3, 4 sigma | largest error | above their levels | GPS: wrong, not recognized |\n"
     "|---|---|---|---|---|---|"
@@ -104,7 +106,10 @@ def _run(args: argparse.Namespace) -> int:
         given = " ".join(path.name for path in args.flights)
         constants = sum(name in CONSTANTS for name in without)
         rules = f"Without each of {len(without) - constants} rules and {constants} constants"
-        names = "all" if len(drives) == len(folders) else ", ".join(drive.name for drive in drives)
+        missing = [folder.name for folder in folders if folder not in drives]
+        names = f"all{' but ' * bool(missing)}{', '.join(missing)}"
+        if len(missing) > len(drives):
+            names = ", ".join(drive.name for drive in drives)
         made = f"`lookback dev ablate LISTS {given}` of version {__version__}:\n\n{rules}; drives: {names}."
         put_between(SECTION, args.page, f"{made}\n\n{text}")
     print(text)
@@ -198,13 +203,22 @@ def _off(fix: Fix, truth: RecordedDrive) -> Off:
 
 
 def table(drives: Sequence[dict[str, Answers]]) -> str:
-    """One row for each rule and constant; only its name where nothing changes."""
+    """One row for each rule and constant; only its name where hardly anything changes, or nothing."""
     names = {"": "nothing"} | {name: name for name in drives[0] if name}
     rows = {name: _row([one[name] for one in drives]) for name in names}
     spelled = {name: f"`{name}`" if name in CONSTANTS else words for name, words in names.items()}
-    lines = [f"| {spelled[name]} | {rows[name]} |" for name in names if not name or rows[name] != rows[""]]
-    same = "; ".join(spelled[name] for name in names if name and rows[name] == rows[""])
-    return "\n".join([f"{len(drives)} drives:\n", HEADER, *lines, "", f"The same without: {same or 'none'}."])
+    same = [name for name in names if name and rows[name] == rows[""]]
+    few = [name for name in names if name and name not in same and _hardly(rows[name], rows[""])]
+    lines = [f"| {spelled[name]} | {rows[name]} |" for name in names if name not in (*same, *few)]
+    told = {f"Under {FEW:.0%} of the positions changes, and nothing else, without": few, "The same without": same}
+    lists = [f"\n{words}: {'; '.join(spelled[name] for name in found)}." for words, found in told.items() if found]
+    return "\n".join([f"{len(drives)} drives:\n", HEADER, *lines, *lists])
+
+
+def _hardly(row: str, whole: str) -> bool:
+    """Whether only the number of positions changes, and that by less than FEW."""
+    (count, rest), (of, whole_rest) = (one.split(" | ", 1) for one in (row, whole))
+    return rest == whole_rest and abs(int(count) - int(of)) < FEW * int(of)
 
 
 def _row(drives: Sequence[Answers]) -> str:
