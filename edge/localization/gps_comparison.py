@@ -33,8 +33,6 @@ ANYWHERE = 2e-15
 """Per square meter: anywhere on Earth. No honest offset is less likely than a thousandth of that."""
 BURST_SHARE, BURST_M = 0.05, 5.0
 """Share of the sightings in a burst of multipath, and one standard deviation of it east and north: 10 m are two."""
-
-SHAPED = 0.98  # confidence of lines that vouch for GPS having moved
 SECOND_M = 0.8
 """What looks are wrong by beside their covariance: a tenth of them are a second solution, 2.5 m off."""
 
@@ -156,7 +154,7 @@ def compare(
         along_sigma_m=math.hypot(place.along_m, gps_m),
         left_sigma_m=math.hypot(place.left_m, gps_m),
         each_sigma_m=max(place.along_m, place.left_m, gps_m),
-        shape=drive.recording if drive.checked_m > 0 and (place.look_m or match.confidence >= SHAPED) else "",
+        shape=drive.recording if drive.checked_m > 0 else "",
         look_sigma_m=place.look_m,
         slow_sigma_m=math.hypot(place.map_m, gps_m),
         whole_sigma_m=place.whole_m,

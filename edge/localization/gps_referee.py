@@ -42,8 +42,8 @@ GpsVerdictState: TypeAlias = Literal[
 ]
 DOUBTFUL = 3.0
 """Score (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
-NEWEST, NEWEST_LOOKS = 3, 2
-"""Of so many comparisons in a row the one counts that says least; of those with looks, where GPS is dragged by them."""
+NEWEST = 3
+"""Of so many comparisons in a row the one counts that says least."""
 DEPARTS_M, DEPARTS, UNSTEADY = 20.0, 1.5, 0.25
 """How far GPS departs over three stretches of a recording that keeps its shape, at least, and for each meter that it
 was off in the first: on another street that looks the same, it is that far off all along. By which share of that it may
@@ -250,7 +250,7 @@ class GpsReferee:
         while grows > 1 and samples[grows - 1].high > 0.0:
             grows -= 1
         began_m = samples[max(0, grows - NEWEST)].at_m  # as many, until it shows
-        newest = samples[-(NEWEST if samples[-1].drag < self._disagree else NEWEST_LOOKS) :]
+        newest = samples[-NEWEST:]
         agreed, lost = self._agreed.before(began_m), None if self._lost is None else self._lost.anchor
         is_gps = is_map = leans = False
         for row in range(len(agreed)):

@@ -33,7 +33,6 @@ STREAM_S = 0.2
 SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
     "bound.SETTLED_NS": 0,
-    "gps_comparison.SHAPED": 0.0,
     "gps_judge.BESIDE_SIGMAS": math.inf,
     "gps_judge.FIRM": 0.0,
     "gps_judge.MOST_PLACES": math.inf,
