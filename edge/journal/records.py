@@ -210,6 +210,11 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     ] = None
     level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
     points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
+    sigma_along_m: Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)] = UNSET
+    keeps: Annotated[
+        Literal["along", "across"] | UnsetType,
+        unit("", "the direction in which the position is the autopilot's own; absent: in none"),
+    ] = UNSET
 
 
 class FixAnswered(Record, frozen=True, tag="fix_answered"):

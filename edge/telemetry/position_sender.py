@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from msgspec import UNSET
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -177,6 +178,7 @@ class PositionSender:
 
     def _record(self, sent: Sent, message: PositionMessage, sending: Sending) -> None:
         fix, own = sent.place, sent.own
+        keeps_along, keeps_across = sent.fix.keeps
         self._publisher.record(
             FixSent(
                 fix.place,
@@ -191,6 +193,8 @@ class PositionSender:
                 fix.map,
                 *level_m(sent.fix.level),
                 fix.points,
+                fix.sigma_along_m,
+                "along" if keeps_along else "across" if keeps_across else UNSET,
             )
         )
 

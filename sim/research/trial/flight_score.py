@@ -27,9 +27,9 @@ RESET_M = 0.15
 class SentPosition(msgspec.Struct, frozen=True):
     """A position that was sent: how far from the truth, in the direction of travel and to its right.
 
-    message: the number of the command or message. time_s: since GPS was lost, driven_m: since then. sigma_m, levels:
-    as in the journal, None where it has none for this one (of a stream it has one a second). Errors
-    are NaN where nothing says where the vehicle was.
+    message: the number of the command or message. time_s: since GPS was lost, driven_m: since then. sigma_m, levels,
+    sigma_along_m, keeps: as in the journal, None where it has none for this one (of a stream it has one a second).
+    Errors are NaN where nothing says where the vehicle was.
     """
 
     time_s: float
@@ -41,6 +41,19 @@ class SentPosition(msgspec.Struct, frozen=True):
     sigma_m: float | None = None
     level_along_m: float | None = None
     level_across_m: float | None = None
+    sigma_along_m: float | None = None
+    keeps: str | None = None
+
+    @property
+    def sigmas(self) -> float:
+        """Error over standard deviation, where the position is not the autopilot's own; NaN where that is not known."""
+        if not self.sigma_m:
+            return math.nan
+        if self.keeps is None or self.sigma_along_m is None:
+            return self.error_m / self.sigma_m
+        if self.keeps == "across":
+            return abs(self.along_m) / self.sigma_along_m
+        return abs(self.across_m) / math.sqrt(self.sigma_m**2 - self.sigma_along_m**2)
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -66,7 +79,7 @@ class Score(msgspec.Struct, frozen=True):
     def row(self) -> dict[str, float]:
         """The figures of the table; NaN where there is nothing to measure."""
         error_m = np.array([one.error_m for one in self.positions if not math.isnan(one.error_m)])
-        sigmas = np.array([one.error_m / one.sigma_m for one in self.positions if one.sigma_m])
+        sigmas = np.array([one.sigmas for one in self.positions])
         sigmas = sigmas[~np.isnan(sigmas)]
         median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
         bounded = [one for one in self.positions if one.level_along_m and one.level_across_m]
@@ -123,12 +136,24 @@ def _position(
     *here_m, _, age_s = position
     is_command = message.get_type() == "COMMAND_INT"
     fix = known.get((message.x, message.y) if is_command else (message.lat, message.lon))
-    return SentPosition(
+    error_m, along_m, across_m = (round(one, 3) for one in off_truth(drive, here_m, sent_s - age_s))
+    found = SentPosition(
         round(sent_s - drive.gps_lost_s, 3),
         round(drive.driven_m(sent_s) - drive.driven_m(drive.gps_lost_s), 2),
         message.command if is_command else message.get_msgId(),
-        *(round(one, 3) for one in off_truth(drive, here_m, sent_s - age_s)),
-        *(() if fix is None else (fix.sigma_m, fix.level_along_m, fix.level_across_m)),
+        error_m,
+        along_m,
+        across_m,
+    )
+    if fix is None:
+        return found
+    return msgspec.structs.replace(
+        found,
+        sigma_m=fix.sigma_m,
+        level_along_m=fix.level_along_m,
+        level_across_m=fix.level_across_m,
+        sigma_along_m=fix.sigma_along_m or None,
+        keeps=fix.keeps or None,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import json
+import math
 import shutil
 from collections.abc import Callable
 from contextlib import closing
@@ -68,6 +69,12 @@ def test_positions_are_judged_by_the_truth_at_their_own_moment(drive: RecordedDr
     assert row["silent_s"] == pytest.approx(15.0, abs=0.05)
     driven_m = drive.driven_m(lost_s + 5.0) - drive.driven_m(lost_s)
     assert driven_m > 5.0 and row["first_m"] == pytest.approx(driven_m, abs=0.01)
+
+
+@pytest.mark.parametrize(("keeps", "sigmas"), [(None, math.sqrt(1.25)), ("across", 2.0), ("along", 0.75)])
+def test_where_a_position_is_the_autopilots_own_its_error_is_not_ours(keeps: str | None, sigmas: float) -> None:
+    one = SentPosition(1.0, 5.0, 0, 5.0, -4.0, 3.0, math.hypot(2.0, 4.0), sigma_along_m=2.0, keeps=keeps)
+    assert one.sigmas == pytest.approx(sigmas)
 
 
 def test_a_drive_without_positions_is_silent_to_its_end(drive: RecordedDrive) -> None:
