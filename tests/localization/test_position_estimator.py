@@ -59,6 +59,12 @@ def test_the_uncertainty_grows_by_what_gps_has_shown_of_the_odometer(road: Road)
     assert shown(road, scale=None)[1] == shown(road, gps="unknown")[1] == pytest.approx(math.hypot(3.0, 5.0))
 
 
+@pytest.mark.parametrize(("mean", "expected"), [(0.05, math.radians(2.0)), (0.12, 0.1)])
+def test_wheels_are_as_wrong_as_usual_unless_gps_contradicts_that(mean: float, expected: float, road: Road) -> None:
+    """Of 5 % that GPS shows to 3 %, half is its own error, and the heading's is more; of 12 %, nearly all is theirs."""
+    assert shown(road, scale=Scale(mean, 0.03))[1] == pytest.approx(math.hypot(3.0, expected * 100.0), rel=0.1)
+
+
 def test_a_wheel_that_spins_takes_back_what_was_shown(road: Road) -> None:
     one, _ = shown(road)
     one.motion = replace(one.motion, doubtful_north_m=1.0)

@@ -62,3 +62,17 @@ def test_a_scale_that_was_expected_too_surely_is_as_uncertain_again_as_if_it_nev
     sigmas, wanted = (np.sqrt(np.diag(estimate.covariance)[:4]) for estimate in (sure, unsure))
     assert sigmas == pytest.approx(wanted, rel=0.25) and (before_m < 0.75 * wanted[:2]).any()
     assert sure.position_m == pytest.approx(unsure.position_m), "what was driven so far was by what was expected"
+
+
+@pytest.mark.parametrize("forgets", ["nothing", "doubt", "gps"])
+def test_what_gps_has_shown_of_the_scale_stays_until_it_is_doubted_or_gps_is_back(forgets: str) -> None:
+    estimate = RouteEstimate(np.zeros(2), np.eye(2), ERRORS)
+    estimate.expect(Scale(0.03, 0.01, 0.02))
+    if forgets == "doubt":
+        estimate.doubt_scale()
+    elif forgets == "gps":
+        estimate.bound(np.zeros(2), 3.0)
+    for _ in range(1000):
+        estimate.predict(np.array([0.0, 2.0, 0.0, 0.0]))
+    wanted = (0.03, np.hypot(0.01, 0.02)) if forgets == "nothing" else (0.0, SCALE)
+    assert estimate.scale[:2] == pytest.approx(wanted, rel=0.02, abs=0.002)
