@@ -85,7 +85,7 @@ RULES = (
     ),
     Rule(
         "recognized, but not exactly",
-        "the newest place is recognized, and no line shows to a few meters where: its sharpness is below 2 %, another "
+        "the newest place is recognized, and no line shows to a few meters where: its sharpness is below 5 %, another "
         "place fits the newest frame better, or the vehicle goes another way",
         "test_a_line_that_is_not_sharp_is_not_used",
         lambda now: now.place is None and now.is_blurred,

@@ -47,8 +47,8 @@ class Track:
         agreed with it for a correlation length.
 
         After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
-        recorded drive from 20 m off to 41 (fc6, confidence 0.92). 52 recorded drives on maps with keypoints have 7,987
-        positions with it and 7,933 without, none beyond three standard deviations either way.
+        recorded drive from 20 m off to 41 (fc6, confidence 0.92). 52 recorded drives on maps with keypoints, with lines
+        from a sharpness of 2 % on, have 7,987 positions with it and 7,933 without, none beyond three sigma.
         """
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M

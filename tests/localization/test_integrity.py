@@ -119,7 +119,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | Refusal], ...]] = {
     "the autopilot's clock is not known": (reported(is_clock_known=False),),
     "nothing is recognized now": (asked(unable="the picture is dark"),),
     "recognized, but not exactly": (
-        lambda one: one.answers(24, lambda at_m: one.road.match(at_m, sharpness=0.01))[-1],
+        lambda one: one.answers(24, lambda at_m: one.road.match(at_m, sharpness=0.04))[-1],
     ),
     "the places do not agree yet": (
         lambda one: Vehicle(one.road).ask(),

@@ -164,7 +164,7 @@ def test_a_line_that_leads_another_way_than_the_vehicle_went_is_not_used(
     assert (one.place is not None) == is_used
 
 
-@pytest.mark.parametrize(("sharpness", "is_used"), [(0.015, False), (0.025, True)])
+@pytest.mark.parametrize(("sharpness", "is_used"), [(0.04, False), (0.06, True)])
 def test_a_line_that_is_not_sharp_is_not_used(road: Road, sharpness: float, is_used: bool) -> None:
     assert (warm(road, sees=shown(road, sharpness=sharpness)).place is not None) == is_used
 
