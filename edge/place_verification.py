@@ -133,7 +133,7 @@ class PlaceVerification:
             place, pose = nearer, again
         self._newest = query, place, pose
         # Other rows show that the place is right, not that the pose is, which is the less certain the less its own row
-        # supports it: one recorded drive has 55 positions without that, up to 3.3 sigma off, and 124 with it, up to 2.6.
+        # supports it: one recorded drive has 55 positions without that, up to 3.3 sigma off, 124 with it, up to 2.6.
         covariance = pose.covariance * max(1.0, ENOUGH / _support_of(pose))
         where = pose.right_m, pose.ahead_m, pose.turn, covariance
         return Seen(place, *where, pose.count, confidence_of(self._support(query, place, pose)))
