@@ -98,7 +98,7 @@ class RouteEstimate:
     def __init__(self, position_m: Vector, covariance: NDArray[np.float64], errors: VelocityErrors) -> None:
         """Begin at a position (2,) with its covariance (2, 2)."""
         self._variances = np.array([errors.heading_rad**2, errors.scale**2, 0.0, *errors.match.variances, AIM_RAD**2])
-        self._is_doubtful, self._shown = False, Scale(0.0, errors.scale)
+        self._is_doubtful, self._shown = False, (0.0, errors.scale**2)  # mean and variance of the velocity's scale
         self.mean = np.array([*position_m, *np.zeros(len(self._variances))])
         self.covariance = np.diag([0.0, 0.0, *self._variances])
         self.covariance[:2, :2] = covariance
@@ -172,23 +172,23 @@ class RouteEstimate:
         transition = np.diag([1.0, 1.0, *kept])
         transition[:2, 2:MATCH] = self._slopes(displacement_m)
         self.mean[2:] *= kept
-        self.mean[SCALE] += (1 - kept[SCALE - 2]) * self._shown.mean
+        variances = self._variances.copy()
+        shown, variances[SCALE - 2] = self._shown
+        self.mean[SCALE] += (1 - kept[SCALE - 2]) * shown
         self.covariance = transition @ self.covariance @ transition.T
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
-        variances = self._variances.copy()
-        variances[SCALE - 2] = self._shown.later**2
         self.covariance += np.diag([*wander, *(variances * (1 - kept**2))])
 
     def expect(self, scale: Scale) -> None:
         """This was shown of the velocity's scale, which changes about it."""
-        self._shown = scale
+        self._shown = scale.mean, scale.later**2
         self.covariance[SCALE, :] = self.covariance[:, SCALE] = 0.0
-        self.mean[SCALE], self.covariance[SCALE, SCALE] = scale.mean, scale.later**2
+        self.mean[SCALE], self.covariance[SCALE, SCALE] = self._shown
 
     def doubt_scale(self) -> None:
         """Of the velocity's scale nothing was known: all that the state owes to it becomes as uncertain as it is."""
         found, assumed = float(self.covariance[SCALE, SCALE]), float(self._variances[SCALE - 2])
-        self._shown = Scale(0.0, math.sqrt(assumed))
+        self._shown = 0.0, assumed
         if found > 0:
             by_scale = self.covariance[:, SCALE] / found
             self.covariance += max(0.0, assumed - found) * np.outer(by_scale, by_scale)
@@ -287,7 +287,7 @@ class RouteEstimate:
         As a measurement just good enough for that, like `keep_on_road`, since its errors stay for minutes. GPS corrects
         the velocity of the autopilot as well, whose errors therefore begin when it is lost.
         """
-        self._shown = Scale(0.0, math.sqrt(float(self._variances[SCALE - 2])))
+        self._shown = 0.0, float(self._variances[SCALE - 2])
         self.mean[2:MATCH] = self.covariance[2:MATCH, :] = self.covariance[:, 2:MATCH] = 0.0
         self.covariance[2:MATCH, 2:MATCH] = np.diag(self._variances[: MATCH - 2])
         for direction in np.eye(2):
