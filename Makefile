@@ -18,7 +18,7 @@ CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(fi
 WITH_LONG := -m 'not hardware and not soak'
 SIDE_BY_SIDE := -n $(shell expr $$(env -u OMP_NUM_THREADS nproc) + 2) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
-WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py toml_file.py warm_start_file.py
+WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py warm_start_file.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 # Drives that are computed alike on every Python: over a quarter of the time that test-python would take.
 ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
