@@ -276,17 +276,22 @@ class OwnPosition:
         drift_m = self.drift.most * max(0.0, own.driven_m - at_m)
         return Reckoning(*where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement)))
 
-    def sigma_m(self, own: Own, least_m: float = 0.0) -> float | None:
-        """One standard deviation, None where nothing bounds it."""
+    def _errors(self, own: Own) -> Errors | None:
         if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
-        return max(self.bound.errors.most_m(self.drift), least_m)
+        return self.bound.errors
+
+    def sigma_m(self, own: Own, least_m: float = 0.0) -> float | None:
+        """One standard deviation, None where nothing bounds it."""
+        errors = self._errors(own)
+        return None if errors is None else max(errors.most_m(self.drift), least_m)
 
     def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
         """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
-        if self.bound is None or self.sigma_m(own) is None or fix.heading_deg is None:
+        errors = self._errors(own)
+        if errors is None or fix.heading_deg is None:
             return None
-        axes_m = self.bound.errors.along_and_across_m(fix.heading_deg, self.drift)
+        axes_m = errors.along_and_across_m(fix.heading_deg, self.drift)
         return max(axes_m[0], least_m), max(axes_m[1], least_m)
 
     def reckoned(self, fix: PlaceFix, motion: Displacement | None, own: Own) -> Reckoned | None:
