@@ -140,8 +140,8 @@ $(BIN)/python:
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
 $(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
-	@echo "2. the packages, 800 MB: a few minutes"
-	$(BIN)/python -m pip install -qq --editable '.[sim,page,desk]'
+	@echo "2. the packages, 1 GB: a few minutes"
+	$(BIN)/python -m pip install -qq --editable '.[eval,page,desk]'
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py

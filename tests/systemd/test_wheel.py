@@ -1,4 +1,4 @@
-"""What is installed from the wheel alone: the commands of README, and nothing of what was measured to build it."""
+"""What is installed from the wheel alone, or as README says: its commands, and nothing of what was measured."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import venv
 import zipfile
+from collections.abc import Callable
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from packaging.requirements import Requirement
 from edge.descriptor.model_file import FC6_PACKAGE, GRID
 from edge.extras import DISTRIBUTION
 
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
 PARSE = """
 import json, sys
 from edge.commands.parser import build_parser
@@ -27,33 +29,37 @@ for words in json.loads(sys.argv[1]):
 """
 
 
-def core() -> list[Distribution]:
-    """The packages that Lookback needs without any extra, and what they need."""
-    found: dict[str, Distribution] = {}
-    wanted = [DISTRIBUTION]
+def needed(*extras: str) -> list[Distribution]:
+    """The packages that Lookback needs with some extras, and what they need."""
+    found: dict[tuple[str, str], Distribution] = {}
+    wanted = [(DISTRIBUTION, extra) for extra in ("", *extras)]
     while wanted:
-        one = distribution(wanted.pop())
-        for text in one.requires or ():
-            need = Requirement(text)
-            if need.name not in found and (need.marker is None or need.marker.evaluate({"extra": ""})):
-                found[need.name] = distribution(need.name)
-                wanted.append(need.name)
-    return list(found.values())
+        name, extra = wanted.pop()
+        found[name, extra] = distribution(name)
+        for need in map(Requirement, found[name, extra].requires or ()):
+            if need.marker is None or need.marker.evaluate({"extra": extra}):
+                wanted += [(need.name, one) for one in ("", *need.extras) if (need.name, one) not in found]
+    return [one for (name, extra), one in found.items() if not extra and name != DISTRIBUTION]
+
+
+def environment(folder: Path, *extras: str) -> tuple[Path, Path]:
+    """An environment with links to the packages that are needed: its Python, and where packages are."""
+    venv.create(folder)
+    site = next(folder.glob("lib/python*/site-packages"))
+    for one in needed(*extras):
+        for top in {file.parts[0] for file in one.files or () if file.parts[0] not in ("..", "__pycache__")}:
+            if not (site / top).exists():
+                (site / top).symlink_to(Path(str(one.locate_file(top))))
+    return folder / "bin/python", site
 
 
 @pytest.fixture(scope="module")
 def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An environment with the wheel and links to the packages that it needs."""
-    folder = tmp_path_factory.mktemp("empty") / "venv"
-    venv.create(folder)
-    site = next(folder.glob("lib/python*/site-packages"))
-    for one in core():
-        for top in {file.parts[0] for file in one.files or () if file.parts[0] not in ("..", "__pycache__")}:
-            if not (site / top).exists():
-                (site / top).symlink_to(Path(str(one.locate_file(top))))
+    """An environment with the wheel, and what it needs."""
+    python, site = environment(tmp_path_factory.mktemp("empty") / "venv")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    return folder / "bin/python"
+    return python
 
 
 def run(python: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -108,3 +114,21 @@ def test_research_says_where_it_is(python: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert re.search(r"flights +only in a clone", done.stdout)
     assert re.search(r"bench +measure this board", done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [("Makefile", r"--editable '\.\[([a-z,]+)\]'\n\ttouch"), ("README.md", r"'lookback-nav\[([a-z,]+)\]'")],
+)
+def test_try_needs_no_more_than_is_said(
+    file: str, said: str, write_traverse: Callable[..., Path], tmp_path: Path
+) -> None:
+    """After `make demo`, and after the `pip install` of README; the code is the clone's, which has the network."""
+    extras = re.search(said, (ROOT / file).read_text(encoding="utf-8"))
+    assert extras is not None
+    python, site = environment(tmp_path / "venv", *extras[1].split(","))
+    (site / "clone.pth").write_text(str(ROOT))
+    drives = [str(write_traverse(tmp_path / name)) for name in ("out", "home")]
+    done = run(python, "-m", "edge", "try", *drives, "-o", str(tmp_path / "try"))
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "try/report.html").exists()
