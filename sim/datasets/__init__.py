@@ -18,6 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
+from edge.config import CameraConfig, checked_option
 from edge.errors import FeedError
 from edge.feed import FeedRow, Pictures, View
 from sim.datasets.alignment import Alignment
@@ -48,6 +49,8 @@ class Traverse:
     """Of a video over its track, where the two have clocks of their own."""
     time_sigma_s: float | None = None
     """See `FeedHeader`, where there is no alignment."""
+    fov_deg: float | None = None
+    """Horizontal field of view of the pictures, where the recording says it."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,8 @@ class ReadOptions:
     """Rows of pixels to cut off below, where the vehicle itself is seen."""
     view: View | None = None
     """Direction of the camera; the default is front, or that of the camera's name."""
+    fov_deg: float | None = None
+    """Horizontal field of view of the pictures, in place of what the recording says."""
 
     def given(self) -> set[str]:
         """Names of the options that are not None."""
@@ -90,10 +95,16 @@ class DatasetKind:
     options: frozenset[str]
 
 
+OF_ALL = ("view", "fov_deg")
+"""Options that each kind has."""
+USUAL_FOV = "a phone 65, upright 40; GoPro Linear 86, Wide 118; webcams 60 to 78"
+"""Horizontal fields of view in degrees, for who has to say one."""
+
+
 def _kind(
     module: str, what: str, *options: str, truth: TruthKind = "positions", tolerance: float = 25.0
 ) -> DatasetKind:
-    return DatasetKind(f"sim.datasets.{module}", what, truth, tolerance, frozenset({"view", *options}))
+    return DatasetKind(f"sim.datasets.{module}", what, truth, tolerance, frozenset({*OF_ALL, *options}))
 
 
 KINDS: Mapping[str, DatasetKind] = MappingProxyType(
@@ -134,9 +145,12 @@ def check_files(path: Path) -> None:
 def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> Traverse:
     """Open one traverse of a data set.
 
-    FeedError names the file, the line or the option if anything is missing, malformed, or cannot be put together.
+    FeedError names the file, the line or the option if anything is missing, malformed, or cannot be put together;
+    ConfigError a field of view that is out of range.
     """
     options = options or ReadOptions()
+    if options.fov_deg is not None:
+        checked_option(CameraConfig(), "--fov-deg", fov_deg=options.fov_deg)
     if kind not in KINDS:
         raise FeedError(f"{kind}: no such kind of data set; it is one of {', '.join(sorted(KINDS))}")
     unused = sorted(options.given() - KINDS[kind].options)
@@ -148,6 +162,8 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
     with needing(f"{kind}:", "import", FeedError):
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
+    if options.fov_deg is not None:
+        traverse = replace(traverse, fov_deg=options.fov_deg)
     if options.view is not None:
         return replace(traverse, view=options.view)
     if kind in OWN and traverse.view == "front":

@@ -17,6 +17,7 @@ from sim.datasets import KINDS, ReadOptions, Traverse, open_dataset
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.datasets.summary import summarize
+from sim.maps.adding_keypoints import add_fov_option
 from sim.maps.command import add_spacing_options, sampling_from
 
 
@@ -49,6 +50,7 @@ def _add_read_options(parser: argparse.ArgumentParser) -> None:
     start.add_argument("--start-time", metavar="TIME", help="when the first frame was taken, 2026-05-04T12:30:00Z")
     parser.add_argument("--crop-bottom", metavar="ROWS", type=int, help="crop rows that show the vehicle itself")
     parser.add_argument("--view", choices=["front", "rear"], help="direction of the camera")
+    add_fov_option(parser)
 
 
 def _kinds() -> str:
@@ -87,8 +89,8 @@ def import_dataset(args: argparse.Namespace) -> int:
     feed = read_feed(args.output)
     print(f"{args.output}: {count} frames of {len(traverse.rows)}, from {traverse.source}")
     for word, line in summarize(feed):
-        print(f"  {word:<12} {line}")
-    print(f"  {'sheet':<12} {_write_sheet(feed, traverse)}")
+        print(f"  {word:<13} {line}")
+    print(f"  {'sheet':<13} {_write_sheet(feed, traverse)}")
     return 0
 
 

@@ -152,7 +152,8 @@ def _write(
 def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
     sigma_s = traverse.alignment.sigma_s if traverse.alignment else traverse.time_sigma_s
     size_px = size[1], size[0]
-    return FeedHeader(traverse.name, traverse.view, *size_px, traverse.source, traverse.notes, time_sigma_s=sigma_s)
+    about = traverse.name, traverse.view, *size_px, traverse.source, traverse.notes
+    return FeedHeader(*about, time_sigma_s=sigma_s, fov_deg=traverse.fov_deg)
 
 
 def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:

@@ -7,6 +7,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from edge.feed import Feed
+from sim.datasets import USUAL_FOV
 from sim.traverse import driven_m
 
 UNIX_FROM_NS = 10**18
@@ -32,6 +33,9 @@ def summarize(feed: Feed) -> list[tuple[str, str]]:
     else:
         step_m = f", a frame every {meters[-1] / (len(rows) - 1):.2g} m" if len(rows) > 1 else ""
         lines.append(("length", f"{meters[-1]:.0f} m{step_m}"))
+    fov_deg = feed.header.fov_deg
+    unknown = f"not known, so a map of it has no keypoints; --fov-deg DEG says it ({USUAL_FOV})"
+    lines.append(("field of view", unknown if fov_deg is None else f"{fov_deg:.1f} degrees"))
     placed = sum(row.lat_deg is not None for row in rows)
     sources = sorted({row.position_source for row in rows if row.lat_deg is not None})
     lines.append(("positions", f"{placed} of {len(rows)} frames ({', '.join(sources)})" if placed else "none"))

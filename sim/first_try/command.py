@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from edge.camera.picture_check import FrozenPictureDetector
-from edge.config import FIRST_NETWORK, Config, DescriptorConfig, SamplingConfig
+from edge.camera.preprocessing import preprocessed_feed
+from edge.config import FIRST_NETWORK, CameraConfig, Config, DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
 from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import MapSet, open_map, open_map_set
@@ -28,6 +29,7 @@ from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.evaluation.recognition import judge, recognize
 from sim.evaluation.replay import as_line
 from sim.first_try.verdict import Tried, Verdict, verdict
+from sim.maps.adding_keypoints import add_fov_option, camera_from
 from sim.maps.command import add_spacing_options, build_map, sampling_from
 from sim.output import needing, replacing
 from sim.traverse import config_as_mapped, driven_m
@@ -57,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         about = "seconds from the track's first position to the video's start (default: by what both show)"
         parser.add_argument(f"--{role}-offset-s", metavar="S", type=float, help=about)
     add_tolerance_option(parser)
+    add_fov_option(parser)
     add_spacing_options(parser)
     parser.set_defaults(run=_run)
 
@@ -138,14 +141,16 @@ def _open(args: argparse.Namespace, role: str) -> Feed | Traverse:
     view: View | None = getattr(args, f"{role}_view")
     positions, offset_s = getattr(args, f"{role}_positions"), getattr(args, f"{role}_offset_s")
     kind = find_kind(path, positions)
+    camera = camera_from(args, CameraConfig())
     if kind is None and path.is_dir():
         for option, value in (("view", view), ("positions", positions), ("offset-s", offset_s)):
             if value is not None:
                 raise ConfigError(f"--{role}-{option}: {path} is a feed; edit its feed.toml or frames.csv instead")
-        return read_feed(path)
+        return preprocessed_feed(read_feed(path), camera)
     if kind is None:
-        return read_feed(path, FeedOptions(view, offset_s=offset_s))
-    return open_dataset(kind, path, ReadOptions(positions=positions, offset_s=offset_s, view=view))
+        return preprocessed_feed(read_feed(path, FeedOptions(view, offset_s=offset_s)), camera)
+    said = ReadOptions(positions=positions, offset_s=offset_s, view=view, fov_deg=args.fov_deg)
+    return open_dataset(kind, path, said)
 
 
 def _has_meters(one: Feed | Traverse) -> bool:
@@ -166,7 +171,8 @@ def _as_traverse(one: Feed | Traverse) -> Traverse:
     """A recording of which a part is copied, whatever it is."""
     if isinstance(one, Traverse):
         return one
-    return Traverse(one.header.name, one.path.name, one.rows, FeedImages(one), one.header.view)
+    header = one.header
+    return Traverse(header.name, one.path.name, one.rows, FeedImages(one), header.view, fov_deg=header.fov_deg)
 
 
 def _fitted(config: Config, maps: MapSet, query: Feed, network: MemoizingNetwork) -> Config:

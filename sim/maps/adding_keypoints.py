@@ -30,8 +30,8 @@ WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-
 
 def add_fov_option(parser: argparse.ArgumentParser) -> None:
     """Of the pictures."""
-    about = "horizontal field of view of the pictures in degrees, where neither a config nor the recording says it"
-    parser.add_argument("--fov-deg", type=float, metavar="DEG", help=f"{about}; keypoints need it")
+    about = "horizontal field of view of the pictures in degrees, in place of the recording's own; keypoints need it"
+    parser.add_argument("--fov-deg", type=float, metavar="DEG", help=about)
 
 
 def camera_from(args: argparse.Namespace, camera: CameraConfig) -> CameraConfig:

@@ -111,6 +111,19 @@ def test_a_picture_of_another_size_is_named(walk: Path, sim_import: Import) -> N
     assert [path.name for path in walk.parent.iterdir()] == ["walk"]
 
 
+def test_the_field_of_view_is_asked_for_or_kept(
+    walk: Path, sim_import: Import, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sim_import("gardens-point", walk, "-o", walk.parent / "unknown")
+    assert "field of view not known, so a map of it has no keypoints; --fov-deg DEG says it (a phone 65," in (
+        capsys.readouterr().out
+    )
+    assert read_feed(walk.parent / "unknown").header.fov_deg is None
+    sim_import("gardens-point", walk, "-o", walk.parent / "known", "--fov-deg", "65")
+    assert "field of view 65.0 degrees\n" in capsys.readouterr().out
+    assert read_feed(walk.parent / "known").header.fov_deg == 65.0
+
+
 def test_what_is_there_already_is_not_touched(walk: Path, sim_import: Import) -> None:
     (walk.parent / "feed").mkdir()
     with pytest.raises(FeedError, match=r"feed: exists already; name another folder"):
@@ -146,6 +159,7 @@ def test_if_no_picture_can_be_read_there_is_no_feed(walk: Path, sim_import: Impo
         ("--crop-bottom", "-1", "--crop-bottom: -1 is not 0 or more"),
         ("--offset-s", "inf", "--offset-s: inf is not a number of seconds"),
         ("--spacing-m", "0", "--spacing-m: "),
+        ("--fov-deg", "170", "--fov-deg: expected `float` <= 120"),
     ],
 )
 def test_an_option_out_of_range_is_named(walk: Path, sim_import: Import, option: str, value: str, message: str) -> None:

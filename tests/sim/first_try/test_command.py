@@ -86,12 +86,15 @@ def test_two_videos_with_their_tracks(
         "0",
         "--query-offset-s",
         "-2",
+        "--fov-deg",
+        "70",
     ]
     assert main(["try", str(reference), str(query), "-o", str(tmp_path / "tried"), *options]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed, printed
     assert "precision 1.000" in printed
     feed = read_feed(tmp_path / "tried/query")
+    assert feed.header.fov_deg == 70
     assert len(feed.rows) == 55, "those before the track have no position"
     assert feed.rows[0].lat_deg == pytest.approx(-27.0 + 20 / 110_800)
 
@@ -139,6 +142,7 @@ def test_each_mistake_is_one_line(out: Path, tmp_path: Path, capsys: pytest.Capt
         ([out, out, "-o", tmp_path / "mine"], "--output: "),
         ([out, out, *folder, "--tolerance-m", "0"], "--tolerance-m: 0 is not above 0"),
         ([out, out, *folder, "--query-view", "rear"], "--query-view: "),
+        ([out, out, *folder, "--fov-deg", "170"], "--fov-deg: expected `float` <= 120"),
     ):
         assert main(["try", *map(str, words)]) == 78
         error = capsys.readouterr().err.strip()
