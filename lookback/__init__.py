@@ -32,6 +32,7 @@ Images are (H, W, 3) uint8 in the order blue, green, red, as `cv2.imread` gives 
 from lookback import own_packages  # noqa: F401  # before anything of them is imported
 
 # isort: split
+from edge import __version__
 from edge.errors import LookbackError as Error
 from edge.keypoints import Keypoints, Verified
 from edge.sequence import PlaceMatch
@@ -52,6 +53,7 @@ __all__ = [
     "PlaceMatch",
     "Recognizer",
     "Verified",
+    "__version__",
     "auc",
     "believe",
     "compare",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterable
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from edge.config import FieldOfView
 from edge.feed import View
 
 LONGEST = 500
@@ -61,19 +63,32 @@ def count(name: str, given: int, most: int, least: int = 1) -> int:
     return found
 
 
-def number(name: str, given: float, least: float = -np.inf) -> float:
-    """A finite number of at least that."""
-    if not (np.isfinite(given) and given >= least):
-        raise ValueError(f"{name} is a number{'' if least == -np.inf else f' of at least {least:g}'}, not {given!r}")
-    return float(given)
+def number(name: str, given: float, least: float = -np.inf, most: float = np.inf) -> float:
+    """A finite number from `least` to `most`."""
+    try:
+        found = np.nan if isinstance(given, (str, bytes)) else float(given)
+    except (TypeError, ValueError):
+        found = np.nan
+    if not (np.isfinite(found) and least <= found <= most):
+        limits = (
+            f" from {least:g} to {most:g}" if most < np.inf else f" of at least {least:g}" if least > -np.inf else ""
+        )
+        raise ValueError(f"{name} is a number{limits}, not {given!r}")
+    return found
+
+
+def field_of_view(given: float) -> float:
+    """Horizontal, in degrees."""
+    limits = get_args(FieldOfView)[1]
+    return number("fov_deg", given, limits.ge, limits.le)
 
 
 def views(given: Any) -> tuple[View, View]:
     """Where the cameras of reference and query look."""
-    known = get_args(View)
-    if isinstance(given, str) or len(given) != 2 or any(one not in known for one in given):
+    known, found = get_args(View), tuple(given) if isinstance(given, Iterable) else ()
+    if len(found) != 2 or any(one not in known for one in found):
         raise ValueError(f"views are two of {', '.join(map(repr, known))}: of reference and query; not {given!r}")
-    return tuple(given)
+    return found[0], found[1]
 
 
 def meters(name: str, given: ArrayLike, rows: int) -> NDArray[np.float64]:

@@ -54,7 +54,8 @@ class Map:
         fov_deg: horizontal, of the pictures (None: as recorded). Where it is known they have keypoints, see `pose`.
         Raises `Error`.
         """
-        checks.number("spacing_m", spacing_m, least=0.01)
+        spacing_m = checks.number("spacing_m", spacing_m, least=0.01)
+        fov_deg = None if fov_deg is None else checks.field_of_view(fov_deg)
         feed = read_drive(Path(pictures))
         if view is not None:
             checks.views((view, view))
@@ -108,7 +109,7 @@ class Map:
             raise MapError(f"{self.path}: no keypoints; add them with `lookback map keypoints`")
         query = keypoints(picture)
         height = round(key.width * query.size[0] / query.size[1])
-        camera = Camera(key.width, height, key.fov_deg if fov_deg is None else fov_deg)
+        camera = Camera(key.width, height, key.fov_deg if fov_deg is None else checks.field_of_view(fov_deg))
         return look(query, keypoints_of(records[place], key), points_of(records[place]), camera)
 
 

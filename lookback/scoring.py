@@ -94,8 +94,8 @@ def match_pairs(found: Found, least: float = -np.inf) -> NDArray[np.intp]:
     [[0, 0]]
     """
     matches = found if isinstance(found, Matches) else nearest(found)
-    if np.isnan(least):
-        raise ValueError("least is a confidence, not NaN")
+    if isinstance(least, str) or np.isnan(least):
+        raise ValueError(f"least is a confidence, not {least!r}")
     rows = np.flatnonzero((matches.place >= 0) & (matches.confidence >= least))
     return np.column_stack([rows, matches.place[rows]])
 

@@ -42,4 +42,4 @@ def test_it_needs_none_of_the_extras() -> None:
 
 def test_it_stays_a_front_door() -> None:
     lines = sum(len(file.read_text().splitlines()) for file in Path(lookback.__file__).parent.glob("*.py"))
-    assert lines < 775  # of which 75 check arguments
+    assert lines < 825  # of which 85 check arguments

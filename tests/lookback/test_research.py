@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import edge
 import lookback
 
 PLACES = 40
@@ -92,6 +94,21 @@ def test_a_map_and_one_picture_after_another(folders: tuple[Path, Path], tmp_pat
         lookback.Map.open(tmp_path / "map", model="fc6")
 
 
+def test_a_map_of_whole_meters_is_the_same_as_that_of_a_float(
+    write_traverse: Callable[..., Path], tmp_path: Path
+) -> None:
+    drive = write_traverse(tmp_path / "drive", range(12))
+    whole, decimal = (
+        lookback.Map.build(drive, tmp_path / str(spacing_m), spacing_m=spacing_m) for spacing_m in (4, 4.0)
+    )
+    assert len(whole) == len(decimal) == 6
+    assert whole.opened.header == decimal.opened.header
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert lookback.__version__ == edge.__version__
+
+
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
@@ -104,6 +121,11 @@ def test_a_map_and_one_picture_after_another(folders: tuple[Path, Path], tmp_pat
         (lambda: lookback.search(np.eye(9), length=2.5), "length is a whole number"),  # type: ignore[arg-type]
         (lambda: lookback.search(np.eye(9), window=np.nan), "window is a number of at least 0, not nan"),
         (lambda: lookback.search(np.eye(9), views=("front", "left")), "views are two of"),  # type: ignore[arg-type]
+        (lambda: lookback.search(np.eye(9), views=None), "views are two of.*not None"),  # type: ignore[arg-type]
+        (lambda: lookback.truth("a", "b", tolerance="20"), "not '20'"),  # type: ignore[arg-type]
+        (lambda: lookback.match_pairs(np.eye(3), least=""), "least is a confidence"),  # type: ignore[arg-type]
+        (lambda: lookback.Map.build("here", "there", fov_deg=20), "fov_deg is a number from 30 to 120, not 20"),
+        (lambda: lookback.Map.build("here", "there", spacing_m=None), "at least 0.01, not None"),  # type: ignore[arg-type]
         (lambda: lookback.believe(DRIVE, DRIVE, length=0), "length is a whole number"),
         (lambda: lookback.believe(DRIVE, DRIVE, query_m=np.arange(9.0)), "given together"),
         (lambda: lookback.believe(DRIVE, DRIVE, query_m=np.arange(8.0), reference_m=np.arange(9.0)), "each of 9 rows"),
