@@ -40,14 +40,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import edge
 from edge_plugins.page import PageConfig
+from edge_plugins.page.connections import BACKLOG, QUEUE, LimitedConnection
 from edge_plugins.page.metrics import as_metrics
 from edge_plugins.page.snapshot import MapView, Snapshot
 
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
 ANSWER_S = 2.0  # how long the daemon's loop may take to hand over a snapshot
-GONE_S = 30
-CONNECTIONS = 49  # a browser opens 6; those beyond are answered 503
+IDLE_S = 5  # for a head, and between two of them
 LARGEST_HEAD_BYTES = 8192
 PICTURE_WIDTH_PX = 480
 SERVICE = {
@@ -74,7 +74,9 @@ log = logging.getLogger(__name__)
 class StatusPage:
     """Owns the socket, the thread and the server in it. `wanted` and `show` are the daemon's side of it."""
 
-    def __init__(self, config: PageConfig, map_view: MapView, *, answer_s: float = ANSWER_S) -> None:
+    def __init__(
+        self, config: PageConfig, map_view: MapView, *, answer_s: float = ANSWER_S, idle_s: int = IDLE_S
+    ) -> None:
         """Listen and start. OSError when the address cannot be listened on."""
         self.wanted = False
         """Whether somebody waits for a snapshot."""
@@ -89,12 +91,10 @@ class StatusPage:
         self._jpeg: tuple[int | None, bytes] = None, b""
         self._pending: asyncio.Future[None] | None = None
         family = socket.AF_INET6 if ":" in config.bind else socket.AF_INET
-        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=CONNECTIONS)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # who has gone takes no connection
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, GONE_S)
+        self._socket = socket.create_server((config.bind, config.port), family=family, backlog=BACKLOG)
         self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
-        self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts)))
+        self._server = _Server(_server_config(_OnlyForUs(self._app(), config.hosts), idle_s))
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
@@ -270,6 +270,12 @@ class _Server(uvicorn.Server):
         super().__init__(config)
         self.stop_wanted = asyncio.Event()
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin, and let more wait in the kernel than asyncio accepts at once, for which it has the same number."""
+        await super().startup(sockets)
+        for one in sockets or []:
+            one.listen(QUEUE)
+
     async def main_loop(self) -> None:
         """Begin as uvicorn does, and wait."""
         if not await self.on_tick(0):
@@ -313,11 +319,11 @@ class _OnlyForUs:
         return True
 
 
-def _server_config(app: ASGIApp) -> uvicorn.Config:
+def _server_config(app: ASGIApp, idle_s: int) -> uvicorn.Config:
     logging.getLogger("uvicorn").setLevel(logging.ERROR)  # a bad request is no news for the vehicle's log
     return uvicorn.Config(
         app,
-        http="h11",
+        http=LimitedConnection,
         ws="none",
         loop="asyncio",
         lifespan="off",
@@ -326,8 +332,8 @@ def _server_config(app: ASGIApp) -> uvicorn.Config:
         server_header=False,
         date_header=False,  # it would be that of the start
         proxy_headers=False,
-        limit_concurrency=CONNECTIONS,
-        timeout_keep_alive=5,
+        backlog=BACKLOG,
+        timeout_keep_alive=idle_s,
         timeout_graceful_shutdown=1,
         h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
     )

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import http.client
 import json
 import re
+import select
 import socket
 import threading
 import time
@@ -322,6 +324,57 @@ def test_a_head_without_end_is_cut_off(page: StatusPage) -> None:
         except ConnectionResetError:
             pass
         assert answer in (b"",) or answer.startswith(b"HTTP/1.1 4")
+
+
+def open_files() -> int:
+    """Of this process, which has both ends of each connection."""
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def ends(connection: socket.socket, trickles: bytes) -> bool:
+    """Whether the page ends a connection though its client sends on a byte at a time."""
+    give_up_s = time.monotonic() + CUT_OFF_S
+    connection.settimeout(0.1)
+    with contextlib.suppress(ConnectionResetError, BrokenPipeError):
+        while time.monotonic() < give_up_s:
+            with contextlib.suppress(TimeoutError):
+                if not connection.recv(4096):
+                    return True
+            connection.sendall(trickles)
+        return False
+    return True
+
+
+@pytest.fixture
+def hasty() -> Iterator[StatusPage]:
+    """A page with 400,000 points to show, that waits for a second where others wait for five."""
+    view = dataclasses.replace(MAP, drives=(((1.23456789, 2.3456789),) * 400_000,))
+    with closing(StatusPage(PageConfig(port=0, token=TOKEN), view, idle_s=1)) as page:
+        yield page
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ",
+        b"POST /home HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n",
+        b"GET /register_service HTTP/1.1\r\nHost: localhost\r\n\r\nGET / HTTP/1.1\r\nX: ",
+    ],
+    ids=["nothing", "a head", "a body", "a second head"],
+)
+def test_a_request_that_trickles_is_ended(hasty: StatusPage, sent: bytes) -> None:
+    with closing(raw(hasty, sent)) as connection:
+        assert ends(connection, b"a" if sent else b"")
+
+
+def test_who_reads_no_answer_is_ended(hasty: StatusPage) -> None:
+    with closing(raw(hasty, b"GET /route.json HTTP/1.1\r\nHost: localhost\r\n\r\n")) as connection:
+        connection.recv(1)  # it has begun
+        answering, give_up_s = open_files(), time.monotonic() + CUT_OFF_S
+        while open_files() >= answering and time.monotonic() < give_up_s:
+            select.select([], [], [], 0.1)
+        assert open_files() < answering
 
 
 TOKEN = "twelve-letters"
