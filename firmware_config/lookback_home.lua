@@ -12,11 +12,11 @@
 local SEVERITY = { ERROR = 3, WARNING = 4, INFO = 6 }
 local HEARTBEAT, COMMAND_LONG, COMMAND_ACK = 0, 76, 77
 local MAV_CMD_USER_5, LOOK = 31014, 5665 -- LOOK: parameter 2, without which the command means something else
-local ACCEPTED, IN_PROGRESS = 0, 5
+local ACCEPTED, NOT_NOW, IN_PROGRESS = 0, 1, 5
 local RESULTS = { [1] = "not now", [2] = "denied", [3] = "unsupported", [4] = "failed" }
 local LOW, HIGH = 0, 2
 local PERIOD_MS = 100
-local REPEAT_TICKS, REPETITIONS = 30, 5 -- a command without an answer, every 3 s
+local REPEAT_TICKS, REPETITIONS = 30, 5 -- a command without an answer, or answered "not now", every 3 s
 local LONGEST_TICKS = 1800              -- from the first command to the mission
 local SILENT_TICKS = 50                 -- without a heartbeat of Lookback
 local MODE_TICKS = 50                   -- from the announcement of a change of mode to the change, 5 s
@@ -42,7 +42,7 @@ local channel, heard_tick -- of Lookback's heartbeats
 local position            -- of the switch; nil where it is not known
 local lost_tick = 0       -- when the receiver had no valid input last
 local request             -- { first, last: ticks; sent: commands; answered: whether the upload is under way; from: the mode
-                          --   at that time; items: of the mission, once it is there; ready: when that was }
+                          --   at that time; again: after "not now"; items: of the mission, once it is there; ready: when that was }
 
 local function say(severity, text)
     gcs:send_text(severity, "Home: " .. text)
@@ -60,7 +60,7 @@ local function begin_request()
         say(SEVERITY.ERROR, "Lookback is not connected")
         return
     end
-    request = { first = tick, last = tick, sent = 0, answered = false, from = vehicle:get_mode() }
+    request = { first = tick, last = tick, sent = 0, answered = false, again = 0, from = vehicle:get_mode() }
     say(SEVERITY.INFO, "mission requested")
     send_command()
 end
@@ -117,6 +117,9 @@ local function acknowledged(message, payload)
         request.answered = true
     elseif result == ACCEPTED then
         request.items = items
+    elseif result == NOT_NOW and position == HIGH and request.again < REPETITIONS then
+        -- A new command: a repetition gets the same answer again. With 0 for a position that is known in a moment.
+        request.again, request.sent, request.last, request.answered = request.again + 1, 0, tick, false
     else
         end_request(SEVERITY.ERROR, "no mission, " .. (RESULTS[result] or ("result " .. result)))
     end

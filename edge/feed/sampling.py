@@ -19,6 +19,9 @@ searched around a known distance differ from it by as much."""
 ON_TIME = 0.25
 """Share of the spacing between a frame and where it was due that counts as none: frames of the map are as late. At 30
 frames a second and 10 m/s it is a sixth of 2 m."""
+BACK_M = 1.0
+"""By so much a distance may fall and be the same count: a frame was exposed before one whose distance was extrapolated
+while braking. On one recorded drive such a fall of 0.36 m at its turn ended the map of the way out."""
 KEPT_STEPS = 40
 """Frames of which the median is the usual step: as many as the default sequence has."""
 
@@ -59,7 +62,7 @@ class Sampler:
     def _is_due(self, stamp_ns: int, distance_m: float | None, last_ns: int, last_m: float | None) -> bool:
         if self._config.by == "distance" and distance_m is not None and last_m is not None:
             # A distance that fell was reset (the autopilot restarted): that frame starts a new count.
-            return distance_m < last_m or distance_m >= self._due_m - EARLY * self._config.spacing_m
+            return distance_m < last_m - BACK_M or distance_m >= self._due_m - EARLY * self._config.spacing_m
         return stamp_ns - last_ns >= self._config.interval_s * 1e9 or stamp_ns < last_ns
 
 

@@ -36,6 +36,8 @@ Without it, vehicles that reversed for long or were ferried were up to 5 and 501
 instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
+LOOKED_NS = 1_000_000_000
+"""After a look, in which a position that is moved on still counts as what it showed."""
 GOES_M = 0.3
 """Meters driven from which on a displacement since the newest frame shows where the vehicle goes."""
 USUAL = 0.03
@@ -352,7 +354,7 @@ class RouteFilter:
             velocity_error=estimate.velocity_error,
             disputed=self._is_disputed,
             by_lane=not estimate.is_measured,
-            points=track.points if track.is_looked else UNSET,
+            points=(track.points or UNSET) if stamp_ns - track.stamp_ns < LOOKED_NS else UNSET,
             map=UNSET if match.map is None else match.map,
         )
 

@@ -21,7 +21,7 @@ class Track:
 
     disagreeing: matches since then. confidence: the greatest of its matches. by_chance: see `agrees_by_chance`; 0 where
     nothing was reckoned, and endless where the first match was not where reckoning had the vehicle. points, goes_back:
-    of the newest look.
+    of the newest match, 0 where that is a line, and of the newest look.
     """
 
     estimate: RouteEstimate
@@ -134,8 +134,9 @@ class Track:
         self._added(sighting, stamp_ns)
 
     def _added(self, sighting: Sighting, stamp_ns: int) -> None:
+        self.points = 0 if sighting.look is None else sighting.look.points
         if sighting.look is not None:
-            self.points, self.goes_back = sighting.look.points, sighting.look.goes_back
+            self.goes_back = sighting.look.goes_back
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches += 1
         self.confidence = max(self.confidence, sighting.match.confidence)

@@ -59,6 +59,14 @@ def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig)
         )
 
 
+def short_check(short_m: float, length_m: float, config: HomeConfig, *, is_named: bool) -> Iterator[Finding]:
+    """A way that ends where the map was interrupted, so far from where its recording began. is_named: by the user."""
+    if short_m > config.max_gap_m:
+        text = f"the way ends {short_m:.0f} m short of where the recording began: its map was interrupted there"
+        refuses = short_m > length_m and not is_named
+        yield Finding(refuses, f"{text}; name an earlier drive", f"way ends {short_m:.0f} m short of home")
+
+
 def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
     """Stretches between places, at (N,) meters of the way, without a position."""
     apart_m = np.diff(way_m)

@@ -23,6 +23,7 @@ class DriveLine:
     name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. along_m: (N,) meters along them.
     driven_m, heading_deg, alt_m: (N,) by the odometer of the drive, of the vehicle, and above sea level; NaN where the
     map has none. sigma_m: (N,) one standard deviation of each position, which is assumed where the map has none.
+    short_m: from where its recording began, of which an interruption made several drives, to its own start.
     """
 
     name: str
@@ -33,6 +34,7 @@ class DriveLine:
     heading_deg: NDArray[np.float64]
     alt_m: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
+    short_m: float
 
 
 def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
@@ -54,8 +56,13 @@ def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
     points_m = east_north(places["lat_deg"], places["lon_deg"], origin)
     moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > STANDING_M]
     places, points_m = places[moves], points_m[moves]
+    of_map = maps.index.map_of(start)
+    began = next(first for first, _, of in drives if (maps.index.map_of(first), of) == (of_map, source))
+    began_m = east_north(maps.places["lat_deg"][[began]], maps.places["lon_deg"][[began]], origin)[0]
+    short_m = float(np.hypot(*np.nan_to_num(began_m - points_m[0])))
     driven_m, heading_deg, alt_m = (np.ascontiguousarray(places[key]) for key in ("route_m", "heading_deg", "alt_m"))
-    return DriveLine(name, origin, points_m, along(points_m), driven_m, heading_deg, alt_m, sigmas_m(places))
+    columns = driven_m, heading_deg, alt_m, sigmas_m(places)
+    return DriveLine(name, origin, points_m, along(points_m), *columns, short_m)
 
 
 def along(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

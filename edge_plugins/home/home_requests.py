@@ -244,8 +244,8 @@ class HomeRequests:
             raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
         position, sigma_m = self._vehicle.position(now_ns), self._drive.known.own_sigma_m
         if position is None or sigma_m is None or self.plan is None:
-            what = "there is no map" if self.plan is None else "the vehicle's position is not known"
-            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, what)
+            what = "autopilot reports no position" if position is None else "unknown how far off the position is"
+            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, "there is no map" if self.plan is None else what)
         try:
             way = self.plan(Start(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
         except SetupError as error:

@@ -102,6 +102,7 @@ def plan_way_home(
         *checks.pass_check([float(line.along_m[one.row]) for one in unsure]),
         *checks.start_check(first.away_m, start.sigma_m, turn_rad, config),
         *checks.length_check(way_m, len(kept), config),
+        *checks.short_check(line.short_m, float(way_m[-1]), config, is_named=drive is not None),
         *checks.gap_check(way_m, config),
         *checks.motion_check(line, row + 1, float(way_m[-1])),
         *checks.accuracy_check(way_m, sigma_m, config),

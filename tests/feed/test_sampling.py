@@ -27,6 +27,12 @@ def test_distance_that_is_counted_anew_starts_a_new_place() -> None:
     assert taken(SamplingConfig(spacing_m=2.0), [(0, 100.0), (1, 101.0), (2, 0.0), (3, 1.0), (4, 2.0)]) == [0, 2, 4]
 
 
+def test_a_distance_that_goes_back_by_less_than_a_meter_is_no_new_count() -> None:
+    """Two cameras ask in turns, and one that was extrapolated while braking is behind the next: no place is twice."""
+    frames = [(0, 100.0), (1, 102.0), (2, 101.64), (3, 101.9), (4, 103.5), (5, 104.0)]
+    assert taken(SamplingConfig(spacing_m=2.0), frames) == [0, 1, 5]
+
+
 def test_by_time() -> None:
     frames = [(i * 0.2, float(i)) for i in range(10)]
     assert taken(SamplingConfig(by="time", interval_s=0.5), frames) == [0, 3, 6, 9]

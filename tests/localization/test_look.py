@@ -257,8 +257,10 @@ def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
 
 def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
     one = warm(road)
+    soon, later = one.place_at(S // 2, 4.0), one.place_at(2 * S, 16.0)
+    assert soon is not None and later is not None and (soon.points, later.points) == (40, UNSET)
     one.go(30, lambda at_m: road.match(at_m + 4.0, "reverse"))
-    assert one.place is not None and one.place.points == 40, "of the newest look"
+    assert one.place is not None and one.place.points is UNSET, "the newest frame was no look"
     assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.1)
 
 

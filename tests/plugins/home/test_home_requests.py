@@ -142,7 +142,7 @@ def test_a_position_that_is_lost_is_no_start(home: Rig) -> None:
     home.autopilot.send(command())
     assert home.run(2.0, finished(home))
     assert results(home) == [REJECTED]
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: the vehicle's position is not known"
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: autopilot reports no position"
 
 
 @pytest.mark.parametrize("component_id", [0, 190, 1])

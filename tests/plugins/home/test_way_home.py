@@ -122,6 +122,18 @@ def test_an_interrupted_drive_is_one(map_along: MapAlong) -> None:
     assert the_finding(way) == "from 100 m to 116 m: no position for 16 m; max_gap_m is 10"
 
 
+def test_a_way_that_ends_where_the_map_was_interrupted_is_no_way_home(map_along: MapAlong) -> None:
+    """The odometer began again after 100 m. Further on, the way is the longer part, and the pilot reads what it lacks."""
+    for length_m, refuses in ((50.0, True), (200.0, False)):
+        first, second = straight(100.0), straight(length_m, 0.0, (0.0, 116.0))
+        driven_m = [np.arange(len(line)) * 2.0 for line in (first, second)]
+        path = map_along(first, second, driven_m=driven_m, source="20261120T200000Z", name=f"{length_m:.0f}")
+        way = plan(path)
+        assert the_finding(way, refuses=refuses).startswith("the way ends 116 m short of where the recording began")
+        assert way.briefs == ([] if refuses else ["way ends 116 m short of home"])
+        assert not plan_way_home(open_map_set(path), None, HomeConfig(), drive=2).refusals
+
+
 def test_the_newest_map_of_a_folder_has_the_newest_drive(map_along: MapAlong) -> None:
     for name, length_m, written_s in (("maps/b", 100.0, 3e8), ("maps/a", 200.0, 4e8), ("maps/c", 300.0, 2e8)):
         os.utime(map_along(straight(length_m), name=name) / "map.json", (written_s, written_s))
