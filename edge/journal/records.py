@@ -159,7 +159,7 @@ class PlaceFix(Record, frozen=True, tag="place"):
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
     by_lane: Annotated[bool, unit("", "whether nothing but the lane says where across the route it is")] = False
     points: Annotated[
-        int | UnsetType, unit("", "keypoints by which the newest match shows where the camera was; absent where that is a line")
+        int | UnsetType, unit("", "keypoints of the newest match that agree where the camera was; absent of a line")
     ] = UNSET
 
     @property

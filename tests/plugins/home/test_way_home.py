@@ -123,7 +123,7 @@ def test_an_interrupted_drive_is_one(map_along: MapAlong) -> None:
 
 
 def test_a_way_that_ends_where_the_map_was_interrupted_is_no_way_home(map_along: MapAlong) -> None:
-    """The odometer began again after 100 m. Further on, the way is the longer part, and the pilot reads what it lacks."""
+    """The odometer began again after 100 m. Further on, the way is the longer part, and the pilot reads of it."""
     for length_m, refuses in ((50.0, True), (200.0, False)):
         first, second = straight(100.0), straight(length_m, 0.0, (0.0, 116.0))
         driven_m = [np.arange(len(line)) * 2.0 for line in (first, second)]
