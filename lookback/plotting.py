@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lookback import checks
 from lookback.matching import of_better_order
-from lookback.scoring import Curve
+from lookback.scoring import Curve, judged
 from sim.compare.matching import Matches
 from sim.output import needing
 
@@ -22,11 +22,12 @@ def plot(
     shown: Curve | Mapping[str, Curve] | ArrayLike,
     truth: ArrayLike | None = None,
     found: Matches | None = None,
+    soft: ArrayLike | None = None,
 ) -> Figure:
     """A figure of curves by their names, or of S (Q, N) or (2, Q, N) with what is right and what was found.
 
-    truth: (Q, N), whose borders are drawn. found: places, right ones in green and others in red. Save it with
-    `figure.savefig("curve.png")`. Needs the extra `sim` (matplotlib).
+    truth: (Q, N), whose borders are drawn. found: places, right ones in green and others in red. soft: places (Q, N)
+    that are neither, see `pr_curve`. Save it with `figure.savefig("curve.png")`. Needs the extra `sim` (matplotlib).
 
     >>> plot(np.eye(3)).axes[0].get_ylabel()
     'frame of the query'
@@ -43,6 +44,8 @@ def plot(
         if right is not None:
             axes.contour(right, levels=[0.5], colors="white", linewidths=0.7)
         if found is not None:
+            if right is not None:
+                found, _ = judged(found, right, soft)
             rows = np.flatnonzero(found.place >= 0)
             hit = np.ones(len(rows), np.bool_) if right is None else right[rows, found.place[rows]]
             for chosen, color in ((hit, "tab:green"), (~hit, "tab:red")):

@@ -39,16 +39,16 @@ def truth(
     return np.asarray(errors_between(reference_at, moved_ahead(query_at, ahead)) <= tolerance)
 
 
-def recall_at(found: Found, truth: ArrayLike, count: int = 1) -> float:
+def recall_at(found: Found, truth: ArrayLike, count: int = 1, soft: ArrayLike | None = None) -> float:
     """Recall@count: of the frames with a right place (rows of truth (Q, N)), those that have one among their best.
 
-    Up to 10; NaN where no frame has a right place. Of `believe` only recall@1 is known.
+    Up to 10; NaN where no frame has a right place. Of `believe` only recall@1 is known. soft: see `pr_curve`.
 
     >>> similarity, right = np.array([[0.9, 0.8, 0.1], [0.2, 0.7, 0.3]]), np.eye(3, dtype=bool)[[1, 1]]
     >>> recall_at(similarity, right), recall_at(similarity, right, 2)
     (0.5, 1.0)
     """
-    matches, right = _judged(found, truth)
+    matches, right = judged(found, truth, soft)
     ranked = matches.ranked if len(matches.ranked) else matches.place[:, np.newaxis]
     best, on_map = ranked[:, : checks.count("count", count, ranked.shape[1])], right.any(axis=1)
     hit = right[np.arange(len(right))[:, np.newaxis], best] & (best >= 0)
@@ -59,21 +59,17 @@ def pr_curve(found: Found, truth: ArrayLike, soft: ArrayLike | None = None) -> C
     """Precision and recall at every confidence: `thresholds`, `precision`, `recall_of_places`, (T,) each.
 
     Recall counts every frame that has a right place; a frame that has none makes whatever is accepted wrong. soft:
-    places (Q, N) that are neither right nor wrong, as GTsoft of VPR_Tutorial.
+    places (Q, N) that are neither right nor wrong, GTsoft of VPR_Tutorial as its createPR of 2023 has it: they are
+    masked, and the next best place counts. Where `believe` says such a place, it has no other, and no answer.
 
     >>> curve = pr_curve(np.array([[0.9, 0.1], [0.6, 0.5]]), np.eye(2, dtype=bool))
     >>> curve.precision.tolist(), curve.recall_of_places.tolist()
     ([1.0, 0.5], [0.5, 0.5])
     """
-    matches, right = _judged(found, truth)
-    rows = np.arange(len(right))
-    hit = right[rows, matches.place] & (matches.place >= 0)
-    counts = np.ones(len(right), dtype=np.bool_)
-    if soft is not None:
-        counts = ~(checks.flags("soft", soft, right.shape)[rows, matches.place] & ~hit)
+    matches, right = judged(found, truth, soft)
+    hit = right[np.arange(len(right)), matches.place] & (matches.place >= 0)
     confidence = np.where(matches.place >= 0, matches.confidence, np.nan)
-    answers = Answers(confidence, hit, np.asarray(right.any(axis=1)))
-    return precision_recall(answers.take(np.flatnonzero(counts)))
+    return precision_recall(Answers(confidence, hit, np.asarray(right.any(axis=1))))
 
 
 def auc(curve: Curve) -> float:
@@ -100,7 +96,9 @@ def match_pairs(found: Found, least: float = -np.inf) -> NDArray[np.intp]:
     return np.column_stack([rows, matches.place[rows]])
 
 
-def _judged(found: Found, truth: ArrayLike) -> tuple[Matches, NDArray[np.bool_]]:
-    """What was found for each row of truth, and the truth (Q, N). ValueError where the shapes differ."""
+def judged(found: Found, truth: ArrayLike, soft: ArrayLike | None = None) -> tuple[Matches, NDArray[np.bool_]]:
+    """What was found for each row of truth (Q, N), without soft places, and the truth. ValueError for other shapes."""
     matches = found if isinstance(found, Matches) else nearest(found)
-    return matches, checks.flags("truth", truth, (len(matches.place), matches.costs.shape[1]))
+    shape = len(matches.place), matches.costs.shape[1]
+    right = checks.flags("truth", truth, shape)
+    return matches if soft is None else matches.without(checks.flags("soft", soft, shape) & ~right), right

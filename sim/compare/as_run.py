@@ -14,7 +14,7 @@ from edge.reference_map import ModelKey
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
-from sim.compare.matching import MOST_RANKED, NO_PLACES, Matches, best_places, gathered
+from sim.compare.matching import Matches, OfFrame, gathered, line_ranking, no_match
 from sim.compare.plan import Pair
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.compare.traverses import Traverse
@@ -84,19 +84,18 @@ def run_on(
             believed = matcher.push(raw[frame], moved)
             match = believed if answer == "belief" else matcher.best
             found.append(_found(matcher, match, answer))
-    matches = gathered(found)
-    return matches if answer == "uniqueness" else replace(matches, ranked=np.zeros((0, MOST_RANKED), np.intp))
+        assert matcher.search.part is not None  # these maps are searched whole
+    matches = gathered(found, matcher.search.part.neighborhood)
+    return matches if answer == "uniqueness" else replace(matches, ranking=np.zeros((0, 0)))
 
 
-def _found(
-    matcher: SequenceMatcher, match: PlaceMatch | None, answer: str
-) -> tuple[int, float, bool, NDArray[np.float32], NDArray[np.intp]]:
+def _found(matcher: SequenceMatcher, match: PlaceMatch | None, answer: str) -> OfFrame:
     newest = matcher.search.newest_costs.min(axis=0).astype(np.float32)
     part = matcher.search.part
     if match is None or part is None or part.lines is None:
-        return -1, NAN, False, newest, NO_PLACES
+        return no_match(newest)
     confidence = match.confidence if answer == "belief" else match.uniqueness
-    return match.place_index, confidence, match.direction == "reverse", newest, best_places(part.lines.costs)
+    return match.place_index, confidence, match.direction == "reverse", newest, line_ranking(part.lines)
 
 
 def _places(reference: Traverse) -> list[Place]:

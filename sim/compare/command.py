@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--similarity", **many, metavar="NAME=FILE", help=about)
     about = "of two recordings: positions, rows, route_m, or the .npy file of a matrix or of VPR-Bench"
     parser.add_argument("--truth", metavar="TRUTH", help=about)
-    about = "a matrix of what is neither right nor wrong, .npy"
+    about = "a matrix of what is neither right nor wrong, .npy: the next best answer counts"
     parser.add_argument("--soft", type=Path, metavar="FILE", help=about)
     about = "the matrices are (places, queries), as in VPR_Tutorial"
     parser.add_argument("--transposed", action="store_true", help=about)

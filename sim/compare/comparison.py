@@ -42,9 +42,8 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     outcomes = [results[pair.name, text] for text in runner.plan.methods]
     shown = shown_outcome(runner, pair, results)
     slug = "".join(letter if letter.isalnum() else "_" for letter in pair.name)
-    wrong = ~(shown.error_of_best() <= pair.tolerance)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
-    plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, wrong, pair.tolerance)
+    plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, shown.judged, pair.tolerance)
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),

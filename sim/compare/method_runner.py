@@ -23,7 +23,6 @@ from sim.compare.descriptions import Descriptions
 from sim.compare.matching import (
     Matches,
     as_costs,
-    counted,
     errors_of,
     judge,
     judged_queries,
@@ -51,9 +50,10 @@ class Outcome:
     """Answers of a method on a pair.
 
     ahead: how far ahead of the query its right place lies, see `Pair.ahead`. errors: (Q, N) distance of every query's
-    right place to every place. length: frames of a sequence. judged: the queries that `answers` are about, one for one,
-    see `judged_queries` and `counted`; matches and errors have all. frame_ms: CPU time of a frame of the query,
-    described and matched; NaN where descriptors or similarities were made elsewhere.
+    right place to every place, NaN of one that is neither right nor wrong, which `matches` are without. length: frames
+    of a sequence. judged: the queries that `answers` are about, one for one, the same for all methods, see
+    `judged_queries`; matches and errors have all. frame_ms: CPU time of a frame of the query, described and matched;
+    NaN where descriptors or similarities were made elsewhere.
     """
 
     pair: Pair
@@ -145,7 +145,9 @@ class MethodRunner:
         judged = judged_queries(errors, length, query.drives())
         if not judged.size:
             raise ConfigError(f"pair {pair.name!r}: no frame with a known true place ends a sequence of {length}")
-        judged = counted(matches, errors, judged)
+        is_neither = np.isnan(errors) & ~np.isnan(errors).all(axis=1, keepdims=True)
+        if is_neither.any():
+            matches = matches.without(is_neither)
         answers = judge(matches, errors, pair.tolerance, judged)
         frame_ms = described_ms + matched_ms
         return Outcome(pair, method, length, reference, query, matches, ahead, errors, judged, answers, frame_ms)

@@ -88,12 +88,13 @@ class TraversePlan(Struct, frozen=True, forbid_unknown_fields=True):
 class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     """[[pairs]]: a query traverse against a reference one, and what counts as the same place.
 
-    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters); route_m
-    (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames; of traverses with
-    several feeds, equally numbered feeds); anchors (frames). Or a .npy file: a matrix (queries, places) of what is
-    right, or the list of places of each query that VPR-Bench has. soft: a matrix of what is neither right nor wrong, as
-    GTsoft of VPR_Tutorial. similarity: by the name of a method, the .npy file of its similarities (queries, places),
-    higher is more alike. transposed: all these matrices are (places, queries), as in VPR_Tutorial.
+    truth: positions (latitude and longitude of both feeds, or else columns local_x_m and local_y_m, meters);
+    route_m (a column of both, meters along one route); rows (equal source_frame, or else equal row, frames; of
+    traverses with several feeds, equally numbered feeds); anchors (frames). Or a .npy file: a matrix (queries,
+    places) of what is right, or the list of places of each query that VPR-Bench has. soft: a matrix of what is
+    neither right nor wrong, as GTsoft of VPR_Tutorial: these places are masked, and the next best answer counts.
+    similarity: by the name of a method, the .npy file of its similarities (queries, places), higher is more alike.
+    transposed: all these matrices are (places, queries), as in VPR_Tutorial.
     ahead: how far ahead of the vehicle, in its direction of travel, the right place lies, meters or frames: the offset
     of the rig, as `lookback calibrate` prints it. calibration: a traverse on which each method measures it instead.
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside

@@ -88,7 +88,7 @@ def search(
         if not np.isfinite(scores[best]):
             continue
         all_scores[query, ahead:] = scores[: places - ahead]
-        ratio[query] = _uniqueness(scores, best)
+        ratio[query] = uniqueness(scores, best)
         place[query] = best + ahead
     return place, ratio, all_scores
 
@@ -100,8 +100,8 @@ def _offsets(length: int) -> NDArray[np.intp]:
     return offsets
 
 
-def _uniqueness(scores: NDArray[np.floating], best: int) -> float:
-    """Best over the best outside the window; NaN if nothing is outside, 1 if both are 0."""
+def uniqueness(scores: NDArray[np.floating], best: int) -> float:
+    """A place's score, of scores (N,), over the best outside the window; NaN if nothing is outside, 1 if both are 0."""
     outside = np.concatenate([scores[: max(0, best - WINDOW // 2)], scores[best + WINDOW // 2 + 1 :]])
     if not outside.size or not np.isfinite(outside.min()):
         return float("nan")

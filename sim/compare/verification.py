@@ -59,4 +59,12 @@ class Verification:
                 inliers[frame, rank] = verify(frames[frame], places[place]).inliers
         order: NDArray[np.intp] = np.argsort(-inliers, axis=1, kind="stable")
         ranked = np.take_along_axis(matches.ranked, order, axis=1)
-        return replace(matches, place=ranked[:, 0], confidence=inliers.max(axis=1).astype(np.float64), ranked=ranked)
+        inliers = np.take_along_axis(inliers, order, axis=1)
+        ranking, (query_of, rank_of) = np.full_like(matches.costs, np.inf), np.nonzero(ranked >= 0)
+        ranking[query_of, ranked[query_of, rank_of]] = rank_of
+
+        def inliers_in(query: int, place: int) -> float:
+            return float(inliers[query, int(ranking[query, place])])
+
+        place, confidence = ranked[:, 0], inliers[:, 0].astype(np.float64)
+        return replace(matches, place=place, confidence=confidence, ranking=ranking, confidence_of=inliers_in)

@@ -56,10 +56,50 @@ def test_two_folders_to_recall_and_a_curve(folders: tuple[Path, Path]) -> None:
     assert lookback.recall_at(believed, truth) > 0.6
 
 
+def test_a_soft_place_is_masked_and_the_next_best_counts() -> None:
+    similarity = np.array([[0.9, 0.8, 0.1, 0.0], [0.2, 0.7, 0.9, 0.1], [0.1, 0.2, 0.3, 0.8]])
+    truth, soft = np.zeros((3, 4), np.bool_), np.zeros((3, 4), np.bool_)
+    truth[0, 1] = truth[1, 0] = soft[0, 0] = soft[0, 1] = soft[1, 2] = soft[2, 3] = True
+    assert [lookback.recall_at(similarity, truth, count, soft) for count in (1, 2)] == [0.5, 1.0]
+    curve = lookback.pr_curve(similarity, truth, soft)
+    assert curve.thresholds.tolist() == [0.8, 0.7, 0.3]
+    assert curve.precision == pytest.approx([1, 1 / 2, 1 / 3])
+    assert curve.recall_of_places == pytest.approx([0.5, 0.5, 0.5])
+
+
+def test_frames_without_an_answer_are_not_those_of_the_last_place() -> None:
+    """Also where the last place is a soft one."""
+    found, truth = lookback.search(np.eye(20), length=5), np.eye(20, dtype=bool)
+    soft = np.zeros_like(truth)
+    soft[:, -1] = True
+    assert lookback.auc(lookback.pr_curve(found, truth, soft)) == lookback.auc(lookback.pr_curve(found, truth)) == 0.8
+    assert lookback.recall_at(found, truth, soft=soft) == 0.8
+
+
+def test_without_a_soft_place_a_sequence_has_its_next_best_line_and_a_belief_none() -> None:
+    drive = np.random.default_rng(1).random((PLACES, 2, 64), dtype=np.float32)
+    truth = np.eye(PLACES, dtype=bool)
+    wrong = np.roll(truth, 1, axis=1)
+    similarity = lookback.compare(lookback.normalize(drive), lookback.normalize(drive))
+    found = lookback.search(similarity, length=5, window=2)
+    masked = found.without(truth)
+    answered = found.place >= 0
+    assert (found.place == np.arange(PLACES))[answered].all() and (masked.place != np.arange(PLACES))[answered].all()
+    assert (masked.confidence < found.confidence)[answered].all() and (masked.place[~answered] == -1).all()
+    assert lookback.recall_at(found, wrong, soft=truth) == np.mean(masked.place == (np.arange(PLACES) + 1) % PLACES)
+    believed = lookback.believe(drive, drive, length=5)
+    assert lookback.recall_at(believed, truth) > 0.5
+    assert lookback.recall_at(believed, wrong, soft=truth) == 0.0
+    assert (believed.without(truth).place[believed.place == np.arange(PLACES)] == -1).all()
+
+
 def test_what_is_plotted_is_a_picture_in_a_notebook() -> None:
     pytest.importorskip("matplotlib", reason="the extra `sim`")
     similarity, truth = np.eye(8), np.eye(8, dtype=np.bool_)
     found, curve = lookback.nearest(similarity), lookback.pr_curve(similarity, truth)
+    soft = np.roll(truth, 1, axis=1)
+    shown = lookback.plot(similarity, soft, found, truth).axes[0].lines  # of which none finds a soft place
+    assert [len(line.get_xdata()) for line in shown] == [2, 6]  # type: ignore[arg-type]
     for figure in (lookback.plot(similarity, truth, found), lookback.plot(curve), lookback.plot({"a": curve})):
         assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import pickle
 from collections.abc import Callable
@@ -13,16 +14,25 @@ import numpy as np
 import onnxruntime
 import pytest
 
+import lookback
 from edge.__main__ import main
 from edge.errors import ConfigError, ModelError
+from sim.compare.command import add_arguments
 from sim.compare.foreign import ForeignNetwork, open_file
 from sim.compare.matching import match_alone
 from sim.compare.method_runner import Outcome
+from sim.compare.options import plan_of
 from sim.compare.plan import Pair
+from sim.compare.run import Folders, open_runner
 from sim.compare.truth import matrix_errors, read_array
 from sim.model_tools.onnx_graph import GraphBuilder
 
 HERE, THERE = 12, 16
+TUTORIAL = 60, 80
+"""Queries and places."""
+R_AT_1, R_AT_5, R_AT_10, R_P100 = 0.84, 0.9, 0.96, 0.8
+TUTORIAL_CURVE = (1.964271, 1.0, 0.26), (1.556556, 1.0, 0.6), (1.352699, 0.930233, 0.8), (1.159034, 0.7, 0.84)
+"""Thresholds, and precision and recall there."""
 Compare = Callable[..., tuple[int, dict[str, dict[str, str]]]]
 
 
@@ -110,7 +120,7 @@ def test_similarities_of_others_alone_and_with_sequences(compare: Compare, tmp_p
 
 
 def test_soft_truth_as_vpr_tutorial_has_it(compare: Compare, tmp_path: Path) -> None:
-    """GThard and GTsoft: the frame that finds its soft neighbor does not count, and lies right of the page as well."""
+    """GThard and GTsoft: a frame that finds its soft neighbor counts by the place that it finds next."""
     similarity = np.exp(-np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)))
     similarity[4, 6] = similarity[5, 12] = 0.0
     similarity[4, 8] = similarity[5, 14] = 2.0  # a soft neighbor, and a wrong place
@@ -119,8 +129,56 @@ def test_soft_truth_as_vpr_tutorial_has_it(compare: Compare, tmp_path: Path) -> 
     given = ("--similarity", f"S={tmp_path / 's.npy'}", "--soft", str(tmp_path / "soft.npy"))
     code, rows = compare(*given, "--method", "SeqSLAM")
     assert code == 0 and list(rows) == ["SeqSLAM", "S", "S/sequences"]
-    assert first(rows["S"], "R@1") == pytest.approx(8 / 9, abs=0.01)  # of ten, one found its soft neighbor
+    assert first(rows["S"], "R@1") == pytest.approx(9 / 10)
     assert float(rows["S"]["median error"]) == 0.0
+
+
+def test_the_numbers_of_vpr_tutorial(tmp_path: Path) -> None:
+    """Its createPR, recallAtK and recallAt100precision (commit 2cb8918, single) gave these for the same matrices."""
+    queries, places = np.arange(TUTORIAL[0])[:, np.newaxis], np.arange(TUTORIAL[1])
+    away = np.abs(queries + 10 - places)
+    noise = (queries * 7919 + places * 104729) ** 2 * 2654435761 % 2**32 / 2**32
+    matrices = {"s": 1 / (1 + away) + 1.2 * noise, "hard": (away <= 1) & (queries < 50), "soft": away <= 3}
+    for name, matrix in matrices.items():
+        np.save(tmp_path / f"{name}.npy", matrix.T)
+    for name, count in zip(("query", "reference"), TUTORIAL, strict=True):
+        (tmp_path / name).mkdir()
+        for number in range(count):
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), np.full((24, 32, 3), 3 * number, np.uint8))
+    files = {name: str(tmp_path / f"{name}.npy") for name in matrices}
+    what = [str(tmp_path / "reference"), str(tmp_path / "query"), "-o", str(tmp_path / "report"), "--length", "1"]
+    given = ["--truth", files["hard"], "--soft", files["soft"], "--similarity", f"S={files['s']}", "--transposed"]
+    assert main(["compare", *what, *given, "--method", "S"]) == 0
+    with (tmp_path / "report/scores.csv").open(encoding="utf-8", newline="") as stream:
+        (row,) = csv.DictReader(stream)
+    assert [first(row, column) for column in ("R@1", "R@5", "R@10", "R@P100")] == [R_AT_1, R_AT_5, R_AT_10, R_P100]
+    curve = lookback.pr_curve(matrices["s"], matrices["hard"], matrices["soft"])
+    for threshold, precision, recall in TUTORIAL_CURVE:
+        at = np.flatnonzero(curve.thresholds >= threshold)[-1]
+        assert (curve.precision[at], curve.recall_of_places[at]) == pytest.approx((precision, recall), abs=1e-6)
+    for count, recall in ((1, R_AT_1), (5, R_AT_5), (10, R_AT_10)):
+        assert lookback.recall_at(matrices["s"], matrices["hard"], count, soft=matrices["soft"]) == recall
+
+
+def test_no_method_is_judged_on_other_frames_where_it_finds_soft_places(folders: tuple[Path, Path]) -> None:
+    """By the command's own runner: also a method that names a single place, whose answer is none then."""
+    right = np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)) == 1
+    soft = np.abs(np.arange(2, 2 + HERE)[:, np.newaxis] - np.arange(THERE)) <= 3
+    np.save(folders[0].parent / "gt.npy", right)
+    np.save(folders[0].parent / "soft.npy", soft)
+    options = argparse.ArgumentParser()
+    add_arguments(options)
+    files = [f"--{name}={folders[0].parent / file}" for name, file in (("truth", "gt.npy"), ("soft", "soft.npy"))]
+    args = options.parse_args([*map(str, folders), "-o", "report", "--length", "3", *files])
+    runner = open_runner(plan_of(args), Folders(*[Path()] * 4))
+    outcomes = [runner.run(runner.plan.pairs[0], name) for name in ("Raw-single", "NSD-CR", "Lookback", "SeqSLAM")]
+    for one in outcomes:
+        assert one.judged.tolist() == list(range(2, HERE))
+        answered = one.judged[one.matches.place[one.judged] >= 0]
+        assert not np.isnan(one.error_of_best()[one.judged]).any()
+        assert not soft[answered, one.matches.place[answered]][~right[answered, one.matches.place[answered]]].any()
+    single = outcomes[2]  # which believes where it is, and that is soft here
+    assert (single.matches.place[single.judged] == -1).any() and single.answers.has_truth.all()
 
 
 def test_a_chosen_row_keeps_those_of_other_options(compare: Compare, tmp_path: Path) -> None:
