@@ -30,6 +30,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     time_sigma_s: one standard deviation of what all stamps have in common against the positions' own times, as of a
     video that was laid over a track: all positions are off by that much travel, to one side. None: not known.
     fov_deg: horizontal field of view of the images, after the preprocessing. None: not known.
+    heading_is_course: whether heading_deg is the course of the positions, as `sim.traverse.with_course` has it.
     """
 
     name: Line
@@ -43,6 +44,7 @@ class FeedHeader(msgspec.Struct, frozen=True):
     odometer: bool = False
     time_sigma_s: Annotated[float, msgspec.Meta(ge=0)] | None = None
     fov_deg: FieldOfView | None = None
+    heading_is_course: bool = False
 
 
 def read_header(file: Path) -> FeedHeader:

@@ -102,7 +102,8 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     moved_as_driven: whether all its positions moved as an odometer and the heading said (`gps_motion`). whole_sigma_m:
     one standard deviation along the drive of what all its positions are off by together, beside their own, as by the
-    times of a video that was laid over a track; None where nobody knows.
+    times of a video that was laid over a track; None where nobody knows. heading_is_course: whether no heading was
+    recorded, and its headings are the course of its positions.
     """
 
     start: int
@@ -111,6 +112,7 @@ class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     source: Line
     moved_as_driven: bool = False
     whole_sigma_m: Annotated[float, msgspec.Meta(ge=0, le=MAX_SIGMA_M)] | None = None
+    heading_is_course: bool = False
 
 
 class TileOf(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -171,12 +173,13 @@ class MapHeader(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         *,
         has_odometer: bool = False,
         whole_sigma_m: float | None = None,
+        heading_is_course: bool = False,
     ) -> MapHeader:
         """With a further drive, to which the next places belong; sequences are never searched across its beginning.
 
         has_odometer: whether its way was measured by what its positions have no part in; see `checked`.
         """
-        begun = Segment(self.places, self.places, view, source, has_odometer, whole_sigma_m)
+        begun = Segment(self.places, self.places, view, source, has_odometer, whole_sigma_m, heading_is_course)
         return replace(self, segments=(*self.first(self.places).segments, begun))
 
     def doubted(self) -> MapHeader:

@@ -79,9 +79,16 @@ class DriveByDrive:
         *,
         has_odometer: bool = False,
         whole_sigma_m: float | None = None,
+        heading_is_course: bool = False,
     ) -> None:
         """Start a further drive, see `MapHeader.with_segment`."""
-        self._header = self._header.with_segment(source, view, has_odometer=has_odometer, whole_sigma_m=whole_sigma_m)
+        self._header = self._header.with_segment(
+            source,
+            view,
+            has_odometer=has_odometer,
+            whole_sigma_m=whole_sigma_m,
+            heading_is_course=heading_is_course,
+        )
 
     def doubt(self) -> None:
         """Nothing vouches for the current drive."""

@@ -97,7 +97,7 @@ class DatasetKind:
 
 OF_ALL = ("view", "fov_deg")
 """Options that each kind has."""
-USUAL_FOV = "a phone 65, upright 40; GoPro Linear 86, Wide 118; webcams 60 to 78"
+USUAL_FOV = "a phone 65, upright 40; a GoPro in Linear 86; webcams 60 to 78"
 """Horizontal fields of view in degrees, for who has to say one."""
 
 

@@ -2,7 +2,8 @@
 
 Specified in EXIF 2.32 (CIPA DC-008), sections 4.6.5 and 4.6.6. Pictures come in the order of their times
 (DateTimeOriginal with its fraction of a second, taken as UTC); those of one second without fractions, in the order of
-their names, a nanosecond apart; and so those of a folder in which nothing has a time, `fps` a second.
+their names, a nanosecond apart; and so those of a folder in which nothing has a time, `fps` a second. The field of view
+is known where all have one FocalLengthIn35mmFilm.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 
 from edge.errors import FeedError
 from sim.datasets import ReadOptions, Traverse
+from sim.datasets.field_of_view import of_film
 from sim.datasets.pictures import PictureFiles, know_heif, list_pictures
 from sim.datasets.track import Fix, row_at
 
@@ -27,13 +29,16 @@ log = logging.getLogger(__name__)
 GPS = ExifTags.GPS
 NOWHERE = Fix(0, math.nan, math.nan)
 UNTIMED = -1
+LYING = range(5, 9)
+"""Orientations of pictures that are stored on their side, and shown upright."""
 NOMINAL_FPS = 1.0
 
 
 def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     """The pictures of one folder; without times, in the order of their names. FeedError where only some have one."""
     names = list_pictures(path)
-    fixes = [read_fix(path / name) for name in names]
+    said = [read_exif(path / name) for name in names]
+    fixes, fovs_deg = [fix for fix, _ in said], {fov_deg for _, fov_deg in said}
     untimed = [name for name, fix in zip(names, fixes, strict=True) if fix.stamp_ns == UNTIMED]
     if untimed and len(untimed) < len(names):
         raise FeedError(
@@ -58,22 +63,26 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=tuple(rows),
         pictures=PictureFiles([path / name for _, name in placed]),
         notes="" if not untimed else "times are nominal: in the order of the names",
+        fov_deg=fovs_deg.pop() if len(fovs_deg) == 1 else None,
     )
 
 
-def read_fix(file: Path) -> Fix:
-    """Time and position of one picture; NaN where there is none. FeedError names the picture."""
+def read_exif(file: Path) -> tuple[Fix, float | None]:
+    """Time and position of one picture, NaN where there is none, and its field of view. FeedError names the picture."""
     know_heif(file)
     try:
         with Image.open(file) as image:
             exif = image.getexif()
-            stamp_ns = _stamp_ns(exif, exif.get_ifd(ExifTags.IFD.Exif))
+            own = exif.get_ifd(ExifTags.IFD.Exif)
+            stamp_ns = _stamp_ns(exif, own)
+            width, height = image.size[::-1] if exif.get(ExifTags.Base.Orientation) in LYING else image.size
+            fov_deg = of_film(str(file), float(own.get(ExifTags.Base.FocalLengthIn35mmFilm) or 0), width, height)
             position = _position(exif.get_ifd(ExifTags.IFD.GPSInfo))
     except (OSError, UnidentifiedImageError) as error:
         raise FeedError(f"{file}: cannot read this picture: {error}") from None
     except (ArithmeticError, IndexError, SyntaxError, TypeError, ValueError):
         raise FeedError(f"{file}: its EXIF data are damaged") from None
-    return replace(position, stamp_ns=stamp_ns)
+    return replace(position, stamp_ns=stamp_ns), fov_deg
 
 
 def _stamp_ns(image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:

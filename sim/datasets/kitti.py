@@ -2,11 +2,12 @@
 
     dataset/sequences/00/image_2/000000.png ...   left color camera (3 right color, 0 and 1 gray)
     dataset/sequences/00/times.txt                seconds, a line a picture
+    dataset/sequences/00/calib.txt                P0 to P3: the field of view of each camera
     dataset/poses/00.txt                          12 numbers a line: 3 x 4 pose of the left camera, row by row
 
 Specified in readme.txt of its development kit; A. Geiger et al., CVPR 2012. Poses are in the frame of the first
 camera (x right, y down, z ahead), so there is no north and no latitude: positions are local, x as east and
-z as north. Poses are published for sequences 00 to 10.
+z as north, from which the camera's heading counts. Poses are published for sequences 00 to 10.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from edge.errors import FeedError
 from edge.feed import FeedRow
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
+from sim.datasets.field_of_view import of_kitti
 from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers
 from sim.datasets.track import from_local
@@ -37,23 +39,32 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         if lines != len(names):
             raise FeedError(f"{file}: {lines} lines for the {len(names)} pictures in {path / camera}")
     ground_m = poses.reshape(-1, 3, 4)[:, [0, 2], 3]
+    ahead = poses.reshape(-1, 3, 4)[:, [0, 2], 2]
+    # Poses of another source may have no rotations.
+    turns = bool(np.ptp(ahead, axis=0).any())
+    headings_deg = (np.degrees(np.arctan2(*ahead.T)) % 360).tolist() if turns else [None] * len(names)
     covered_m = np.concatenate([[0.0], np.linalg.norm(np.diff(ground_m, axis=0), axis=1).cumsum()])
     rows = [
         FeedRow(
             f"{camera}/{name}",
             round(time_s * 1e9),
             *from_local(x_m, y_m),
+            heading_deg=heading_deg,
             distance_m=float(distance_m),
             position_source="local",
             extra={"local_x_m": f"{x_m:.3f}", "local_y_m": f"{y_m:.3f}"},
         )
-        for name, time_s, (x_m, y_m), distance_m in zip(names, times_s, ground_m.tolist(), covered_m, strict=True)
+        for name, time_s, (x_m, y_m), heading_deg, distance_m in zip(
+            names, times_s, ground_m.tolist(), headings_deg, covered_m, strict=True
+        )
     ]
+    pictures = PictureFiles([path / camera / name for name in names])
     return Traverse(
         name=f"kitti-{path.name}-{camera}",
         source=f"KITTI odometry {path.name} {camera}",
         rows=tuple(rows),
-        pictures=PictureFiles([path / camera / name for name in names]),
+        pictures=pictures,
         notes="local_x_m right and local_y_m ahead of the first picture",
         time_sigma_s=ONE_CLOCK_S,
+        fov_deg=of_kitti(path / "calib.txt", camera, pictures.read(0).shape[1]),
     )

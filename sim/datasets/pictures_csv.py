@@ -21,6 +21,7 @@ from edge.errors import FeedError
 from edge.feed import FeedRow
 from edge.geodesy import PositionSource
 from sim.datasets import ReadOptions, Traverse
+from sim.datasets.field_of_view import of_euroc
 from sim.datasets.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures
 from sim.datasets.tables import Record, parse_time_ns, read_records
 from sim.datasets.track import Fix, Track, from_local
@@ -81,6 +82,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=rows,
         pictures=PictureFiles([path / name for name in names]),
         notes=f"columns of {file.name}: {found}",
+        fov_deg=of_euroc(path),
     )
 
 

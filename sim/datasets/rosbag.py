@@ -1,8 +1,9 @@
 """Recordings of ROS 1 (.bag), ROS 2 (folder, .db3, .mcap): pictures and positions.
 
-Pictures are sensor_msgs/Image or CompressedImage, positions sensor_msgs/NavSatFix (all in
-https://github.com/ros2/common_interfaces), both with the stamps of their headers. Where a recording has several such
-topics, `camera` and `positions` name one. Read with rosbags, which needs no ROS.
+Pictures are sensor_msgs/Image or CompressedImage, positions sensor_msgs/NavSatFix, both with the stamps of their
+headers, and the field of view is that of a sensor_msgs/CameraInfo beside the pictures (all in
+https://github.com/ros2/common_interfaces). Where a recording has several such topics, `camera` and `positions` name
+one. Read with rosbags, which needs no ROS.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from rosbags.typesys import Stores, get_typestore
 from edge.errors import FeedError, FrameError
 from edge.feed import decode_picture
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
+from sim.datasets.field_of_view import of_focal_length
 from sim.datasets.pictures import PicturesInOrder
 from sim.datasets.track import Fix, Track
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 POSITIONS = ("sensor_msgs/msg/NavSatFix",)
+INFOS = ("sensor_msgs/msg/CameraInfo",)
 NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 
 # sensor_msgs/image_encodings.hpp: channels, and OpenCV's conversion to BGR. ROS names a Bayer pattern by its first
@@ -51,6 +54,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     with _open(path) as reader:
         camera = _choose(path, reader.connections, IMAGES, options.camera, "--camera")
         receiver = _choose(path, reader.connections, POSITIONS, options.positions, "--positions")
+        info = _info_of(camera, reader.connections)
     track = Track(f"{path}: {receiver}", _fixes(path, receiver))
     stamps_ns = [_stamp_ns(message) for message in _messages(path, camera)]
     return Traverse(
@@ -59,6 +63,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=track.rows(f"{path}: {camera}", [f"{camera}#{index}" for index in range(len(stamps_ns))], stamps_ns),
         pictures=PicturesInOrder(f"{path}: {camera}", partial(_messages, path, camera), to_bgr),
         notes=f"positions from {receiver}",
+        fov_deg=None if info is None else _fov_deg(path, info),
         time_sigma_s=ONE_CLOCK_S,
     )
 
@@ -98,6 +103,21 @@ def _choose(
         return wanted or topics[0]
     found = ", ".join(topics) or "none"
     raise FeedError(f"{path}: {option}: name one topic of {' or '.join(types)}; found: {found}")
+
+
+def _info_of(camera: str, connections: Sequence[Connection]) -> str | None:
+    """The topic of the calibration beside a camera's: camera_info of its name, as image_transport has it."""
+    there = {connection.topic for connection in connections if connection.msgtype in INFOS}
+    above = [camera.rsplit("/", depth)[0] for depth in range(1, camera.count("/") + 1)]  # /compressed comes behind it
+    return next((topic for topic in (f"{name}/camera_info" for name in above) if topic in there), None)
+
+
+def _fov_deg(path: Path, topic: str) -> float | None:
+    message = next(iter(_messages(path, topic)), None)
+    if message is None:
+        return None
+    matrix = message.K if hasattr(message, "K") else message.k  # ROS 1, ROS 2
+    return of_focal_length(f"{path}: {topic}", float(matrix[0]), message.width)
 
 
 def _messages(path: Path, topic: str) -> Iterator[Any]:

@@ -17,15 +17,16 @@ import math
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from xml.etree import ElementTree
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedRow
 from sim.datasets import ReadOptions, Traverse
+from sim.datasets.boxes import contents
+from sim.datasets.field_of_view import of_video
 from sim.datasets.pictures import join_videos, video_files
 from sim.datasets.track import Fix, Track
 
@@ -33,8 +34,6 @@ log = logging.getLogger(__name__)
 
 SIGNS = (b"gpmd", b"camm", b"gps ", b"GPS ")
 """Kinds of tracks and boxes that hold positions: GoPro, CAMM, BlackVue, Novatek."""
-SIGNED_BYTES = 1 << 26
-"""Bytes of a box that are searched for SIGNS: an index (moov) has a few MB, the video itself (mdat) is passed over."""
 TESLA = re.compile(r"-(front|back|left_repeater|right_repeater|left_pillar|right_pillar)$")
 REAR = re.compile(r"(-back|[_\d][A-Z]?R)$")
 """Ends of names of rear cameras: Tesla; 20240101_120000_NR (BlackVue), 0001R (VIOFO)."""
@@ -68,6 +67,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=rows,
         pictures=joined.pictures,
         notes=f"{len(files)} video(s), {len(fixes)} positions in them",
+        fov_deg=of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height),
     )
 
 
@@ -88,28 +88,7 @@ def holds_positions(file: Path) -> bool:
     """Whether a video seems to hold positions of its own, by the kinds of its tracks; needs no package."""
     if TESLA.search(file.stem):
         return True
-    with suppress(OSError), file.open("rb") as stream:
-        for start, kind, length in _boxes(stream, file.stat().st_size):
-            if kind != b"mdat":
-                stream.seek(start)
-                content = stream.read(min(length, SIGNED_BYTES))
-                if any(sign in content for sign in SIGNS):
-                    return True
-    return False
-
-
-def _boxes(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes, int]]:
-    """Start, kind and length in bytes of the boxes of an ISO base media file (ISO/IEC 14496-12, 4.2)."""
-    at = 0
-    while at + 8 <= size:
-        stream.seek(at)
-        head = stream.read(16)
-        length = int.from_bytes(head[:4], "big")
-        length = int.from_bytes(head[8:16], "big") if length == 1 else length or size - at
-        if length < 8:
-            return
-        yield at, head[4:8], length
-        at += length
+    return any(sign in content for _, content in contents(file) for sign in SIGNS)
 
 
 def positions_in(file: Path, feed: Feed) -> list[Fix]:

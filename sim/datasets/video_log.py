@@ -19,6 +19,7 @@ from edge.errors import FeedError
 from edge.feed import Feed, FeedOptions, FeedRow
 from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.alignment import Alignment, align, creation_time
+from sim.datasets.field_of_view import of_video
 from sim.datasets.flight_logs import LOGS, read_log
 from sim.datasets.importing import as_feed
 from sim.datasets.pictures import VIDEO_SUFFIXES, join_videos, video_files
@@ -53,6 +54,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         pictures=joined.pictures,
         notes=alignment.how,
         alignment=alignment,
+        fov_deg=of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height),
     )
 
 

@@ -22,10 +22,14 @@ from edge.keypoints.network import KeypointNetwork
 from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.keypoint_file import KeypointsKey
-from edge.reference_map.store import HEADER, KEYPOINTS, encode_header
+from edge.reference_map.store import HEADER, KEYPOINTS, PLACES, encode_header
 from edge_plugins.mapping.keypoint_rows import KeypointRows, keypoints_key
+from sim.maps.known_distances import spell_distances
+from sim.traverse import with_course
 
 WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-deg"
+CHANGED = (PLACES, KEYPOINTS)
+"""Files of a map."""
 
 
 def add_fov_option(parser: argparse.ArgumentParser) -> None:
@@ -72,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     print(
         f"{args.map}: {key.most} keypoints of each place, {key.place_bytes / 1e3:.1f} kB, for {key.fov_deg:g} degrees"
     )
+    for line in spell_distances(open_map(args.map)):
+        print(f"{args.map}: {line}")
     return 0
 
 
@@ -86,20 +92,31 @@ def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov_deg: float
     if missing:
         raise MapError(f"{path}: its drive {missing[0]} is of none of these recordings; name all that it was made of")
     with AtomicFolder(path) as new:
-        for name in header.files.keys() - {KEYPOINTS}:
+        for name in header.files.keys() - {*CHANGED}:
             shutil.copyfile(path / name, new.path / name)
         rows, extract = (
             KeypointRows(new.path / KEYPOINTS, partial(keypoints_key, fov_deg=fov_deg)),
             KeypointNetwork().extract,
         )
-        for segment in header.segments:
-            own = reference_map.places[segment.start : segment.end]
-            for image in _pictures(by_name[segment.source], own["row"]):
+        places, segments = reference_map.places.copy(), list(header.segments)
+        for number, segment in enumerate(segments):
+            own, feed = places[segment.start : segment.end], by_name[segment.source]
+            for image in _pictures(feed, own["row"]):
                 rows.add(extract(image))
-        key = rows.finish(reference_map.places, header.segments)
-        file = new.path / KEYPOINTS
-        files = {**header.files, KEYPOINTS: FileKey(file.stat().st_size, sha256_of(file))}
-        made = msgspec.structs.replace(header.with_keypoints(key), files=files, header_sha256="")
+            moved = with_course(feed)
+            if moved.header.heading_is_course and np.isnan(own["heading_deg"]).all():
+                # A map of an earlier version, which had no use for a heading.
+                own["heading_deg"] = [moved.rows[row].heading_deg for row in own["row"]]
+                segments[number] = msgspec.structs.replace(segment, heading_is_course=True)
+        key = rows.finish(places, segments)
+        (new.path / PLACES).write_bytes(places.tobytes())
+        files = {
+            **header.files,
+            **{name: FileKey((new.path / name).stat().st_size, sha256_of(new.path / name)) for name in CHANGED},
+        }
+        made = msgspec.structs.replace(
+            header.with_keypoints(key), segments=tuple(segments), files=files, header_sha256=""
+        )
         (new.path / HEADER).write_bytes(encode_header(made))
         new.put_in_place()
     return key

@@ -27,6 +27,7 @@ from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
 from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, fov_of
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
+from sim.maps.known_distances import spell_distances
 from sim.maps.shrinking import shrink_to
 from sim.traverse import driven_m
 
@@ -144,8 +145,13 @@ def add_map(builder: MapBuilder, other: ReferenceMap) -> None:
     """Add all places of a map of the same model and regions, with segments and raw descriptors, as if driven again."""
     raw, records, key = other.raw(), other.places, other.header.keypoints_key
     for segment in other.header.segments:
-        moved, whole_m = segment.moved_as_driven, segment.whole_sigma_m
-        builder.begin_segment(segment.source, segment.view, has_odometer=moved, whole_sigma_m=whole_m)
+        builder.begin_segment(
+            segment.source,
+            segment.view,
+            has_odometer=segment.moved_as_driven,
+            whole_sigma_m=segment.whole_sigma_m,
+            heading_is_course=segment.heading_is_course,
+        )
         for index in range(segment.start, segment.end):
             known = {name: records[name][index].item() for name in ("row", "route_m", *MEASURED)}
             source = POSITION_SOURCES[records["position_source"][index]]
@@ -183,9 +189,19 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     made_by = args.output, descriptor, sampling
     header = build_map(feeds, *made_by, **options, network=network, keypoints=keypoints, describe=describe)
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
+    print_keypoints(args.output, header)
     if keypoints is None and not args.no_keypoints:
         print(f"{args.output}: without keypoints, since the field of view of the pictures is not known; {WHERE}")
     return 0
+
+
+def print_keypoints(path: Path, header: MapHeader) -> None:
+    """For people: from where a new map has its headings, and how many of its places have distances."""
+    course = [segment.source for segment in header.segments if segment.heading_is_course]
+    if course:
+        print(f"{path}: no heading recorded in {', '.join(course)}: the course of the positions is used")
+    for line in spell_distances(open_map(path)):
+        print(f"{path}: {line}")
 
 
 def _new_key(feeds: list[Feed]) -> KeyOf | None:
@@ -228,4 +244,5 @@ def _extend(args: argparse.Namespace) -> int:
         header = builder.finish()
         _print_unused(builder)
     print(f"{args.map}: {header.places} places in {len(header.segments)} segment(s)")
+    print_keypoints(args.map, header)
     return 0

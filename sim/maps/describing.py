@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import MapBuilder, Place, thumbnail
-from sim.traverse import TraverseFrame, has_odometer, traverse, whole_sigma_m
+from sim.traverse import TraverseFrame, has_odometer, traverse, whole_sigma_m, with_course
 
 MEASURED = ("lat_deg", "lon_deg", "alt_m", "heading_deg", "position_sigma_m")
 """What places have as rows of a feed have it."""
@@ -43,6 +43,14 @@ AHEAD = 2
 """Recordings for each worker that are described before the map needs them: one that it works on, one that waits."""
 CONNECT_S = 3
 """A scheduler answers in milliseconds."""
+
+
+class KnownOfDrive(TypedDict):
+    """What `begin_segment` takes."""
+
+    has_odometer: bool
+    whole_sigma_m: float | None
+    heading_is_course: bool
 
 
 @dataclass(frozen=True)
@@ -54,8 +62,7 @@ class Described:
 
     name: str
     view: Literal["front", "rear"]
-    has_odometer: bool
-    whole_sigma_m: float | None
+    known: KnownOfDrive
     raw: NDArray[np.float16]
     places: tuple[Place, ...]
     keypoints: tuple[Keypoints, ...]
@@ -84,8 +91,8 @@ def add_feed(
 ) -> None:
     """Describe a recording here, and add it as a segment."""
     extract = None if builder.keypoints is None else KeypointNetwork().extract
-    made = feed.header
-    builder.begin_segment(made.name, made.view, has_odometer=has_odometer(feed), whole_sigma_m=whole_sigma_m(feed))
+    feed = with_course(feed)
+    builder.begin_segment(feed.header.name, feed.header.view, **_known_of(feed))
     with tqdm(total=len(feed.rows), desc=feed.header.name, unit="frame", disable=None) as progress:
         for frame, raw, place in _described(feed, network, regions, sampling, must_have_distance):
             builder.add(raw, place)
@@ -124,8 +131,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                         f"--cluster: a worker described the test picture of {drive.name} otherwise than this computer:"
                         f" {drive.made_by} there, {here} here; use workers of one version on one kind of processor"
                     )
-                known = drive.has_odometer, drive.whole_sigma_m
-                builder.begin_segment(drive.name, drive.view, has_odometer=known[0], whole_sigma_m=known[1])
+                builder.begin_segment(drive.name, drive.view, **drive.known)
                 for raw, place in zip(drive.raw, drive.places, strict=True):
                     builder.add(raw.astype(np.float32), place)
                 if builder.keypoints is not None:
@@ -136,7 +142,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
 
 def describe(path: Path, work: Work) -> Described:
     """A recording, on a worker."""
-    feed = preprocessed_feed(read_feed(path, work.options), work.config.camera)
+    feed = with_course(preprocessed_feed(read_feed(path, work.options), work.config.camera))
     network = _network(work.config.descriptor)
     regions = RegionsKey.of(work.config.descriptor)
     extract = KeypointNetwork().extract if work.with_keypoints else None
@@ -147,7 +153,7 @@ def describe(path: Path, work: Work) -> Described:
         raw.append(one.astype("<f2"))
         places.append(place)
         keypoints += [extract(frame.image)] if extract is not None else []
-    made = feed.header.name, feed.header.view, has_odometer(feed), whole_sigma_m(feed)
+    made = feed.header.name, feed.header.view, _known_of(feed)
     return Described(*made, np.array(raw), tuple(places), tuple(keypoints), fingerprint(network))
 
 
@@ -161,6 +167,14 @@ def fingerprint(network: Network) -> str:
 @cache
 def _network(descriptor: DescriptorConfig) -> Network:
     return open_network(descriptor)
+
+
+def _known_of(feed: Feed) -> KnownOfDrive:
+    return {
+        "has_odometer": has_odometer(feed),
+        "whole_sigma_m": whole_sigma_m(feed),
+        "heading_is_course": feed.header.heading_is_course,
+    }
 
 
 def _described(

@@ -25,10 +25,12 @@ from edge_plugins.mapping.builder import spell_accuracy
 from edge_plugins.mapping.place_log import logs_in, map_of
 from sim.maps.agreement import disagreements
 from sim.maps.keys import make_key, sign_map
+from sim.maps.known_distances import spell_distances
 from sim.maps.tiles import split_map
 from sim.output import refusing
 
 SAMPLED_PICTURES = 16
+COURSE = "; headings are the course of its positions"
 LIGHTS = ((40.0, "dark"), (80.0, "dim"), (256.0, "bright"))
 """Mean gray level, of 255, below which pictures are called that."""
 
@@ -99,10 +101,13 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
     if key is not None:
         of = f"{key.most} a place ({key.place_bytes / 1e3:.1f} kB), {key.network}, {key.sha256[:12]}"
         print(f"keypoints {of}, of {key.width} x {key.height} pixels and {key.fov_deg:g} degrees")
+        for line in spell_distances(reference_map):
+            print(f"          {line}")
     if header.tile is not None:
         print(f"tile      of the map {header.tile.map_sha256[:12]}, from its place {header.tile.start} on")
     for segment in header.segments:
-        print(f"segment   {segment.start} to {segment.end - 1}: {segment.source}, {segment.view} view")
+        of = f"{segment.source}, {segment.view} view{COURSE if segment.heading_is_course else ''}"
+        print(f"segment   {segment.start} to {segment.end - 1}: {of}")
     print(
         f"size      {_size_mb(header):.1f} MB, {header.files['descriptors.i8'].bytes / 1e6:.1f} MB of it for matching"
     )

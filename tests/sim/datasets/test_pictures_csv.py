@@ -153,4 +153,4 @@ def test_the_sheet_shows_what_was_understood(
     ):
         assert what in page
     assert page.count("data:image/jpeg") == 2
-    assert f"sheet        {tmp_path / 'feed/sheet.html'}" in capsys.readouterr().out
+    assert f"sheet         {tmp_path / 'feed/sheet.html'}" in capsys.readouterr().out

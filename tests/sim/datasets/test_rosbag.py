@@ -74,6 +74,16 @@ class Messages:
         data = cv2.imencode(".jpg", pixels)[1].ravel()
         return self._types["sensor_msgs/msg/CompressedImage"](self._header(stamp_ns), "jpeg", data)
 
+    def info(self, stamp_ns: int, focal_px: float) -> Any:
+        """Of pictures twice as wide as those that come with it, as of a driver that scales them."""
+        names = "kdrp" if not self._sequence else "KDRP"
+        k = np.array([focal_px, 0, 32, 0, focal_px, 24, 0, 0, 1.0])
+        matrices = dict(zip(names, (k, np.zeros(5), np.eye(3).ravel(), np.zeros(12)), strict=True))
+        region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+        about = {"height": 48, "width": 64, "distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
+        kind = self._types["sensor_msgs/msg/CameraInfo"]
+        return kind(header=self._header(stamp_ns), roi=region, **about, **matrices)
+
     def fix(self, stamp_ns: int, lat_deg: float, lon_deg: float, status: int = 0) -> Any:
         kind = self._types["sensor_msgs/msg/NavSatFix"]
         status_message = self._types["sensor_msgs/msg/NavSatStatus"](status, 1)
@@ -90,6 +100,7 @@ def write_drive(path: Path, degrees_at: Degrees) -> None:
             write("/front", "sensor_msgs/msg/Image", stamp_ns, messages.image(stamp_ns, pixels, "rgb8", 100))
             rear = messages.compressed(stamp_ns, np.full((24, 32, 3), 10 + 6 * i, np.uint8))
             write("/rear/compressed", "sensor_msgs/msg/CompressedImage", stamp_ns, rear)
+            write("/rear/camera_info", "sensor_msgs/msg/CameraInfo", stamp_ns, messages.info(stamp_ns, 40.0))
             if i % 2 == 0:
                 place = degrees_at(0.0, 0.4 * i)
                 fix = (
@@ -106,6 +117,7 @@ def test_each_format_gives_pictures_at_their_positions(
     for camera in ("/front", "/rear/compressed"):
         traverse = open_dataset("rosbag", tmp_path / name, ReadOptions(camera=camera))
         assert [row.stamp_ns for row in traverse.rows] == [START_NS + i * 100_000_000 for i in range(20)]
+        assert traverse.fov_deg == (77.32 if camera == "/rear/compressed" else None)
         assert [row.lat_deg is None for row in traverse.rows] == [True] * 2 + [False] * 17 + [True]
         assert (traverse.rows[9].lat_deg, traverse.rows[9].lon_deg) == pytest.approx(degrees_at(0.0, 3.6), abs=1e-8)
         assert traverse.rows[9].alt_m == 110.5
