@@ -14,7 +14,7 @@ from sim.compare.scores import at_threshold, intervals, of_curve, recall_at_1, r
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall
-from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, format_cell
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Several, Table, format_cell
 
 Results = dict[tuple[str, str], Outcome]
 """Outcome by the names of pair and method."""
@@ -41,13 +41,14 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     """All scores of one pair, its curves, and the matches of one method."""
     outcomes = [results[pair.name, text] for text in runner.plan.methods]
     shown = shown_outcome(runner, pair, results)
-    slug = "".join(letter if letter.isalnum() else "_" for letter in pair.name)
+    slug = _slug(pair.name)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
     plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, shown.judged, pair.tolerance)
     return Section(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
         tables=[Table(f"{slug}_scores", "At the threshold", SCORES, list(map(_scores_of, outcomes)), SCORE_NOTE)],
+        files=[answers_table(one, f"{slug}_answers_{_slug(one.method.name)}") for one in outcomes],
         figures=[
             Figure(f"{slug}_precision_recall", "Precision and recall", figures.precision_recall_plot(curves)),
             Figure(
@@ -108,10 +109,32 @@ def means(runner: MethodRunner, results: Results) -> Table:
     )
 
 
-def _mean_cell(each: NDArray[np.float64]) -> str:
+def _mean_cell(each: NDArray[np.float64]) -> Several:
     """R@1 and R@P100 (n, 2) of pairs of one kind."""
-    first, sure = each.mean(axis=0)
-    return f"{first:.2f}, {sure:.2f}"
+    return Several(dict(zip(("R@1", "R@P100"), each.mean(axis=0).tolist(), strict=True)))
+
+
+ANSWERS = ("query", "place", "score", "right", "query row", "place row")
+
+
+def answers_table(outcome: Outcome, name: str) -> Table:
+    """What the method answered to each frame of the query, and whether that is right: 1, 0, empty where not judged.
+
+    query, place: counted as in matrices, place -1 without an answer; rows: of the recordings.
+    """
+    matches, judged = outcome.matches, set(outcome.judged.tolist())
+    right, place_rows = outcome.error_of_best() <= outcome.pair.tolerance, [*outcome.reference.rows.tolist(), ""]
+    rows: list[list[Cell]] = [
+        [query, place, score, int(right[query]) if query in judged else "", query_row, place_rows[place]]
+        for query, (place, score, query_row) in enumerate(
+            zip(matches.place.tolist(), matches.confidence.tolist(), outcome.query.rows.tolist(), strict=True)
+        )
+    ]
+    return Table(name, f"Answers of {outcome.method.name}", ANSWERS, rows)
+
+
+def _slug(text: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in text)
 
 
 def as_short(cell: Cell) -> str:

@@ -26,7 +26,7 @@ from sim.compare.method_runner import MethodRunner
 from sim.compare.options import plan_of, with_options
 from sim.compare.plan import Plan, TraversePlan, load_plan
 from sim.compare.traverses import Traverse, load_traverse
-from sim.evaluation.report import Section, Table, as_markdown, write_report
+from sim.evaluation.report import Section, Table, as_latex, as_markdown, write_report
 from sim.output import needing
 
 SHIPPED = Path(__file__).with_name("plans")
@@ -87,10 +87,11 @@ def run(args: argparse.Namespace) -> int:
         runner.method(text)
     sections = list(run_plan(runner))
     page = write_report(args.output, plan.title, about(source, plan, runner), sections)
-    scores, means = sections[0].tables[:2]
     made = f"{plan.title}. Made by Lookback {edge.__version__}."
-    (args.output / "means.md").write_text(f"{as_markdown(means)}\n\n{made}\n", encoding="utf-8")
-    print_table(scores)
+    for table in sections[0].tables:
+        (args.output / f"{table.name}.md").write_text(f"{as_markdown(table)}\n\n{made}\n", encoding="utf-8")
+        (args.output / f"{table.name}.tex").write_text(f"% {made}\n{as_latex(table)}\n", encoding="utf-8")
+    print_table(sections[0].tables[0])
     print(page)
     return 0
 

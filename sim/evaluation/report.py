@@ -6,7 +6,7 @@ import base64
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -54,6 +54,8 @@ def format_cell(cell: Cell, column: str = "") -> str:
     if isinstance(cell, Interval):
         value, low, high = (format_cell(one, column) for one in (cell.value, cell.low, cell.high))
         return f"{value} ({low} to {high})"
+    if isinstance(cell, Several):
+        return ", ".join(f"{one:.2f}" for one in cell.parts.values())
     if isinstance(cell, float):
         return "–" if math.isnan(cell) else f"{cell:.{1 if column.endswith(', m') else 3}f}"
     return str(cell)
@@ -68,19 +70,46 @@ def as_markdown(table: Table) -> str:
     return "\n".join([cells(table.columns), "|" + "---|" * len(table.columns), *map(cells, table.rows)])
 
 
+LATEX = str.maketrans(
+    {letter: f"\\{letter}" for letter in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--"}
+)
+
+
+def as_latex(table: Table) -> str:
+    """The table for a paper, by the package booktabs."""
+
+    def cells(row: Sequence[Cell]) -> str:
+        return " & ".join(format_cell(cell).translate(LATEX) for cell in row) + r" \\"
+
+    sides = "".join("l" if isinstance(cell, str) else "r" for cell in table.rows[0])
+    lines = [rf"\begin{{tabular}}{{{sides}}}", r"\toprule", cells(table.columns), r"\midrule"]
+    return "\n".join([*lines, *map(cells, table.rows), r"\bottomrule", r"\end{tabular}"])
+
+
 def _write_files(folder: Path, section: Section) -> None:
-    for table in section.tables:
+    for table in (*section.tables, *section.files):
         with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(table.columns)
-            # An interval is one cell for people; here, what it is followed by its ends.
-            writer.writerows([_plain(cell) for cell in row] for row in table.rows)
+            csv.writer(stream, lineterminator="\n").writerows(_of_single_numbers(table))
     for figure in section.figures:
         (folder / f"{figure.name}.png").write_bytes(figure.png)
 
 
-def _plain(cell: Cell) -> str | int | float:
-    return f"{cell.value!r} [{cell.low!r}, {cell.high!r}]" if isinstance(cell, Interval) else cell
+def _of_single_numbers(table: Table) -> Iterator[list[str | int | float]]:
+    """The names of the columns and the rows, with a column for each number of an interval or of several."""
+    kinds: list[dict[str, str | int | float]]
+    kinds = [{part: "" for cell in column for part in _parts(cell)} for column in zip(*table.rows, strict=True)]
+    kinds = kinds or [{"": ""} for _ in table.columns]
+    yield [f"{name} {part}".strip() for name, parts in zip(table.columns, kinds, strict=True) for part in parts]
+    for row in table.rows:
+        cells = zip(row, kinds, strict=True)
+        yield [one for cell, parts in cells for one in (parts | _parts(cell)).values()]
+
+
+def _parts(cell: Cell) -> dict[str, str | int | float]:
+    if isinstance(cell, Interval):
+        return {"": cell.value, "low": cell.low, "high": cell.high}
+    return {**cell.parts} if isinstance(cell, Several) else {"": cell}
 
 
 @dataclass(frozen=True)
@@ -93,7 +122,14 @@ class Interval:
     level: float
 
 
-Cell = str | int | float | Interval
+@dataclass(frozen=True)
+class Several:
+    """Scores in one cell, by what each of them is."""
+
+    parts: dict[str, float]
+
+
+Cell = str | int | float | Interval | Several
 
 
 @dataclass(frozen=True)
@@ -134,7 +170,7 @@ class Picture:
 class Section:
     """One experiment: heading, plain words, tables, figures, and rows of pictures that belong together.
 
-    film: MP4. folded: shown when it is clicked.
+    film: MP4. folded: shown when it is clicked. files: tables that are CSV files alone.
     """
 
     title: str
@@ -145,3 +181,4 @@ class Section:
     film: bytes = b""
     film_words: str = ""
     folded: bool = False
+    files: Sequence[Table] = ()

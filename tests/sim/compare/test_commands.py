@@ -46,11 +46,26 @@ def test_a_plan_becomes_a_report(plan_path: Path, capsys: pytest.CaptureFixture[
     ]
     with (out / "scores.csv").open(newline="") as stream:
         rows = {row["method"]: row for row in csv.DictReader(stream)}
-    assert f"{float(rows['Raw-fc6']['max-F1'].split()[0]):.3f}" in capsys.readouterr().out
+    assert f"{float(rows['Raw-fc6']['max-F1']):.3f}" in capsys.readouterr().out
     for row in rows.values():
-        assert float(row["R@1"].split()[0]) <= float(row["R@5"]) <= float(row["R@10"]) or row["method"] == "Lookback"
+        assert float(row["R@1 low"]) <= float(row["R@1"]) <= float(row["R@1 high"])
+        assert float(row["R@1"]) <= float(row["R@5"]) <= float(row["R@10"]) or row["method"] == "Lookback"
         assert float(row["CPU ms a frame"]) > 0
     assert rows["Lookback"]["R@5"] == "nan"
+    methods = ("Raw-fc6", "NSD-CR", "Lookback", "SeqSLAM")
+    for name in methods:
+        with (out / f"there_and_here_answers_{name.replace('-', '_')}.csv").open(newline="") as stream:
+            answers = list(csv.DictReader(stream))
+        judged = [answer for answer in answers if answer["right"]]
+        assert len(answers) == 12 and [answer["query"] for answer in judged] == [str(row) for row in range(3, 12)]
+        share = sum(answer["right"] == "1" for answer in judged) / len(judged)
+        assert share == pytest.approx(float(rows[name]["R@1"])), name
+        assert all((answer["score"] == "nan") == (answer["place"] == "-1") for answer in answers)
+    for table, columns in (("scores", 10), ("means", 5)):
+        markdown, latex = ((out / f"{table}.{kind}").read_text() for kind in ("md", "tex"))
+        assert all(name in markdown and name in latex for name in methods)
+        assert latex.count(" & ") == (columns - 1) * (1 + len(methods)) and r"\toprule" in latex
+        assert markdown.splitlines()[0].count("|") == columns + 1
     page = (out / "report.html").read_text()
     for heading in ("Overview", "there and here", "Networks"):
         assert heading in page

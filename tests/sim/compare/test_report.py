@@ -11,7 +11,7 @@ import pytest
 
 from edge.errors import ConfigError
 from sim.compare.plots import match_plot
-from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Table, write_report
+from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Several, Table, write_report
 from tests.chromium import NEEDS_CHROMIUM, browser
 
 
@@ -21,7 +21,8 @@ def drawn() -> bytes:
 
 
 def section() -> Section:
-    rows: list[list[Cell]] = [["NSD <best>", Interval(0.5, 0.4, 0.625, 0.95), float("nan")], ["SeqSLAM", 1.0, 3]]
+    both = [Several({"R@1": first, "R@P100": sure}) for first, sure in ((0.25, float("nan")), (0.5, 0.125))]
+    rows: list[list[Cell]] = [["NSD <best>", Interval(0.5, 0.4, 0.625, 0.95), both[0]], ["SeqSLAM", 1.0, both[1]]]
     plot = Figure("matches", "Matches", drawn())
     return Section(
         "One & two",
@@ -54,7 +55,11 @@ def test_tables_and_figures_are_files_too(tmp_path: Path) -> None:
     write_report(tmp_path, "Title", {}, [section()])
     with (tmp_path / "t.csv").open(newline="") as stream:
         rows = list(csv.reader(stream))
-    assert rows == [["m", "f", "n"], ["NSD <best>", "0.5 [0.4, 0.625]", "nan"], ["SeqSLAM", "1.0", "3"]]
+    assert rows == [
+        ["m", "f", "f low", "f high", "n R@1", "n R@P100"],
+        ["NSD <best>", "0.5", "0.4", "0.625", "0.25", "nan"],
+        ["SeqSLAM", "1.0", "", "", "0.5", "0.125"],
+    ]
     assert (tmp_path / "matches.png").read_bytes().startswith(b"\x89PNG")
 
 
