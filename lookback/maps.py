@@ -16,10 +16,11 @@ from edge.config import NETWORKS, CameraConfig, DescriptorConfig, SamplingConfig
 from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
 from edge.keypoints import Camera
+from edge.keypoints.mount import turned_aside
 from edge.keypoints.pose import Pose, look
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
-from edge.reference_map.keypoint_records import keypoints_of, points_of
+from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge.sequence import PlaceMatch, Travel
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from lookback import checks
@@ -98,7 +99,7 @@ class Map:
         return decode_picture(f"{self.path}: place {place}", self.opened.thumbnail(place))
 
     def pose(self, picture: Picture, place: int, *, fov_deg: float | None = None) -> Pose | None:
-        """From where a picture shows a place: meters to the right and ahead of the place's camera, and the turn.
+        """From where a picture shows a place: meters to the right and ahead of the place's camera, and turned from it.
 
         picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: as the map's). None
         where too few points agree: it shows another place, or its camera looked the other way. Raises `Error` for a
@@ -110,7 +111,10 @@ class Map:
         query = keypoints(picture)
         height = round(key.width * query.size[0] / query.size[1])
         camera = Camera(key.width, height, key.fov_deg if fov_deg is None else checks.field_of_view(fov_deg))
-        return look(query, keypoints_of(records[place], key), points_of(records[place]), camera)
+        there, points = keypoints_of(records[place], key), points_of(records[place])
+        found = look(query, there, points, camera)
+        # A map has its points as a camera would that looks along the road: this one's may look beside it.
+        return found and found.turned(turned_aside(camera_of(key).directions(there.xy), points.places[:, :2]))
 
 
 class Recognizer:

@@ -41,6 +41,18 @@ class Mount:
         return found
 
 
+def turned_aside(mounted: NDArray[np.float64], leveled: NDArray[np.float64]) -> float:
+    """By how much a camera looks to the right of the road, in radians; mounted, leveled: (n, 2) as `Mount.leveled`.
+
+    By the rotation of least squares (Kabsch 1976).
+    """
+    own, level = (np.column_stack([one, np.ones(len(one))]) for one in (mounted, leveled))
+    own, level = (one / np.linalg.norm(one, axis=1, keepdims=True) for one in (own, level))
+    left, _, right = np.linalg.svd(own.T @ level)
+    ahead = left[2] @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return float(np.arctan2(ahead[0], ahead[2]))
+
+
 def unknown(sigma: float) -> Mount:
     """Of a camera that looks level along the road, to a standard deviation."""
     return Mount(np.zeros(2), np.eye(2) / sigma**2)

@@ -62,6 +62,13 @@ class Pose:
     cost: float
     pairs: NDArray[np.int32] | None = None
 
+    def turned(self, turn: float) -> Pose:
+        """In the frame of a camera at the same place that looks so much further clockwise."""
+        cos, sin = np.cos(turn), np.sin(turn)
+        frame = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        right_m, ahead_m, own = (frame @ [self.right_m, self.ahead_m, self.turn - turn]).tolist()
+        return replace(self, right_m=right_m, ahead_m=ahead_m, turn=own, covariance=frame @ self.covariance @ frame.T)
+
     @property
     def count(self) -> int:
         """Points that agree."""

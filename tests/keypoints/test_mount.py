@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.keypoints.mount import Mount, mount_of_drive
+from edge.keypoints.mount import Mount, mount_of_drive, turned_aside
 from edge.keypoints.points import points_of
 from tests.keypoints.street import CAMERA, ROWS, seen, street, with_noise
 
@@ -47,6 +47,11 @@ def test_a_drive_shows_how_its_camera_is_mounted_and_its_points_are_as_by_a_leve
 def test_level_directions_are_those_of_rays_turned_back() -> None:
     mount, directions = Mount(np.array([0.1, -0.2]), np.eye(2)), np.array([[0.3, -0.1], [-0.5, 0.2]])
     assert mount.leveled(mounted(directions, np.degrees(0.1), np.degrees(-0.2))) == pytest.approx(directions)
+
+
+def test_directions_of_both_say_how_far_a_camera_looks_aside() -> None:
+    mount, directions = Mount(np.array([0.1, -0.2]), np.eye(2)), np.random.default_rng(0).uniform(-0.8, 0.8, (30, 2))
+    assert turned_aside(directions, mount.leveled(directions)) == pytest.approx(-0.2)
 
 
 def test_a_single_row_moves_the_mount_by_little_and_many_by_what_they_say() -> None:
