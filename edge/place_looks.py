@@ -16,7 +16,7 @@ from edge.reference_map import Drives, MapSet
 from edge.sequence import Agreeing, PlaceMatch, Seen
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.looks import APART_M, Looks, PriorOf, Sighted, joined, sign_of
-from edge.sequence.place_search import PlaceSearch
+from edge.sequence.place_search import NearestOf
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10
 """Frames, of which one is looked at; seldom while a sharp line leads to the place, and after so many looks in vain.
@@ -95,13 +95,13 @@ class PlaceLooks:
     def look(
         self,
         image: NDArray[np.uint8],
-        search: PlaceSearch,
+        nearest: NearestOf,
         course_rad: float | None,
         driven_m: float,
         uncertain_m: float,
     ) -> None:
-        """Look at the newest frame, whose costs were searched. driven_m, uncertain_m: by then. MapError as `costs`."""
-        places = self._candidates(search, course_rad, driven_m)
+        """Look at a picture, to which some places are nearest. driven_m, uncertain_m: by then. MapError as `costs`."""
+        places = self._candidates(nearest, course_rad, driven_m)
         if not places:
             return
         self._unlooked = 0
@@ -174,11 +174,11 @@ class PlaceLooks:
         drives, along_m = np.array([one.drive, other.drive]), np.array([one.along_m, other.along_m])
         return bool(np.hypot(*np.diff(self._drives.positions_m(drives, along_m), axis=0)[0]) <= slack_m)
 
-    def _candidates(self, search: PlaceSearch, course_rad: float | None, driven_m: float) -> list[int]:
+    def _candidates(self, nearest: NearestOf, course_rad: float | None, driven_m: float) -> list[int]:
         """Places to try, the likeliest first. After a look around a place that showed nothing, they are anywhere."""
         if self._around is None or self._is_lost:
             self._is_lost = False
-            return self._verification.candidates(search.nearest(AMONG), course_rad, NEAREST, APART)
+            return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
         belief, then_m, reach_m = self._around
         along_m = belief.along_m + sign_of(belief.direction) * (driven_m - then_m)
         places = np.arange(*self._drives.places_within(belief.drive, along_m, reach_m))

@@ -43,7 +43,8 @@ CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
 after a tow of 100 m one was 2.3 times as far apart."""
 
 LOOK_AGAIN_NS, LOOKS_AGAIN = 1_000_000_000, 3
-"""How long after a picture from the same spot another one is looked at, and how often: more show nothing new."""
+"""How long after a picture from the same spot another one is looked at, and how often: more show nothing new, until the
+picture has changed CARRIED times as much since as within that time, as noise and passing cars change it."""
 STANDS_M = 0.2
 """Driven since the newest frame, up to which a vehicle stands where that was."""
 
@@ -124,7 +125,10 @@ class PlaceRecognizer:
         self.is_in_line = False
         """Whether a line may lead through the newest frame: it shows another place, so far from the last one."""
         self.state: State = "warming up"
-        self._looks_left, self._looked_ns = 0, 0  # at the spot of the newest frame, while nothing is believed there
+        self._looks_left = 0
+        self._looked: tuple[_UsedFrame, _UsedFrame] | None = None
+        """From the spot of the newest frame, while nothing is believed there: the first picture of what is looked at,
+        and the newest."""
 
     @property
     def map_set(self) -> MapSet:
@@ -145,14 +149,14 @@ class PlaceRecognizer:
             # A feed whose every frame is a place has passed one, even if it looks like the last.
             self._used.unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
-            return self._look_again(image, stamp_ns, travel) if self._is_look_due(stamp_ns) else None
+            return self._look_again(image, frame, travel) if self._is_look_due(stamp_ns) else None
         self.was_carried = self._used.is_carried(frame)
         self._reset_after_gap(frame)
         travel = replace(travel, missed=travel.missed + self._used.unmoved)
         self._used.newest, self._used.unmoved = frame, 0
         self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
         match = self.matcher.push(raw, travel, image)
-        self._looks_left, self._looked_ns = 0 if match is not None and match.accepted else LOOKS_AGAIN, stamp_ns
+        self._looks_left, self._looked = LOOKS_AGAIN, None if match is not None and match.accepted else (frame, frame)
         if match is None:
             off_the_map = self.is_in_line and self.matcher.has_lines
             self.state = "off the map" if off_the_map else "searching" if self.matcher.is_scanning else "warming up"
@@ -176,18 +180,23 @@ class PlaceRecognizer:
     def look_again(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
         """Such a picture (H, W, 3) uint8 BGR: a place that is believed by looks, else None."""
         self.was_carried = self.is_in_line = False
-        return self._look_again(image, stamp_ns, travel)
+        return self._look_again(image, _UsedFrame(self.describe(image), stamp_ns, travel.distance_m), travel)
 
     def _is_look_due(self, stamp_ns: int) -> bool:
-        return self.matcher.may_look and self._looks_left > 0 and stamp_ns - self._looked_ns >= LOOK_AGAIN_NS
+        looked = self._looked
+        return self.matcher.may_look and looked is not None and stamp_ns - looked[1].stamp_ns >= LOOK_AGAIN_NS
 
-    def _look_again(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel) -> PlaceMatch | None:
-        self._looks_left, self._looked_ns = self._looks_left - 1, stamp_ns
-        match = self.matcher.look_again(image, travel)
+    def _look_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: Travel) -> PlaceMatch | None:
+        assert self._looked is not None  # or none would be due
+        first, before = self._looked
+        if first.change_to(frame) > CARRIED * before.change_to(frame):
+            first, self._looks_left = frame, LOOKS_AGAIN
+        self._looked, self._looks_left = (first, frame), self._looks_left - 1
+        match = self.matcher.look_again(image, frame.raw, travel) if self._looks_left >= 0 else None
         if match is None or not match.accepted:
             return None
-        self.state, self._looks_left = "on the map", 0
-        return self._as_event(match, stamp_ns)
+        self.state, self._looked = "on the map", None
+        return self._as_event(match, frame.stamp_ns)
 
     def _as_event(self, match: PlaceMatch, stamp_ns: int) -> PlaceMatch:
         return replace(match, event=True) if match.accepted and self._hold_off.passes(stamp_ns) else match
@@ -231,7 +240,7 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._used.newest, self._used.unmoved, self._looks_left = None, 0, 0
+        self._used.newest, self._used.unmoved, self._looked = None, 0, None
         self.state = "warming up"
 
     def begin_way_back(self) -> None:

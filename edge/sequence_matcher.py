@@ -24,7 +24,7 @@ from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
 from edge.sequence import NOTHING_KNOWN, Agreeing, PlaceMatch, Reckoning, Travel
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
-from edge.sequence.place_search import PlaceSearch
+from edge.sequence.place_search import NearestOf, PlaceSearch
 from edge.sequence.prior import Prior
 
 if TYPE_CHECKING:
@@ -169,23 +169,26 @@ class SequenceMatcher:
         prior = self._prior(travel.reckoned)
         belief = self._consensus.update(vote, odometer_m, step, *(prior or ()))
         if image is not None and self._looks is not None and self._looks.is_due():
-            self._look(image, travel)
+            self._look(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
         return believed
 
-    def look_again(self, image: NDArray[np.uint8], travel: Travel) -> PlaceMatch | None:
-        """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone."""
-        self._look(image, travel)
+    def look_again(self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
+        """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone.
+
+        raw: its descriptor (R, D), by which places to try are chosen: what stood before the camera may be gone.
+        """
+        self._look(image, travel, partial(self.search.nearest, row=self._normalizer.normalized(raw)))
         believed = self._believed(None, None, self._prior(travel.reckoned))
         self._follow(believed)
         return believed
 
-    def _look(self, image: NDArray[np.uint8], travel: Travel) -> None:
+    def _look(self, image: NDArray[np.uint8], travel: Travel, nearest: NearestOf) -> None:
         if self._looks is not None:
             driven = self._consensus.driven_m, self._consensus.uncertain_m
-            self._looks.look(image, self.search, travel.course_rad, *driven)
+            self._looks.look(image, nearest, travel.course_rad, *driven)
             self._stopwatch("keypoints")
 
     @property

@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
-from edge.keypoints.network import KeypointNetwork
+from edge.keypoints import Keypoints
+from edge.keypoints.network import MOST, KeypointNetwork
 from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, open_map
 from edge.reference_map.store import KEYPOINTS
@@ -128,6 +130,39 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
             assert not recognizer.may_look_again(3 * SECOND_NS, 7.0), "it is known"
     assert len(standing) >= 10
     assert max(standing) < BESIDE_M
+
+
+class _Counted(KeypointNetwork):
+    """Counts the pictures that are looked at."""
+
+    looks = 0
+
+    def extract(self, image: NDArray[np.uint8], most: int = MOST) -> Keypoints:
+        self.looks += 1
+        return super().extract(image, most)
+
+
+def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid: Network) -> None:
+    """Where it stays, three further pictures are looked at, however they differ by noise."""
+    drive, other, noise = Drive("home_night"), Drive("elsewhere").images[10], np.random.default_rng(0)
+    known = 0
+    for first in (20, 40, 60, 80, 100, 120):
+        recognizer, network = opened(maps / "street", grid), _Counted()
+        recognizer.matcher.use_keypoints(network)
+        for second in range(12):
+            image = other if second < 6 else drive.images[first]
+            image = np.clip(image + noise.normal(0.0, 4.0, image.shape), 0, 255).astype(np.uint8)
+            if second == 0:
+                assert recognizer.observe(image, 0, Travel(7.0)) is None
+                continue
+            assert recognizer.may_look_again(second * SECOND_NS, 7.0)
+            match = recognizer.look_again(image, second * SECOND_NS, Travel(7.0))
+            if match is not None:
+                assert second >= 6 and drive.off_m(first, match, recognizer.map_set) < BESIDE_M
+                known += 1
+                break
+            assert network.looks <= 4 or second >= 6
+    assert known >= 5
 
 
 def test_another_road_is_never_believed_by_looks(maps: Path, grid: Network) -> None:

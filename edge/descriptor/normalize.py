@@ -129,6 +129,11 @@ class OnlineNormalizer:
             self._ring[-1 - age].normalized, self._ring[-1 - age].count = row, self.statistics.count
         return NormalizedRows(rows, ages)
 
+    def normalized(self, raw: NDArray[np.float32]) -> NDArray[np.float32]:
+        """One raw descriptor (R, D) by the statistics so far, to which it adds nothing."""
+        known = self.statistics
+        return raw if known is None else normalize(raw, known.mean, known.deviation)
+
     def _stale_ages(self) -> list[int]:
         """The ages of the rows that are normalized again now: those whose statistics have grown most since."""
         self._frames_since_renewal += 1

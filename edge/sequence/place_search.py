@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
@@ -48,6 +48,8 @@ EXACT = 1e-6
 Mode = Literal["whole", "around", "scanning"]
 Ring = Callable[[], NDArray[np.float32]]
 """All rows of the ring (n, R, D), oldest first, for where the newest one is not enough."""
+NearestOf: TypeAlias = Callable[[int], NDArray[np.intp]]
+"""See `PlaceSearch.nearest`."""
 
 
 def with_measured_slopes(config: Config) -> Config:
@@ -116,13 +118,17 @@ class PlaceSearch:
         """Costs (orders, places of `part`) of the newest frame, in units of COST_ONE, for those who draw them."""
         return self.part.newest if self.part is not None else np.zeros((1, 0), np.int32)
 
-    def nearest(self, most: int) -> NDArray[np.intp]:
-        """Places whose left region is nearest to the newest frame's left one, and right to right, the nearest first."""
-        if self.part is None or not self.part.newest.size:
+    def nearest(self, most: int, row: NDArray[np.float32] | None = None) -> NDArray[np.intp]:
+        """Places whose left region is nearest to the newest frame's left one, and right to right, the nearest first.
+
+        row: instead of that, a normalized one (R, D) that is in no line.
+        """
+        part = self.part
+        if part is None or not (row is not None or part.newest.size):
             return np.zeros(0, np.intp)
-        costs = self.part.newest[0]
+        costs = part.newest[0] if row is None else self.map_set.costs(row[np.newaxis], part.ranges)[0, 0]
         some = np.argpartition(costs, most)[:most] if most < len(costs) else np.arange(len(costs))
-        return np.asarray(self.part.places[some[np.argsort(costs[some], kind="stable")]])
+        return np.asarray(part.places[some[np.argsort(costs[some], kind="stable")]])
 
     def clear(self) -> None:
         """Drop all rows (after a gap): the next line begins with the next row."""
