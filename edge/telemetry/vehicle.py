@@ -105,10 +105,16 @@ class Vehicle:
         return self._modes.drives_itself
 
     def expire(self, now_ns: int) -> None:
-        """All that has come was read. The link is down when no heartbeat has come for five seconds."""
+        """All that has come was read. The link is down when nothing has come for five seconds.
+
+        Without heartbeats alone, only the mode is not known: all else that is known is by messages that still come.
+        """
         self._read_ns = now_ns
-        if self.connected and now_ns - self._beats_ns[self.system_id or 0] > LINK_TIMEOUT_NS:
-            log.warning("system %s has sent no heartbeat for %d s", self.system_id, LINK_TIMEOUT_NS // 10**9)
+        if not self.connected or now_ns - self._beats_ns[self.system_id or 0] <= LINK_TIMEOUT_NS:
+            return
+        self._modes = Modes()
+        if now_ns - self._heard_ns > LINK_TIMEOUT_NS:
+            log.warning("system %s has sent nothing for %d s", self.system_id, LINK_TIMEOUT_NS // 10**9)
             self.reset_link()
 
     def reset_link(self) -> None:

@@ -264,6 +264,22 @@ def test_a_damaged_memory_is_none(lost_gps: Rig, damage: bytes) -> None:
     assert uncertainty_after(lost_gps, 8.0) is None
 
 
+def test_heartbeats_that_alone_are_missing_end_nothing_but_the_mode(lost_gps: Rig) -> None:
+    """All else that is known of the vehicle is by messages that still come."""
+    vehicle = lost_gps.connection.vehicle
+    before = vehicle.motion.displacement(lost_gps.now_ns)
+    assert before is not None
+    lost_gps.wire.loses = loses("HEARTBEAT")
+    lost_gps.run(10.0)
+    now = vehicle.motion.displacement(lost_gps.now_ns)
+    assert now is not None and (now.leg, now.unknown_m) == (before.leg, before.unknown_m)
+    assert (lost_gps.connection.state, vehicle.drives_itself) == ("up", None)
+    assert lost_gps.send_position(lost_gps.fix())
+    lost_gps.wire.loses = None
+    lost_gps.run(4.0)
+    assert vehicle.drives_itself is False and vehicle.session.number == 1
+
+
 @pytest.mark.parametrize("silent_s", [6.0, 60.0])
 def test_heartbeats_alone_are_no_permission(lost_gps: Rig, silent_s: float) -> None:
     """Without speed and GPS nothing is known, so nothing is sent; both are requested until they come."""
