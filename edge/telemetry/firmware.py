@@ -7,6 +7,10 @@ ArduPilot fuses a velocity alone only as VISION_POSITION_DELTA, which makes its 
 (`readyToUseBodyOdm` in NavEKF3_core); VISION_SPEED_ESTIMATE and ODOMETRY need a position as well. PX4 fuses ODOMETRY in
 the frame of the body, with its own gate (ev_vel_control.cpp). Both take nothing that is older than 200 ms for a start,
 and go on alone as soon as nothing comes.
+
+ArduPilot's pull request 31738, open in August 2026, fuses 43003 and GLOBAL_POSITION_SENSOR while an option of
+EK3_OPTIONS is set. No release has it, the option's bit may still change, and no version says that a build has it: so
+`auto` never chooses that message for ArduPilot, and the user of such a build does.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ CONTROL, ID, EV_CONTROL = "EKF2_AGP0_CTRL", "EKF2_AGP0_ID", "EKF2_EV_CTRL"
 GPS_MODE, NO_AID_TIMEOUT = "EKF2_GPS_MODE", "EKF2_NOAID_TOUT"
 FUSES_POSITION, EV_VELOCITY = 1, 1 << 2  # bits of CONTROL and EV_CONTROL
 WHEEL_PARAMETERS = ("WENC_TYPE", "WENC_POS_Y", "WENC_RADIUS", "WENC_CPR")
+FUSION = "message 296 is fused by builds with pull request 31738 alone, where its option is set"
 DCM = "else a rover or plane without GPS falls back to DCM: it answers ACCEPTED, and its position does not move"
 
 
@@ -121,15 +126,17 @@ def _px4_aid(parameters: Parameters, heard: Collection[int], source_set: int) ->
     return FLOW if any(controls) else None if controls == [None, None] else NO_AID
 
 
+EKF3 = (
+    Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
+    Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
+)
 FIRMWARES = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Firmware(
         "ArduPilot",
         takes=(((4, 5), "external_position"),),
         needs={
-            "external_position": (
-                Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
-                Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
-            )
+            "external_position": EKF3,
+            "global_position_sensor": (*EKF3, Requirement("EK3_OPTIONS", FUSION, "set its option SetLatLngFusion")),
         },
         aid_parameters=("EK3_SRC1_VELXY", "EK3_SRC2_VELXY", "WENC_TYPE", "FLOW_TYPE"),
         aid=_ardupilot_aid,

@@ -150,6 +150,8 @@ def test_all_is_well(diagnose: Diagnose) -> None:
     [
         ("auto", {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}, "AHRS_OPTIONS = 0: else a rover"),
         ("auto", {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}, "set its bits 3"),
+        ("global_position_sensor", {"EK3_OPTIONS": 0.0}, "EK3_OPTIONS = 0: message 296 is fused by builds with"),
+        ("global_position_sensor", {"AHRS_OPTIONS": 0.0}, "set its bits 3"),
         (
             "external_position",
             {"EK3_SRC1_POSXY": 0.0, **WHEELS},
