@@ -59,9 +59,9 @@ class Gyros:
 class Displacement:
     """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
-    unknown_m: the most by which it may be wrong for all times between two legs. doubtful_east_m, doubtful_north_m: what
-    of it was not driven if a change of the speed that no vehicle can make, `STRONGEST_MPS2`, was none. gyros: None
-    where the heading is not theirs.
+    unknown_m: the most by which it may be wrong for all times between two legs, and in which a speed was bridged.
+    doubtful_east_m, doubtful_north_m: what of it was not driven if a change of the speed that no vehicle can make,
+    `STRONGEST_MPS2`, was none. gyros: None where the heading is not theirs.
     """
 
     leg: int
@@ -223,9 +223,11 @@ class DeadReckoning:
         reported_mps: tuple[float, float] | None = None,
         *,
         may_slip: bool = True,
+        unknown_mps: float = 0.0,
     ) -> None:
         """A velocity over ground. Ignored where it is not after the newest, or is none.
 
+        unknown_mps: the most by which it may be wrong.
         may_slip: whether a change that no vehicle can make is in doubt; a camera that saw nothing for a second has
         missed that the vehicle braked. reported_mps: as it was reported, east and north, where it was found otherwise:
         two positions that are rounded to a centimeter and 16 ms apart change it by 0.7 m/s, which would be in doubt.
@@ -242,7 +244,8 @@ class DeadReckoning:
             self._begin_leg(stamp_ns, east_mps, north_mps)
         else:
             share = self._slip.doubtful(stamp_ns - last_ns, speed_mps)
-            self._displacement.add(stamp_ns, east_mps, north_mps, share * east_mps, share * north_mps)
+            doubtful_mps = share * east_mps, share * north_mps
+            self._displacement.add(stamp_ns, east_mps, north_mps, *doubtful_mps, unknown_mps)
 
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
         """The next velocity is of another filter, as after a reboot, or even of another vehicle."""
@@ -256,9 +259,9 @@ class DeadReckoning:
             silent_s = (stamp_ns - last_ns) / 1e9
             most_mps = max(math.hypot(*rate[:2]), math.hypot(east_mps, north_mps), LEAST_SILENT_MPS)
             self._unknown_m += most_mps * silent_s
-            ends = zip(total, rate, (east_mps, north_mps, 0.0, 0.0), strict=True)
+            ends = zip(total, rate, (east_mps, north_mps, 0.0, 0.0, 0.0), strict=True)
             total = tuple(moved_m + (before + after) / 2 * silent_s for moved_m, before, after in ends)
-        self._displacement.begin(stamp_ns, total or (0.0,) * 4, east_mps, north_mps, 0.0, 0.0)
+        self._displacement.begin(stamp_ns, total or (0.0,) * 5, east_mps, north_mps, 0.0, 0.0, 0.0)
         self._legs, self._is_leg_over = self._legs + 1, False
 
     @property
@@ -288,8 +291,9 @@ class DeadReckoning:
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
         if moved is None:
             return None
-        east_m, north_m, doubtful_east_m, doubtful_north_m = moved
-        return Displacement(self._legs, east_m, north_m, self._unknown_m, doubtful_east_m, doubtful_north_m)
+        east_m, north_m, doubtful_east_m, doubtful_north_m, bridged_m = moved
+        unknown_m = self._unknown_m + bridged_m
+        return Displacement(self._legs, east_m, north_m, unknown_m, doubtful_east_m, doubtful_north_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""

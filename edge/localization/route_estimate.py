@@ -159,8 +159,8 @@ class RouteEstimate:
         moved_m = displacement_m[..., :2] + float(self.mean[DOUBT]) * displacement_m[..., 2:]
         return (1 + float(self.mean[SCALE])) * _turned(moved_m, float(self.mean[HEADING]))
 
-    def predict(self, displacement_m: Vector) -> None:
-        """Move on by a displacement (4,)."""
+    def predict(self, displacement_m: Vector, bridged_m2: float = 0.0) -> None:
+        """Move on by a displacement (4,). bridged_m2: variance of its length where no speed was measured."""
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_looks_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(displacement_m[2:].any())
@@ -176,6 +176,8 @@ class RouteEstimate:
         shown, variances[SCALE - 2] = self._shown
         self.mean[SCALE] += (1 - kept[SCALE - 2]) * shown
         self.covariance = transition @ self.covariance @ transition.T
+        along = displacement_m[:2] / max(driven_m, 1e-9)
+        self.covariance[:2, :2] += bridged_m2 * np.outer(along, along)
         wander = (WANDER**2 * driven_m, WANDER**2 * driven_m)
         self.covariance += np.diag([*wander, *(variances * (1 - kept**2))])
 

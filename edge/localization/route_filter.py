@@ -66,6 +66,7 @@ class RouteFilter:
         self._sightings.clear()
         self._looks = RecentLooks()
         self._at: Displacement | None = None
+        self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._course_rad: float | None = None  # in which the vehicle reckoned to go then
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
@@ -233,7 +234,7 @@ class RouteFilter:
         if self._is_lost(track, stamp_ns, driven_m):
             return None
         estimate = track.estimate.copy()
-        estimate.predict(since_m)
+        estimate.predict(since_m, self._bridged_m2(displacement.unknown_since(before)))
         course_rad = math.atan2(since_m[0], since_m[1]) if driven_m >= GOES_M else self._course_rad
         return self._fix(track, estimate, stamp_ns, track.since_m + driven_m, course_rad)
 
@@ -244,14 +245,20 @@ class RouteFilter:
     def _move(self, displacement: Displacement) -> None:
         now_m = _vector(displacement)
         if self._at is not None:
-            moved_m = now_m - _vector(self._at)
+            moved_m, unknown_m = now_m - _vector(self._at), displacement.unknown_since(self._at)
+            bridged_m2 = self._bridged_m2(unknown_m)
+            self._bridged_m = self._bridged_m + unknown_m if unknown_m > 0 else 0.0
             if self._track is not None:
-                self._track.move(moved_m)
+                self._track.move(moved_m, bridged_m2)
             for one in self._reckoned:
-                one.estimate.predict(moved_m)
+                one.estimate.predict(moved_m, bridged_m2)
             if moved_m[2:].any():  # wheels that spin or lock
                 self._doubt_scale()
         self._at = displacement
+
+    def _bridged_m2(self, unknown_m: float) -> float:
+        """What meters by a speed that was bridged add to the variance: from first to last it is off in one way."""
+        return ((self._bridged_m + unknown_m) ** 2 - self._bridged_m**2) / 3
 
     def _agree(self, look: Look) -> int:
         return self._looks.agree(look.position_m, look.covariance, self._config.scale_error_percent / 100)

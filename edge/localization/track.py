@@ -53,9 +53,9 @@ class Track:
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
 
-    def move(self, displacement_m: Vector) -> None:
+    def move(self, displacement_m: Vector, bridged_m2: float) -> None:
         """Move on by a displacement (4,) of the autopilot's velocity; see `RouteEstimate.predict`."""
-        self.estimate.predict(displacement_m)
+        self.estimate.predict(displacement_m, bridged_m2)
         driven_m = float(np.hypot(*displacement_m[:2]))
         self.since_m += driven_m
         self.driven_m += driven_m

@@ -19,6 +19,9 @@ WHEELS_APART_NS = 2_500_000_000
 SPEED_FRESH_NS = 5_000_000_000
 """How long a speed of the wheels holds."""
 CAMERA_FRESH_NS = 1_000_000_000  # it measures ten times a second, and is silent where it cannot; so is odometry
+BRIDGED_NS, BRIDGED_MPS2 = 10_000_000_000, 0.5
+"""How long a speed of the camera goes on as the autopilot's own changes, and by how much that may be off at most: PX4
+was 4 to 6 m off within 5 s without it (six drives)."""
 RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
 """Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
 LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA, ASIDE = range(7)
@@ -72,6 +75,7 @@ class VehicleVelocity:
         self._wheels: tuple[int, float] | None = None
         self._speeds: dict[int, tuple[float, float]] = {}  # when and m/s, by what of FRESH_NS measures them
         self._own: VehiclePosition | None = None
+        self._seen: tuple[int, float, float] | None = None  # the camera's newest speed, and the autopilot's own of then
         self._reported_ns = 0
         self.has_our_position = False
         """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
@@ -82,7 +86,7 @@ class VehicleVelocity:
             motion.end_leg(is_same_vehicle=is_same_vehicle)
         self.listen(0, 0.0, None)
         self.shown = ShownScale() if not is_same_vehicle else self.shown
-        self._wheels = self._own = None
+        self._wheels = self._own = self._seen = None
         self._tilt = 0, 0.0, 0.0
         self._speeds.clear()
         self.aid = replace(self.aid, is_any=True, runs_away=False)
@@ -101,6 +105,9 @@ class VehicleVelocity:
         if math.isfinite(speed_mps):
             self.listen(stamp_ns, speed_mps, source)
             self._speeds[source] = stamp_ns, speed_mps
+            own = self._own
+            if source == CAMERA and own is not None and own.heading_deg is not None:
+                self._seen = stamp_ns, speed_mps, _ahead(own.east_mps, own.north_mps, own.heading_deg)
         if self._fresh(WHEELS, stamp_ns) is None:
             self._motion.add_speed(stamp_ns, speed_mps, source)
 
@@ -168,8 +175,8 @@ class VehicleVelocity:
             return speed_mps, 0.0 if has_wheels else self._fresh(ASIDE, now_ns) or 0.0
         if self.aid.may_be_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
             return None
-        sin, cos = math.sin(math.radians(own.heading_deg)), math.cos(math.radians(own.heading_deg))
-        return own.east_mps * sin + own.north_mps * cos, own.north_mps * sin - own.east_mps * cos
+        moves = own.east_mps, own.north_mps
+        return _ahead(*moves, own.heading_deg), _ahead(*moves, own.heading_deg - 90.0)
 
     def turned_rad(self, since_ns: int, until_ns: int) -> tuple[float, float] | None:
         """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
@@ -221,19 +228,42 @@ class VehicleVelocity:
         reported_mps: tuple[float, float] | None = None,
     ) -> None:
         """A velocity by the autopilot's estimate; where nothing aids that, its heading and the speed of the vehicle."""
-        self._reported_ns = stamp_ns
+        self._reported_ns, unknown_mps = stamp_ns, 0.0
         is_reported = self.aid.is_any and not self.aid.is_drifting_camera
         if not is_reported:
-            speed_mps, heading_rad, reported_mps = self._own_speed(stamp_ns), math.radians(heading_deg or 0.0), None
-            if speed_mps is None or heading_deg is None:
+            if heading_deg is None:
                 return
+            speed_mps, reported_mps = self._own_speed(stamp_ns), None
+            if speed_mps is None:
+                speed_mps, unknown_mps = self._bridged(stamp_ns, _ahead(east_mps, north_mps, heading_deg))
+            if speed_mps is None:
+                return
+            heading_rad = math.radians(heading_deg)
             east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
         may_slip = is_reported or self._fresh(WHEELS, stamp_ns) is not None
-        self._motion.add_velocity(stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip)
+        self._motion.add_velocity(
+            stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip, unknown_mps=unknown_mps
+        )
+
+    def _bridged(self, stamp_ns: int, own_mps: float) -> tuple[float | None, float]:
+        """The camera's last speed, changed as the autopilot's own has since, and by how much it may be off at most."""
+        seen_ns, seen_mps, then_mps = self._seen or (stamp_ns, 0.0, 0.0)
+        if not (self.aid.is_drifting_camera and 0 < stamp_ns - seen_ns <= BRIDGED_NS):
+            return None, 0.0
+        changed_mps = seen_mps + own_mps - then_mps
+        speed_mps = max(0.0, changed_mps) if seen_mps >= 0 else min(0.0, changed_mps)
+        self._motion.add_speed(stamp_ns, speed_mps, CAMERA)
+        return speed_mps, BRIDGED_MPS2 * (stamp_ns - seen_ns) / 1e9
+
+
+def _ahead(east_mps: float, north_mps: float, heading_deg: float) -> float:
+    """What of a velocity goes along a heading."""
+    return east_mps * math.sin(math.radians(heading_deg)) + north_mps * math.cos(math.radians(heading_deg))
 
 
 def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:
     """Ground speed, negative where the vehicle moves backwards; a heading that is not known says nothing."""
-    speed_mps, heading_rad = math.hypot(east_mps, north_mps), math.radians(heading_deg or 0.0)
-    ahead_mps = east_mps * math.sin(heading_rad) + north_mps * math.cos(heading_rad)
-    return -speed_mps if heading_deg is not None and ahead_mps < BACKWARDS_COS * speed_mps else speed_mps
+    speed_mps = math.hypot(east_mps, north_mps)
+    if heading_deg is not None and _ahead(east_mps, north_mps, heading_deg) < BACKWARDS_COS * speed_mps:
+        return -speed_mps
+    return speed_mps

@@ -255,6 +255,27 @@ def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
     assert one.place.sigma_along_m > 8.0 or not is_followed
 
 
+def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_as_that(road: Road) -> None:
+    """It is off in one way from the first meter to the last, however many frames lie between; a look ends that."""
+    one = warm(road)
+    before = one.place_at()
+    assert before is not None
+    for frame in range(1, 8):
+        one.motion = one.moved(unknown_m=one.motion.unknown_m + 0.6)
+        one.go(SPACING_M, nothing)
+        place = one.place_at()
+        assert place is not None
+        expected_m = math.hypot(before.sigma_along_m, 0.6 * frame / math.sqrt(3))
+        assert place.sigma_along_m == pytest.approx(expected_m, rel=0.1)
+        assert place.sigma_across_m < before.sigma_across_m + 0.3
+    ahead = one.place_at(S // 2, 4.0, unknown_m=one.motion.unknown_m + 3.0)
+    one.go(SPACING_M, looks(road, 1.5))
+    after = one.place_at()
+    assert ahead is not None and after is not None
+    assert ahead.sigma_along_m == pytest.approx(math.hypot(before.sigma_along_m, 7.2 / math.sqrt(3)), rel=0.1)
+    assert after.sigma_along_m < before.sigma_along_m + 0.1
+
+
 def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
     one = warm(road)
     soon, later = one.place_at(S // 2, 4.0), one.place_at(2 * S, 16.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -97,6 +98,29 @@ def test_so_does_the_camera_where_there_are_no_wheels_until_it_is_silent() -> No
     for tenth in range(81, 111):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=12.0, ve_mps=-float(tenth)), tenth * S // 10)
     assert vehicle.motion.distance_m(11 * S) is None and vehicle.motion.displacement(11 * S) is None
+
+
+def test_a_hole_in_the_cameras_speed_is_bridged_by_how_the_autopilots_own_changes() -> None:
+    """For 10 s; by then it may be off by 25 m, and nothing began anew."""
+    speaker = Speaker()
+    vehicle = unaided(speaker)
+    vehicle.velocity.aid = Aid(is_drifting_camera=True)
+    for tenth in range(41, 191):
+        now_ns = tenth * S // 10
+        if tenth <= 80:
+            vehicle.velocity.use_speed(now_ns, 9.0)
+        north_mps = 12.0 if tenth <= 100 else 10.0  # the filter is 3 m/s off, and brakes by 2
+        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=north_mps, ve_mps=0.0), now_ns)
+        known = vehicle.motion.displacement(now_ns) is not None, vehicle.motion.speed_mps(now_ns) is not None
+        assert known == (True, True) or tenth > 180
+    assert moved_m(vehicle, 8 * S, 10 * S) == pytest.approx((0.0, 18.0), abs=0.1)
+    assert moved_m(vehicle, 11 * S, 18 * S) == pytest.approx((0.0, 49.0), abs=0.1)
+    assert driven_m(vehicle, 11 * S, 18 * S) == pytest.approx(49.0, abs=0.1)
+    unknown_m = [one.unknown_m for at_s in (8, 13, 18) if (one := vehicle.motion.displacement(at_s * S))]
+    assert np.diff(unknown_m) == pytest.approx([0.25 * 5**2, 0.25 * (10**2 - 5**2)], abs=0.5)
+    for tenth in range(191, 221):
+        vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)
+    assert vehicle.motion.displacement(22 * S) is None and vehicle.motion.speed_mps(22 * S) is None
 
 
 @pytest.mark.parametrize(("wheels", "doubtful"), [(True, True), (False, False)])
