@@ -23,6 +23,7 @@ from edge.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
+from sim.datasets import USUAL_FOV
 from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
 from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, fov_of
@@ -191,7 +192,8 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     print_keypoints(args.output, header)
     if keypoints is None and not args.no_keypoints:
-        print(f"{args.output}: without keypoints, since the field of view of the pictures is not known; {WHERE}")
+        unknown = "without keypoints, since the field of view of the pictures is not known"
+        print(f"{args.output}: {unknown}; {WHERE} ({USUAL_FOV})")
     return 0
 
 
