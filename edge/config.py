@@ -106,6 +106,7 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     flip: Literal["none", "horizontal", "vertical", "both"] = "none"
     crop: tuple[Share, Share, Share, Share] = (0.0, 0.0, 0.0, 0.0)
     mask: FilePath = ""
+    keep_pictures: bool = True
     fov_deg: FieldOfView | UnsetType = UNSET
 
     def __post_init__(self) -> None:

@@ -108,16 +108,18 @@ class MapBuilder(DriveByDrive):
         shrink: Shrink | None = None,
         replace: bool = False,
         keypoints: KeyOf | None = None,
+        keeps_pictures: bool = True,
     ) -> None:
         """Start a map that `finish` will put at `path`; MapError if something is there and `replace` is False.
 
         shrink: the descriptors of each region; None: as they are. keypoints: the key of a map that has them.
+        keeps_pictures: small ones of places, for people.
         """
         if path.exists() and not replace:
             raise MapError(f"{path}: already exists; name another folder, or use --replace")
         if path.exists() and not (path / store.HEADER).is_file():
             raise MapError(f"{path}: not a map, so it will not be replaced; name another folder")
-        self._path, self._shrink = path, shrink
+        self._path, self._shrink, self._keeps_pictures = path, shrink, keeps_pictures
         self._header = MapHeader.begun(model, regions, sampling)
         self._records: list[tuple[float | int, ...]] = []
         self._thumbnail_at = 0
@@ -139,6 +141,8 @@ class MapBuilder(DriveByDrive):
         if why and not math.isnan(place.lat_deg):
             self.unused[why] += 1
             place = replace(place, lat_deg=NAN, lon_deg=NAN, alt_m=NAN)
+        if not self._keeps_pictures:
+            place = replace(place, thumbnail=b"")
         self._raw.write(raw.astype("<f2").tobytes())
         self._thumbnails.write(place.thumbnail)
         self._records.append(place.record(self._thumbnail_at))

@@ -32,8 +32,9 @@ GPS_MOVES = "GPS moves otherwise than the vehicle"
 class LiveMap:
     """Adds places to the file and the map in `store`, of which `searched` is searched."""
 
-    def __init__(self, config: MappingConfig, store: DriveStore) -> None:
-        """It goes on with what is in the store."""
+    def __init__(self, config: MappingConfig, store: DriveStore, *, keeps_pictures: bool = True) -> None:
+        """It goes on with what is in the store. keeps_pictures: small ones of places, for people."""
+        self._keeps_pictures = keeps_pictures
         self._config, self.store, self.searched = config, store, SearchedPart(store, config.behind_m)
         self.own = OwnMotion(config, store.header.sampling.spacing_m)
         """Whoever owns this compares it before it adds the places that follow."""
@@ -116,7 +117,8 @@ class LiveMap:
         heading_deg, stated_m = (math.nan if one is None else one for one in (position.heading_deg, position.sigma_m))
         where = position.lat_deg, position.lon_deg, position.alt_m, heading_deg, self._route_m(distance_m)
         sigma_m = math.hypot(stated_m, self._motion.doubt_m)
-        place = Place(self.store.growing.count, *where, thumbnail(image), sigma_m, position.source)
+        picture = thumbnail(image) if self._keeps_pictures else b""
+        place = Place(self.store.growing.count, *where, picture, sigma_m, position.source)
         return MappedPlace(raw, place, self.store.keypoints.find(image))
 
     def _add_placed(self, now: MappedPlace, missed: int, stamp_ns: int) -> None:

@@ -108,7 +108,8 @@ class Mapping(Plugin):
             log.warning("[%s] fov_deg: is not set, so the map of this drive gets no keypoints", where)
         header = LogHeader(model_key(self._parts.network), RegionsKey.of(config.descriptor), config.sampling)
         store = DriveStore(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg)
-        self.live = LiveMap(mapping, opened.enter_context(closing(store)))
+        keeps = config.camera.keep_pictures and maps.keep_pictures
+        self.live = LiveMap(mapping, opened.enter_context(closing(store)), keeps_pictures=keeps)
         device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
             frames = device = NewestFrame.configured(camera, self._parts.clock_ns)

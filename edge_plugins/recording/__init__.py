@@ -15,5 +15,5 @@ class RecordingConfig(Section, frozen=True):
     min_free_mb: NotNegative = 500.0
 
     def asks(self, config: Config) -> bool:
-        """Where a folder is named."""
-        return bool(self.folder)
+        """Where a folder is named, and pictures may be kept."""
+        return bool(self.folder) and config.camera.keep_pictures

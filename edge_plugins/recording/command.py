@@ -20,7 +20,7 @@ from edge.camera.newest import NewestFrame
 from edge.camera.picture_check import PictureCheck
 from edge.commands.stop_signal import on_stop_signal
 from edge.config import Config, load_config, naming
-from edge.errors import CameraLost, FeedError
+from edge.errors import CameraLost, ConfigError, FeedError
 from edge.feed import Frame
 from edge.feed.sampling import Sampler
 from edge.feed.writer import FeedWriter
@@ -78,6 +78,8 @@ def record(
     Without an autopilot, rows have no position and are sampled by time. Raises SetupError; FeedError when the disk
     refuses a frame; CameraLost when no frame came at all.
     """
+    if not config.camera.keep_pictures:
+        raise ConfigError("[camera] keep_pictures: is false, and a recording is pictures; set it to true to record")
     if (path / "frames.csv").exists():  # checked before the camera is opened, which can take seconds
         raise FeedError(f"{path}: a feed already exists here; name another folder")
     with ExitStack() as parts:

@@ -114,12 +114,13 @@ def build_map(
     replace: bool = False,
     network: Network | None = None,
     keypoints: KeyOf | None = None,
+    keeps_pictures: bool = True,
     describe: Callable[[MapBuilder, Network], None] | None = None,
 ) -> MapHeader:
     """Describe every chosen frame of the feeds and write the map at `output`, shrunk to so many `dimensions`.
 
-    network: instead of the one that `descriptor` names. keypoints: the key of a map that has them. describe: adds the
-    feeds to the map instead.
+    network: instead of the one that `descriptor` names. keypoints: the key of a map that has them. keeps_pictures:
+    small ones of places. describe: adds the feeds to the map instead.
     """
     network = network or open_network(descriptor)
     regions = RegionsKey.of(descriptor)
@@ -127,7 +128,10 @@ def build_map(
         raise ConfigError(f"--dimensions: {dimensions} is not between 1 and the network's {network.info.dimensions}")
     key = model_key(network)
     shrink = shrink_to(dimensions or network.info.dimensions, network.info.dimensions)
-    with MapBuilder(output, key, regions, sampling, shrink=shrink, replace=replace, keypoints=keypoints) as builder:
+    of_map = key, regions, sampling
+    with MapBuilder(
+        output, *of_map, shrink=shrink, replace=replace, keypoints=keypoints, keeps_pictures=keeps_pictures
+    ) as builder:
         if describe is not None:
             describe(builder, network)
         for feed in feeds if describe is None else ():
@@ -187,6 +191,7 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         work = Work(settings, feed_options(args), sampling, is_metric, keypoints is not None)
         describe = partial(add_by_cluster, paths=args.feeds, work=work, address=args.cluster)
     options = {"must_have_distance": is_metric, "dimensions": args.dimensions, "replace": args.replace}
+    options["keeps_pictures"] = camera.keep_pictures
     made_by = args.output, descriptor, sampling
     header = build_map(feeds, *made_by, **options, network=network, keypoints=keypoints, describe=describe)
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")

@@ -1,4 +1,4 @@
-"""`lookback map info | verify | split | list | keep | sign | keygen`: maps as they lie on the disk.
+"""`lookback map info | verify | split | publish | list | keep | sign | keygen`: maps as they lie on the disk.
 
 Signing is so that a vehicle takes only the maps that its owner has made.
 """
@@ -26,7 +26,7 @@ from edge_plugins.mapping.place_log import logs_in, map_of
 from sim.maps.agreement import disagreements
 from sim.maps.keys import make_key, sign_map
 from sim.maps.known_distances import spell_distances
-from sim.maps.tiles import split_map
+from sim.maps.tiles import publish_map, split_map
 from sim.output import refusing
 
 SAMPLED_PICTURES = 16
@@ -53,6 +53,11 @@ def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     split.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="folder for the tiles")
     split.add_argument("--places", type=int, required=True, metavar="N", help="places per tile (at most N + 63)")
     add("list", _list, "list the maps of a folder, and which may be deleted", "a folder of maps")
+    publish = add(
+        "publish", _publish, "copy a map to give away, without the pictures of its places", "the map's folder"
+    )
+    publish.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
+    publish.add_argument("--pictures", action="store_true", help="with the small pictures of its places")
     keep = add("keep", _keep, "mark a map so that live mapping never deletes it", "the map's folder")
     keep.add_argument("--undo", action="store_true", help="remove the mark")
     sign = add("sign", _sign, "check every byte of a map, or of each map of a folder, and sign it")
@@ -142,6 +147,13 @@ def _verify(args: argparse.Namespace) -> int:
 def _split(args: argparse.Namespace) -> int:
     headers = split_map(open_map(args.map, every_file=True), args.output, args.places)
     print(f"{args.output}: {len(headers)} tiles of {min(header.places for header in headers)} places or more")
+    return 0
+
+
+def _publish(args: argparse.Namespace) -> int:
+    header = publish_map(open_map(args.map, every_file=True), args.output, pictures=args.pictures)
+    kept = "with" if args.pictures else "without"
+    print(f"{args.output}: {header.places} places, {kept} pictures; sign it with `lookback map sign`")
     return 0
 
 

@@ -52,6 +52,16 @@ def split_map(reference_map: ReferenceMap, output: Path, places: int) -> list[Ma
     return headers
 
 
+def publish_map(reference_map: ReferenceMap, output: Path, *, pictures: bool = False) -> MapHeader:
+    """Write a map once more at `output`, without the pictures of its places; its header. MapError as of `split_map`."""
+    if output.exists():
+        raise MapError(f"{output}: already exists; name another folder")
+    with AtomicFolder(output) as new:
+        header = _write_tile(reference_map, new.path, 0, reference_map.header.places, is_whole=True, pictures=pictures)
+        new.put_in_place()
+    return header
+
+
 def _borders(total: int, places: int) -> list[int]:
     """Where tiles begin and end, in whole blocks."""
     blocks = -(-total // BLOCK)
@@ -59,13 +69,17 @@ def _borders(total: int, places: int) -> list[int]:
     return [min(total, blocks * index // tiles * BLOCK) for index in range(tiles + 1)]
 
 
-def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapHeader:
-    """The map of places [start, end)."""
-    folder.mkdir()
+def _write_tile(
+    whole: ReferenceMap, folder: Path, start: int, end: int, *, is_whole: bool = False, pictures: bool = True
+) -> MapHeader:
+    """The map of places [start, end), which is no tile where it is_whole."""
+    folder.mkdir(exist_ok=True)
     records = whole.places[start:end].copy()
     first_byte = int(records["thumbnail_at"][0])
     last_byte = int(records["thumbnail_at"][-1]) + int(records["thumbnail_bytes"][-1])
     records["thumbnail_at"] -= first_byte
+    if not pictures:
+        records["thumbnail_at"] = records["thumbnail_bytes"] = first_byte = last_byte = 0
     records.tofile(folder / store.PLACES)
     with (folder / store.DESCRIPTORS).open("wb") as file:
         for plane in whole.descriptors:
@@ -88,7 +102,7 @@ def _write_tile(whole: ReferenceMap, folder: Path, start: int, end: int) -> MapH
         segments=tuple(_segments(whole.header, start, end)),
         bounds=bounds_of(records),
         files={name: FileKey((folder / name).stat().st_size, sha256_of(folder / name)) for name in whole.header.files},
-        tile=_tile_of(whole, start),
+        tile=whole.header.tile if is_whole else _tile_of(whole, start),
         header_sha256="",
     )
     data = store.encode_header(header)

@@ -13,6 +13,7 @@ from edge.__main__ import main
 from edge.config import Config
 from edge.localization import Limits, Own, PositionEstimator
 from edge.localization.drive_file import DriveFile
+from edge_plugins.mapping.place_log import SUFFIX
 
 TOKEN, PASSWORD = "a-token-of-the-page", "pass-of-the-camera"
 CONFIG = f"""
@@ -43,6 +44,7 @@ def test_a_bundle_has_what_happened_and_no_secret(
     config: Path, make_street: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_street(range(30)).rename(tmp_path / "street")
+    (tmp_path / f"street/map/.drive{SUFFIX}").write_bytes(b"places of a drive with their pictures")
     for name in ("events.jsonl", "events.jsonl.1"):
         (tmp_path / name).write_text(f'{{"event": "camera", "why": "rtsp://admin:{PASSWORD}@10.0.0.2 {TOKEN}"}}\n')
     (tmp_path / "printed.log").write_text(f"lookback: camera rtsp://admin:{PASSWORD}@10.0.0.2\n")
@@ -61,6 +63,7 @@ def test_a_bundle_has_what_happened_and_no_secret(
     assert TOKEN.encode() not in whole and PASSWORD.encode() not in whole and b"abcdef" not in whole
     assert names >= {"bundle.json", "config.toml", "doctor.json", "journal.jsonl", "drive.list", "log.txt"}
     assert {"maps/map/map.json", "maps/map/places.bin"} <= names and "maps/map/thumbnails.jpgs" not in names
+    assert f"maps/map/.drive{SUFFIX}" not in names
     assert journal == '{"event": "camera", "why": "rtsp://10.0.0.2 ***"}\n'
     assert about["missing"] == {} and any(one.startswith("numpy ") for one in about["packages"])
     assert main(["dev", "drive", str(tmp_path / "it.zip")]) == 0
@@ -68,7 +71,7 @@ def test_a_bundle_has_what_happened_and_no_secret(
     assert main(words) == 78, "it is not overwritten"
     assert main([*words[:2], "-o", str(tmp_path / "seen.zip"), *words[4:], "--pictures"]) == 0
     with zipfile.ZipFile(tmp_path / "seen.zip") as bundle:
-        assert "maps/map/thumbnails.jpgs" in bundle.namelist()
+        assert {"maps/map/thumbnails.jpgs", f"maps/map/.drive{SUFFIX}"} <= set(bundle.namelist())
 
 
 def test_what_is_missing_is_named_with_what_to_do(

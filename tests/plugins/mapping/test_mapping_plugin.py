@@ -27,6 +27,7 @@ from edge_plugins.mapping.place_log import logs_in
 from edge_plugins.mapping.plugin import Mapping
 from edge_plugins.mapping.status import MappingChanged
 from edge_plugins.page import PageConfig
+from edge_plugins.recording import RecordingConfig
 from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -176,6 +177,8 @@ def drive(
     gps_out_only: bool = True,
     killed_at_m: float = math.inf,
     page: PageConfig = PageConfig(port=0),  # noqa: B008  # frozen
+    recording: RecordingConfig = RecordingConfig(),  # noqa: B008
+    keep_pictures: bool = True,
     each_turn: Callable[[float], object] = lambda driven_m: None,
 ) -> None:
     """The daemon over a whole drive; GPS fails where the vehicle turns round.
@@ -184,11 +187,11 @@ def drive(
     """
     link = parts.enter_context(closing(open_pty()))
     config = Config(
-        camera=CameraConfig(kind=kind, view="front"),
+        camera=CameraConfig(kind=kind, view="front", keep_pictures=keep_pictures),
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
-        plugins={"mapping": mapping, "page": page},
+        plugins={"mapping": mapping, "page": page, "recording": recording},
         telemetry=msgspec.structs.replace(
             TelemetryConfig(),
             connection=f"serial:{link.device}:921600",
@@ -242,6 +245,24 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
         assert frame.place is not None
         assert frame.place * SPACING_M == pytest.approx(2 * ROAD_M - driven_m, abs=4 * SPACING_M)
     assert len(logs_in(tmp_path / "maps")) == 1, "the next start makes a map of it"
+
+
+@pytest.mark.parametrize("keep_pictures", [True, False])
+@pytest.mark.parametrize("second_camera", [True, False])
+def test_one_key_says_whether_anything_of_a_drive_keeps_a_picture(
+    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack, keep_pictures: bool, second_camera: bool
+) -> None:
+    world, mapping = World(placed_network, home=False), mapping_to(tmp_path / "maps", second_camera=second_camera)
+    recording = RecordingConfig(folder=str(tmp_path / "recordings"), min_free_mb=0.0)
+    drive(world, tmp_path, parts, mapping, recording=recording, keep_pictures=keep_pictures)
+    (made,) = logs_in(tmp_path / "maps")
+    assert made.stat().st_size > 100 * 8192 * 2, "it was mapped"
+    with_pictures = {
+        file.name for file in tmp_path.rglob("*") if file.is_file() and b"\xff\xd8\xff" in file.read_bytes()
+    }
+    assert (made.name in with_pictures) == keep_pictures
+    assert bool(with_pictures) == keep_pictures
+    assert (tmp_path / "recordings").exists() == keep_pictures
 
 
 @pytest.mark.parametrize(

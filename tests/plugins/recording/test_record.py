@@ -15,9 +15,10 @@ from msgspec.structs import replace
 
 from edge.camera.picture_age import UNDATED
 from edge.config import CameraConfig, Config, SamplingConfig, TelemetryConfig
-from edge.errors import CameraLost, FeedError
+from edge.errors import CameraLost, ConfigError, FeedError
 from edge.feed import FeedHeader, FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from edge_plugins.recording import RecordingConfig
 from edge_plugins.recording.command import record
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -114,6 +115,15 @@ def test_a_disk_that_refuses_a_frame_is_one_line_and_the_feed_stays_whole(config
     why = r"out: (stopped after 0 frames: File too large|cannot write a feed here)"
     with full_disk(150), pytest.raises(FeedError, match=why):  # room for feed.toml and no picture
         record(config, tmp_path / "out", threading.Event())
+
+
+def test_where_no_picture_is_kept_nothing_is_recorded(config: Config, tmp_path: Path) -> None:
+    private = replace(config, camera=replace(config.camera, keep_pictures=False))
+    with pytest.raises(ConfigError, match=r"\[camera\] keep_pictures: is false.*set it to true to record"):
+        record(private, tmp_path / "out", threading.Event())
+    assert not (tmp_path / "out").exists()
+    asked = RecordingConfig(folder=str(tmp_path))
+    assert asked.asks(config) and not asked.asks(private)
 
 
 def test_nothing_recorded_says_why(config: Config, tmp_path: Path) -> None:
