@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from edge.__main__ import main
+from tests.golden.compare import first_difference
 
 
 def test_the_answers_are_what_they_were(shared: Path, tmp_path: Path) -> None:
@@ -15,4 +16,4 @@ def test_the_answers_are_what_they_were(shared: Path, tmp_path: Path) -> None:
     replay = ["replay", str(feeds / "corridor_query"), "--map", str(tmp_path / "map"), "--sequence-length", "20"]
     assert main([*replay, *every, "--all", "-o", str(now)]) == 0
     expected = Path(__file__).with_name("corridor") / "expected.jsonl"
-    assert now.read_text(encoding="utf-8").splitlines() == expected.read_text(encoding="utf-8").splitlines()
+    assert first_difference(expected.read_text(encoding="utf-8"), now.read_text(encoding="utf-8")) is None

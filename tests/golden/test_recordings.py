@@ -1,4 +1,4 @@
-"""Recordings of the simulator, and the outputs that were right for them: equal to the byte, or the test fails.
+"""Recordings of the simulator, and the outputs that were right for them, but for the last digits (see `compare`).
 
 Of drives whose pictures are rendered for the test, what is decided is equal; see `decisions`.
 """
@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from edge.localization.drive_file import read_drive, replay
 from edge.localization.events import Frame, Maps, Own, Used
 from edge.localization.position_estimator import Asked
 from sim.evaluation.memoizing_network import MemoizingNetwork
+from tests.golden.compare import first_difference
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
 
 
@@ -51,8 +52,8 @@ def test_the_outputs_are_what_they_were(folder: Path, scratch: Path, network: Me
         expected = (folder / name).read_text(encoding="utf-8")
         is_rendered = folder.parent.name == "drives"
         old, new = (decisions(expected), decisions(now)) if is_rendered else (expected, now)
-        if old != new:
-            pytest.fail(f"{folder / name}: {first_difference(old, new)}")
+        if difference := first_difference(old, new):
+            pytest.fail(f"{folder / name}: {difference}")
         if is_rendered:
             assert np.abs(times_s(now) - times_s(expected)).max() <= PICTURE_S
         apart_deg = np.abs(positions(now) - positions(expected))
@@ -69,7 +70,8 @@ def a_bare_estimator_answers_as_the_daemon_did(drive: Path) -> None:
     answers = list(replay(config, entries))
     assert len(answers) == kinds[Asked] > 50
     for t_ns, asked, now in answers:
-        assert now == asked.answer, t_ns
+        expected, answer = (msgspec.json.encode(each).decode() for each in (asked.answer, now))
+        assert first_difference(expected, answer) is None, t_ns
     assert {type(now) for _, _, now in answers} == {Fix, Refusal}
 
 
@@ -100,13 +102,6 @@ def positions(text: str) -> NDArray[np.float64]:
     """Those that were sent, in degrees (n, 2)."""
     rows = [row for row in map(json.loads, text.splitlines()) if row.get("event") == "fix_sent"]
     return np.array([(row["lat_deg"], row["lon_deg"]) for row in rows])
-
-
-def first_difference(expected: str, now: str) -> str:
-    for number, (old, new) in enumerate(zip_longest(expected.split("\n"), now.split("\n")), start=1):
-        if old != new:
-            return f"line {number}:\n  expected {old}\n  now      {new}"
-    return "equal"
 
 
 def lines(kind: str, name: str) -> list[dict[str, Any]]:

@@ -90,10 +90,10 @@ def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_ro
     dated, undated = warm(road), warm(road, undated_s=0.4)
     known, unknown = placed(dated), placed(undated)
     assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02), "at 10 m/s"
-    assert unknown.sigma_across_m == known.sigma_across_m
+    assert unknown.sigma_across_m == pytest.approx(known.sigma_across_m)
     later = undated.place_at(S, 8.0)
     assert later is not None and later.sigma_along_m >= unknown.sigma_along_m
-    assert north_m(known) == north_m(unknown)
+    assert north_m(known) == pytest.approx(north_m(unknown))
 
 
 def test_what_is_seen_lies_ahead_and_the_other_lane_to_the_left(road: Road) -> None:
