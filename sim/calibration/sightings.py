@@ -55,12 +55,13 @@ class Sighting:
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
-    """Every match on the drive, in order. FeedError and MapError where positions or meters are missing."""
+    """Every match of a row and a place whose positions are known, in order. FeedError and MapError where none are."""
     places = reference_map.places
-    if np.isnan(places["lat_deg"]).any() or np.isnan(places["route_m"]).any():
-        raise MapError(f"{reference_map.path}: not every place has a position, so nothing can be measured along it")
-    if any(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
-        raise FeedError(f"{feed.path / 'frames.csv'}: not every row has lat_deg and lon_deg; calibrate with GPS on")
+    is_known = ~(np.isnan(places["lat_deg"]) | np.isnan(places["route_m"]))
+    if not is_known.any():
+        raise MapError(f"{reference_map.path}: no place has a position and meters, so nothing can be measured along it")
+    if all(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
+        raise FeedError(f"{feed.path / 'frames.csv'}: no row has lat_deg and lon_deg; calibrate with GPS on")
     # Measured without any offset; the view is the feed's.
     camera = msgspec.structs.replace(config.camera, view=feed.header.view)
     config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
@@ -73,7 +74,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             readings.clear()
         elif recognizer.is_in_line:
             readings.add(np.array([item.distance_m]))
-        if match is not None:
+        if match is not None and is_known[match.place] and item.row.lat_deg is not None:
             sign = 1 if match.direction == "forward" else -1
             beyond_m, sigma_m = _refined(match, route, readings)
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
@@ -108,7 +109,10 @@ def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[f
 
 
 class MapDrives:
-    """The drives of a map as lines on the ground, and a feed's positions projected onto them."""
+    """The drives of a map as lines on the ground, and a feed's positions projected onto them.
+
+    A line has no pieces where places have no position.
+    """
 
     def __init__(self, reference_map: ReferenceMap, feed: Feed) -> None:
         places = reference_map.places
@@ -149,10 +153,12 @@ def _project(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """For each piece of a line (N, 2): distance of the point (2,) from it, and how far along the line it is nearest.
 
-    The nearest point of the whole line is exact; on the ends of the line it is the end.
+    The nearest point of the whole line is exact; on the ends of the line it is the end. Infinite where a piece has no
+    positions.
     """
     start, step = line[:-1], np.diff(line, axis=0)
     length_sq = np.maximum(np.square(step).sum(axis=1), 1e-9)
     share = np.clip(((point - start) * step).sum(axis=1) / length_sq, 0.0, 1.0)
     distance_m = np.linalg.norm(start + share[:, np.newaxis] * step - point, axis=1)
+    distance_m[np.isnan(distance_m + along_m[:-1] + along_m[1:])] = np.inf
     return distance_m, along_m[:-1] + share * np.diff(along_m)

@@ -112,6 +112,7 @@ def test_where_gps_had_a_gap_nothing_is_right_or_wrong(
     assert main(["try", *(str(tmp_path / name) for name in ("out", "again")), "-o", str(tmp_path / "tried")]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed and "precision 1.000" in printed and "nan" not in printed, printed
+    assert "m (forward, same): measured on this query, and used" in printed, "where both have positions"
     assert "20 more believed places are neither right nor wrong: the frame or the place has no position" in printed
 
 
