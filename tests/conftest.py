@@ -25,7 +25,12 @@ from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
+from tests.guard import sitecustomize
 from tests.tlog import frames_of
+
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    filter(None, (str(Path(sitecustomize.__file__).parent), os.environ.get("PYTHONPATH")))
+)
 
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")

@@ -183,7 +183,18 @@ def test_the_tests_mirror_the_program() -> None:
     def folders(path: Path) -> set[str]:
         return {folder.name for folder in path.iterdir() if list(folder.glob("*.py"))}
 
-    beside = {"docs", "faults", "firmware_config", "golden", "hardware", "lookback", "plugins", "sim", "systemd"}
+    beside = {
+        "docs",
+        "faults",
+        "firmware_config",
+        "golden",
+        "guard",
+        "hardware",
+        "lookback",
+        "plugins",
+        "sim",
+        "systemd",
+    }
     assert folders(ROOT / "tests") - beside <= folders(ROOT / "edge")
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
     assert folders(ROOT / "tests/plugins") <= folders(ROOT / "edge_plugins")

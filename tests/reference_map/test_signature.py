@@ -27,7 +27,7 @@ def signed(street_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main(["map", "keygen", str(tmp_path / "owner")]) == 0
     assert main(["map", "sign", str(tmp_path / "map"), "--key", str(tmp_path / "owner")]) == 0
     (tmp_path / "lookback.toml").write_text(
-        '[map]\npath = "map"\nrequire_signature_by = "owner.pub"\n[sequence]\nlength = 4\n'
+        '[map]\npath = "map"\nrequire_signature_by = "owner.pub"\n[sequence]\nlength = 4\n[telemetry]\njournal = ""\n'
     )
     capsys.readouterr()
     return tmp_path
