@@ -17,7 +17,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -33,6 +33,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from edge.localization.gps_referee import GpsVerdictState
 from edge.sequence import Agreeing
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView
@@ -239,6 +240,48 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
         assert goes_on in text(driver, "answer") and ("of about" in text(driver, "answer")) == bool(goes_on)
         assert driver.execute_script(f"return shadeOf(past[0]) === color('{shade}')"), "of the trail"
         assert ("add a drive of this camera" in text(driver, "answer")) == is_late
+
+
+def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: Path) -> None:
+    """And each verdict on GPS has a color."""
+    inexact, kinds = "recognized, but not exactly", {"agrees": "good", "wrong": "bad"}
+    shown: list[Snapshot] = []
+
+    def show(why: str, gps: str, sent_ns: int | None = None, emit: str = "auto", verdict: str = "cannot say") -> None:
+        before = on_the_road(1)
+        link = dataclasses.replace(before.status.link, gps=gps, emit=emit, gps_verdict=verdict)
+        link = dataclasses.replace(link, sent_ns=sent_ns, sent_sigma_m=None if sent_ns is None else 4.0)
+        shown[:] = [dataclasses.replace(before, status=replace(before.status, why=why, link=link))]
+
+    show("", "not healthy")
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps))) as page,
+        contextlib.closing(Loop(page, lambda number: shown[0])),
+        browser(390, 844) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        for given, headline, kind in (
+            ((f"no position: {inexact}", "not healthy"), f"NO POSITION: {inexact}", "warn"),
+            (
+                ("no position: the autopilot refuses positions", "unknown", 0),
+                "NO POSITION: the autopilot refuses",
+                "warn",
+            ),
+            (("", "not healthy", 0), "ON THE MAP, 4 m, 0 s ago", "good"),
+            (("no position: GPS is healthy", "healthy"), "ON THE MAP", "good"),
+            (("no position: emit is report", "not healthy", None, "report"), "ON THE MAP", "good"),
+        ):
+            show(*given)
+            until(driver, f"document.getElementById('state').textContent.startsWith('{headline}')")
+            assert driver.find_element("id", "state").get_attribute("class") == kind
+            assert ("on the map" in text(driver, "answer")) == headline.startswith("NO POSITION")
+        driver.execute_script("document.getElementById('details').open = true")
+        for verdict in sorted({*get_args(GpsVerdictState)} - {"cannot say"}):
+            show("", "healthy", verdict=verdict)
+            cell = "[...document.querySelectorAll('#health dd')].find((one) => one.textContent.startsWith('%s'))"
+            until(driver, cell % verdict)
+            assert driver.execute_script(f"return ({cell % verdict}).className") == kinds.get(verdict, "warn")
 
 
 def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> None:
