@@ -14,7 +14,8 @@ from edge.feed import Frame
 class CameraHealth:
     """State of the camera and counts since the start.
 
-    reason: why it is lost, or the last bad frame while running; "" if neither.
+    state: "opening" until it was opened once, or could not be. reason: why it is lost, or the last bad frame while
+    running; "" if neither.
     since_ns: CLOCK_MONOTONIC of the last change of `state`.
     delivered: frames read; overwritten: of these, how many a newer one replaced before `take` returned them.
     bad: frames that could not be read, that differ in size from the first, or whose timestamp was not after the last
@@ -22,7 +23,7 @@ class CameraHealth:
     reopened: how often the camera came back and gave a frame.
     """
 
-    state: Literal["running", "lost", "ended"]
+    state: Literal["opening", "running", "lost", "ended"]
     reason: str
     since_ns: int
     delivered: int = 0

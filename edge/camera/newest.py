@@ -67,7 +67,7 @@ class NewestFrame:
         self._opened = threading.Event()
         self._failure: Exception | None = None
         self._newest: Frame | None = None
-        self._health = CameraHealth("lost", "opening", clock_ns())
+        self._health = CameraHealth("opening", "", clock_ns())
         self._last_stamp_ns = -1
         self._ahead_ns = 0  # of the camera's clock, as far as it is known
         self._early_ns: deque[int] = deque(maxlen=AGREEING)  # how far the last timestamps were in the future

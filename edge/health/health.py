@@ -65,10 +65,10 @@ class HealthInputs:
     """States that the stages report.
 
     recognizer: its state, as in `edge.recognizer`. frames_used: since the start, or since the last blindness.
-    camera: running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed | waiting |
-    up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how long the
-    last frame took. gps: what is wrong with it by the places, "" if nothing is. withheld: why no position is sent, ""
-    while one is. driven_m: by the odometer, None if unknown. off_m: of that since a place was recognized.
+    camera: opening | running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed |
+    waiting | up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how
+    long the last frame took. gps: what is wrong with it by the places, "" if nothing is. withheld: why no position is
+    sent, "" while one is. driven_m: by the odometer, None if unknown. off_m: of that since a place was recognized.
     """
 
     recognizer: str = "warming up"

@@ -20,6 +20,7 @@ WELL = HealthInputs(recognizer="on the map", frames_used=50)
         ({"recognizer": "warming up"}, "warming up", "more frames are needed"),
         ({"recognizer": "searching"}, "warming up", "the whole map is searched"),
         ({"frames_used": 0}, "starting", "no picture has been used yet"),
+        ({"frames_used": 0, "camera": "opening"}, "starting", "no picture has been used yet"),
         ({"withheld": "GPS is healthy"}, "on the map", "no position: GPS is healthy"),
         (
             {"recognizer": "off the map", "off_m": 60.0, "journal": "full"},
