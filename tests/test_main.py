@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import logging
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from tqdm import tqdm
 
 import edge
 from edge.__main__ import AboveBars, main
+from edge.commands.parser import build_parser
 
 
 @pytest.fixture(scope="module")
@@ -246,6 +249,25 @@ def test_version_and_usage(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["replay"])
     assert ended.value.code == 2
+
+
+def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """The commands that have none below them."""
+    below = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    if not below:
+        yield parser
+    for choices in below:
+        for one in choices.values():
+            yield from leaves(one)
+
+
+def test_the_help_of_every_command_begins_with_a_sentence() -> None:
+    commands = list(leaves(build_parser()))
+    assert len(commands) > 40
+    for command in commands:
+        usage, sentence, *_ = command.format_help().split("\n\n")
+        assert usage.startswith("usage: lookback ")
+        assert re.match(r"[A-Z].*[a-z]", sentence) and not sentence.startswith("positional"), command.prog
 
 
 @pytest.mark.parametrize(("hangs", "printed"), [(False, "finalized\n"), (True, "")])

@@ -102,8 +102,22 @@ def beginning() -> str:
     return "\n".join([edge.__doc__.splitlines()[0], "", *lines, "", "All commands: lookback --help"])
 
 
+class _Commands(argparse._SubParsersAction):  # type: ignore[type-arg]  # generic for type checkers alone
+    """Commands whose own help begins with the sentence that the list of all has, where they have no longer one."""
+
+    def add_parser(self, name: str, **options: Any) -> Any:
+        """As argparse has it."""
+        about = str(options.get("help") or "").replace("%%", "%")
+        options.setdefault("description", f"{about[:1].upper()}{about[1:]}." if about else None)
+        return super().add_parser(name, **options)
+
+
 class _Parser(argparse.ArgumentParser):
     """Names the nearest command where one is mistyped, instead of all of them."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.register("action", "parsers", _Commands)
 
     def error(self, message: str) -> NoReturn:
         """As ArgumentParser has it."""
