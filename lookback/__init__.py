@@ -69,3 +69,8 @@ __all__ = [
     "truth",
     "verify",
 ]
+
+
+def __dir__() -> list[str]:
+    """What is for users, without the modules that it is made of."""
+    return [*__all__]

@@ -32,6 +32,7 @@ def test_every_public_name_is_documented_and_named_in_the_page_that_help_shows()
         assert inspect.getdoc(getattr(lookback, name)), name
     functions = [name for name in lookback.__all__ if inspect.isfunction(getattr(lookback, name))]
     assert all(name in page for name in [*functions, "Map", "Recognizer", "Error"])
+    assert dir(lookback) == sorted(lookback.__all__), "completion offers nothing else"
 
 
 def test_it_needs_none_of_the_extras() -> None:
