@@ -1,7 +1,7 @@
 """What happens on a drive, and what follows from it: a drive is a list of (t_ns, event). Pure.
 
 Only events change the position estimator (`PositionEstimator.update`), so that the list of one drive, which the daemon
-can write (`[telemetry] events`), gives the same positions and the same refusals again anywhere. What telemetry, a
+can write (`[telemetry] drive`), gives the same positions and the same refusals again anywhere. What telemetry, a
 trial or a bench knows of a vehicle and of GPS is said by one of these, and by nothing else.
 """
 
