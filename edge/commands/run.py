@@ -21,9 +21,7 @@ log = logging.getLogger(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback run`."""
-    parser.add_argument(
-        "config", type=Path, metavar="CONFIG", help="settings; `lookback config` prints some"
-    )
+    parser.add_argument("config", type=Path, metavar="CONFIG", help="settings; `lookback config` prints some")
     parser.set_defaults(run=_run)
 
 
