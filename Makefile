@@ -9,9 +9,9 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-benchmark flights test test-long test-core test-python soak: export OMP_NUM_THREADS := 1
+benchmark flights test test-long test-core test-python test-kernels soak: export OMP_NUM_THREADS := 1
 benchmark flights test test-long test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-benchmark flights test test-long test-core test-python soak: export OPENCV_FOR_THREADS_NUM := 1
+benchmark flights test test-long test-core test-python test-kernels soak: export OPENCV_FOR_THREADS_NUM := 1
 # Two more than processors, since some tests wait: 311 s instead of 324 on two. GNU's nproc counts one where OMP_NUM_THREADS is 1.
 # CHANGED=1: only the tests of what this branch has changed; CHANGED=COMMIT: of what has changed since then.
 CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(filter-out 1,$(CHANGED))),$(error CHANGED=$(CHANGED): no such commit)))
@@ -24,7 +24,7 @@ NOT_CORE := sim docs faults firmware_config hardware systemd
 ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
 	plugins/mapping/test_outage.py plugins/motion
 
-.PHONY: demo flights test test-long test-core test-python test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
+.PHONY: demo flights test test-long test-core test-python test-kernels test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
 .PHONY: benchmark clean docs notebook published
 
 demo: $(VENV)/.demo
@@ -41,6 +41,16 @@ test-long: $(VENV)/.dev
 # The tests of edge/ and its plug-ins alone, for a Python beside the one of .venv.
 test-core:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(WITH_LONG) $(NOT_CORE:%=--ignore tests/%)
+
+# What rests on linear algebra, by the kernels that OpenBLAS has for other processors (each with the instructions that it needs)
+# and with one thread or two: their last bits differ. Without most recordings, which round nothing that these do not.
+KERNELS := Haswell.2.avx2 SkylakeX.1.avx512f SkylakeX.2.avx512f Prescott.2.pni
+ROUNDED := best_of_both dead_reckoning gps_judge look odometer own_motion position_estimator route_estimate route_filter
+test-kernels: $(KERNELS:%=kernel-%)
+kernel-%: $(VENV)/.dev
+	@set -- $(subst ., ,$*); grep -qw "$$3" /proc/cpuinfo || { echo "$$1: NOT RUN, this processor has no $$3"; exit 0; }; \
+		echo "OpenBLAS for $$1, threads: $$2"; OPENBLAS_CORETYPE=$$1 OPENBLAS_NUM_THREADS=$$2 $(BIN)/python -m pytest -n 2 --dist worksteal \
+		$(ROUNDED:%=tests/localization/test_%.py) tests/sequence tests/keypoints tests/golden -k 'not replay or keypoints'
 
 # What may differ from one Python to another: imports, config, files, sockets, threads, subprocesses, the page, and the
 # daemon with a camera and an autopilot.
@@ -85,7 +95,7 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(env -u OMP_NUM_THREADS nproc) -o soak
 
-check: lint docs test test-long smoke
+check: lint docs test test-long test-kernels smoke
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

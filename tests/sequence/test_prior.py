@@ -55,7 +55,8 @@ def test_that_a_place_is_where_the_vehicle_is_reckoned_does_not_speak_for_it_but
     """A road beside the map's that looks like it is reckoned there as well."""
     spot_m = aside_m, 500.0
     assert prior(spot_m, 37.0).near(np.array([aside_m]))[0] > 4.0
-    assert odds(spot_m, 37.0, 500.0) == prior(spot_m, 37.0).road < 2.5
+    assert odds(spot_m, 37.0, 500.0) == pytest.approx(prior(spot_m, 37.0).road)
+    assert odds(spot_m, 37.0, 500.0) < 2.5
 
 
 def test_where_no_place_has_a_position_nothing_is_known() -> None:
