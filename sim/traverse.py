@@ -107,21 +107,22 @@ def _ground_m(feed: Feed) -> list[list[float]]:
 
 
 def with_course(feed: Feed) -> Feed:
-    """The feed; where no row has a heading, with the course of its own positions as headings.
+    """The feed; where under half of its positions have a heading, with their course as all headings.
 
     A row's course is the way from COURSE_M before to COURSE_M behind it. It is unknown where that is less than half as
     far as was driven: the vehicle stood, and its positions wandered. It is wrong by half a turn where it backed up.
     """
     ground_m = np.array(_ground_m(feed))
     known = np.flatnonzero(np.isfinite(ground_m[:, 0]))
-    if len(known) < 2 or any(row.heading_deg is not None for row in feed.rows):
+    headed = sum(feed.rows[row].heading_deg is not None for row in known.tolist())
+    if len(known) < 2 or 2 * headed >= len(known) or feed.header.heading_is_course:
         return feed
     at_m = ground_m[known]
     along_m = np.concatenate([[0.0], np.hypot(*np.diff(at_m, axis=0).T).cumsum()])
     ends_m = np.stack([along_m - COURSE_M, along_m + COURSE_M]).clip(0, along_m[-1])
     moved_m = np.diff([[np.interp(one, along_m, axis) for axis in at_m.T] for one in ends_m], axis=0)[0]
     goes = 2 * np.hypot(*moved_m) > np.diff(ends_m, axis=0)[0]
-    rows = list(feed.rows)
+    rows = [replace(row, heading_deg=None) for row in feed.rows]
     for row, course_deg in zip(known[goes].tolist(), np.degrees(np.arctan2(*moved_m[:, goes])).tolist(), strict=True):
         rows[row] = replace(rows[row], heading_deg=course_deg % 360)
     return replace(feed, rows=tuple(rows), header=structs.replace(feed.header, heading_is_course=True))

@@ -206,7 +206,7 @@ def print_keypoints(path: Path, header: MapHeader) -> None:
     """For people: from where a new map has its headings, and how many of its places have distances."""
     course = [segment.source for segment in header.segments if segment.heading_is_course]
     if course:
-        print(f"{path}: no heading recorded in {', '.join(course)}: the course of the positions is used")
+        print(f"{path}: no heading for most pictures of {', '.join(course)}: the course of the positions is used")
     for line in spell_distances(open_map(path)):
         print(f"{path}: {line}")
 

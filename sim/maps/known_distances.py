@@ -47,7 +47,7 @@ def _why(reference_map: ReferenceMap) -> str:
         return "the recording has neither positions nor distances for its pictures"
     if np.isnan(places["heading_deg"]).mean() >= FEW:
         if np.isfinite(places["lat_deg"]).mean() >= FEW:
-            return "the map has positions and no headings: build it again, or run `map keypoints`"
+            return "the map has positions, but hardly a heading; build it again, or run `map keypoints`"
         return "the recording has no headings, and no positions whose course would be one"
     steps_m = np.concatenate([np.diff(places["route_m"][one.start : one.end]) for one in reference_map.header.segments])
     apart_m = float(np.nanmedian(steps_m))

@@ -117,7 +117,7 @@ def test_a_recording_without_headings_gives_a_map_with_distances(
     assert main(["map", "build", str(tmp_path / "feed"), "-o", str(path)]) == 0
     built = capsys.readouterr().out
     places = len(lookback.Map.open(path))
-    assert f"no heading recorded in {feed.header.name}: the course of the positions is used" in built
+    assert f"no heading for most pictures of {feed.header.name}: the course of the positions is used" in built
     share = re.search(r"(\d+) of (\d+) places have points with distances \(12 or more, \d+ in the median\)", built)
     assert share is not None
     assert int(share[1]) >= 0.9 * int(share[2]) == 0.9 * places
@@ -182,4 +182,10 @@ def test_the_course_is_that_of_some_meters_and_unknown_where_it_stands(drive: Fe
     off_deg = (deg[[*range(27), *range(-26, 0)]] - np.repeat([0, 90], [27, 26]) + 180) % 360 - 180
     assert off_deg == pytest.approx(0.0, abs=0.5)
     assert np.isnan(deg[34:86]).mean() > 0.9
+    some = replace(
+        drive, rows=tuple(replace(row, heading_deg=7.0 if at % 3 == 0 else None) for at, row in enumerate(rows))
+    )
+    assert with_course(some).rows == found.rows, "headings of a few rows are of no use"
+    most = replace(drive, rows=tuple(replace(row, heading_deg=7.0 if at % 3 else None) for at, row in enumerate(rows)))
+    assert with_course(most) is most
     assert with_course(found) is found, "what has headings keeps them"
