@@ -128,8 +128,9 @@ class Requests:
         fusion_hz = {FusionStatus.id: 2.0} if firmware.gps_switch == "fusion" else {}
         self._streams = StreamRequests(vehicle.session, STREAMS_HZ | attitude_hz | fusion_hz)
         # What aids the velocity, and whether positions are used, matters only where some are sent.
-        streams = [needed for name, needed in firmware.needs.items() if not POSITION_MESSAGES[name].acknowledged]
-        names = *firmware.aid_parameters, *(one.parameter for needed in streams for one in needed)
+        may_be = {str(config.emit), *(message for _, message in firmware.takes)}
+        sent = [name for name in firmware.needs if name in may_be and not POSITION_MESSAGES[name].acknowledged]
+        names = *firmware.aid_parameters, *(one.parameter for name in sent for one in firmware.needs[name])
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
         self._origin = Origin(*config.origin) if config.origin else None
         self._timesync, self._version, self._known_origin = map(Exchange, (TIMESYNC_NS, AGAIN_NS, AGAIN_NS))
