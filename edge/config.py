@@ -249,6 +249,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     risk: Annotated[float, Meta(gt=0, le=1)] = 1e-3
     risk_per_hour: Annotated[float, Meta(gt=0, le=1)] = 1e-3
     alert_limit_m: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+    min_move_m: Annotated[float, Meta(ge=0, le=100)] = 3.0
     max_move_m: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
     confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0

@@ -217,6 +217,26 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     ] = UNSET
 
 
+class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
+    """The autopilot's own position agrees with a position, so that no reset was sent; at most one record a second."""
+
+    place: Place
+    stamp_ns: Annotated[int, unit("ns", "the moment of the position")]
+    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)", 9)]
+    lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)", 9)]
+    sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth", 3)]
+    distance_m: Distance
+    map: MapName = UNSET
+    level_along_m: Annotated[float | None, unit("m", "protection level along the route, as in `fix_sent`", 2)] = None
+    level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
+    points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
+    sigma_along_m: Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)] = UNSET
+    keeps: Annotated[
+        Literal["along", "across"] | UnsetType,
+        unit("", "the direction in which the position is the autopilot's own; absent: in none"),
+    ] = UNSET
+
+
 class FixAnswered(Record, frozen=True, tag="fix_answered"):
     """The autopilot answered a position, or did not."""
 

@@ -35,7 +35,7 @@ from edge.localization.integrity import distance_from, offset_m
 from edge.localization.odometer import Scale, ShownScale
 from edge.localization.own_motion import OwnMotion
 from edge.localization.position_estimator import Entry, Known, PositionEstimator
-from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal
+from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal, position_of
 from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
@@ -75,4 +75,5 @@ __all__ = [
     "Used",
     "distance_from",
     "offset_m",
+    "position_of",
 ]

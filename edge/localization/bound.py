@@ -76,15 +76,15 @@ class Errors:
         covariance = self.covariance + unknown_m**2 * np.eye(2)
         return Errors(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
 
-    def bound_by(self, fix: Fix) -> Errors:
-        """After the autopilot has used a position of ours: only what that kept goes on from before.
+    def bound_by(self, fix: Fix, left_m: float) -> Errors:
+        """After the autopilot is `left_m` from a position of ours: only what that kept goes on from before.
 
         By how much, not by which way: nobody knows how a velocity is wrong besides, and on a bend that goes on growing.
         """
         place = fix.place
         assert place.heading_deg is not None
         axes = _axes(place.heading_deg)
-        keeps, sigmas_m = np.array(fix.keeps), np.array([place.sigma_along_m, place.sigma_across_m])
+        keeps, sigmas_m = np.array(fix.keeps), np.maximum([place.sigma_along_m, place.sigma_across_m], left_m)
         kept, set_by = axes[keeps].T @ axes[keeps], axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
         by_way = axes[keeps].T @ np.diag(np.linalg.norm(axes[keeps] @ self.by_way, axis=1)) @ axes[keeps]
         return Errors(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
@@ -186,13 +186,11 @@ class OwnPosition:
             self.bound, self._has_run_away = Bound(Errors(sigma_m**2 * np.eye(2)), wrong, by_gps), False
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: Own) -> None:
-        """It has used a position, and is so far from it now."""
+        """It has used a position or agrees with it, and is so far from it now."""
         before, place = self.bound, fix.place
         self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
-        if own.driven_m is None or left_m > place.sigma_m or place.heading_deg is None:
-            return
-        assert self.bound is not None
-        self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix))
+        if self.bound is not None and own.driven_m is not None and place.heading_deg is not None:
+            self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix, left_m))
 
     def move(self, own: Own) -> None:
         """The vehicle has moved on. One whose velocity nothing measures runs away, until it is bound anew."""

@@ -5,14 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from msgspec.structs import replace
+
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
 from edge.localization.bound import OwnPosition
 from edge.localization.claims import Claim, Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, Fix, Limits, Own
-from edge.localization.integrity import ONE_MORE, Best, another_place, better_of, by_own, level_of, worse_m
-from edge.localization.refusals import NO_PLACES, RULES, Facts, Refusal, Rule, refusal
+from edge.localization.integrity import (
+    ONE_MORE,
+    Best,
+    another_place,
+    better_of,
+    by_own,
+    is_correction,
+    level_of,
+    worse_m,
+)
+from edge.localization.refusals import AGREES, NO_PLACES, RULES, Facts, Refusal, Rule, refusal
 
 
 @dataclass(frozen=True)
@@ -43,10 +54,10 @@ def decide(
         return refusal(Facts(gates, limits, own, known.is_blurred), rules) or Refusal(NO_PLACES)
 
     # What would be sent: along the way and across it, the better of the place and the autopilot's own position.
+    axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
     if limits.again is not None:
         best: Best | None = Best(place, limits.again.keeps)
     else:
-        axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
         best = better_of(place, own, axes_m, by_gps=bound.bound is not None and bound.bound.by_gps)
     sent = best or Best(place)
     # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
@@ -71,6 +82,14 @@ def decide(
         wrong=wrong,
         level=level,
         worse_m=worse_m(place, best, autopilot, own),
+        is_needed=not limits.is_reset
+        or limits.again is not None
+        or axes_m is None
+        or is_correction(sent, own, gates.min_move_m),
     )
     bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
-    return refusal(facts, rules) or Fix(sent.place, level, bound_wrong, motion, sent.keeps)
+    fix = Fix(sent.place, level, bound_wrong, motion, sent.keeps)
+    refused = refusal(facts, rules)
+    if refused is None:
+        return fix
+    return replace(refused, confirms=fix) if refused.reason == AGREES else refused

@@ -96,7 +96,7 @@ class Moved(Struct, frozen=True, tag=True):
 
 
 class Used(Struct, frozen=True, tag=True):
-    """A position was sent. left_m: how far the autopilot, which has used it, is from it now; None: not known yet.
+    """A position was sent, or confirms the autopilot's own. left_m: how far that is from it now; None: not known yet.
 
     fix: None of one that was not ours to judge, as of a recorded drive.
     """

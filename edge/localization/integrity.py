@@ -52,6 +52,16 @@ otherwise. On recorded drives at dusk, where nothing else did, resets to the lan
 times what the vehicle was beside it; further than 7 to 11 m off, nothing is recognized."""
 
 
+OFF_SIGMAS = 2.0
+"""A reset is a correction: of an autopilot that is further from the position than `min_move_m` and OFF_SIGMAS standard
+deviations of it, in a direction in which the position is measured. A reset costs what the filter knows of how its
+heading error has moved it, which it would take back once its compass finds that error (EKF3's `setLatLng` clears those
+covariances). On real ArduPilot 4.6.3, home at night by lines, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median,
+95 %), and at dusk 39 resets 11.9 / 17.3 m of 2.4 / 2.8 m; with this rule none was sent. Wheels that are 3 % wrong,
+12.5 / 23.9 m alone, became 4.2 / 8.0 m by five resets. By lines alone AGREE_SIGMAS count, since their error is alike
+for 150 m: home at night, with OFF_SIGMAS two resets made 4.0 / 7.3 m of 1.4 / 2.2 m."""
+
+
 class Best(NamedTuple):
     """What would be sent; keeps: see `Fix`."""
 
@@ -182,11 +192,8 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
     assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
     heading_rad = math.radians(fix.heading_deg)
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-    east_m, north_m = offset_m(own.position, fix)
-    off_m, sigmas_m = (
-        (east_m * sin + north_m * cos, east_m * cos - north_m * sin),
-        (fix.sigma_along_m, fix.sigma_across_m),
-    )
+    off_m = along_and_across(offset_m(own.position, fix), fix.heading_deg)
+    sigmas_m = fix.sigma_along_m, fix.sigma_across_m
     if any(
         abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
     ):
@@ -211,6 +218,29 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
         sigma_across_m=own_across_m if keeps_across else fix.sigma_across_m,
     )
     return Best(place, (keeps_along, keeps_across))
+
+
+def is_correction(best: Best, own: Own, min_move_m: float) -> bool:
+    """Whether the autopilot's own position is so far from a position that resetting it corrects more than it costs.
+
+    Only in directions in which the position is not the autopilot's own. See OFF_SIGMAS; min_move_m: 0 for any reset.
+    """
+    if not min_move_m or own.position is None or best.place.heading_deg is None:
+        return True
+    off_m = along_and_across(offset_m(own.position, best.place), best.place.heading_deg)
+    sigmas_m = best.place.sigma_along_m, best.place.sigma_across_m
+    times = AGREE_SIGMAS if best.place.by_lane else OFF_SIGMAS
+    return any(
+        not keeps and abs(one_m) > max(min_move_m, times * sigma_m)
+        for one_m, sigma_m, keeps in zip(off_m, sigmas_m, best.keeps, strict=True)
+    )
+
+
+def along_and_across(east_north_m: tuple[float, float], heading_deg: float) -> tuple[float, float]:
+    """Meters along a heading and to its right of meters east and north."""
+    (east_m, north_m), heading_rad = east_north_m, math.radians(heading_deg)
+    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+    return east_m * sin + north_m * cos, east_m * cos - north_m * sin
 
 
 def worse_m(place: PlaceFix, best: Best | None, by_own: ByOwn, own: Own) -> tuple[float, float] | None:

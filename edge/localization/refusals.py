@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.events import UNBOUNDED, Limits, Own, ProtectionLevel
+from edge.localization.events import UNBOUNDED, Fix, Limits, Own, ProtectionLevel
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class Facts:
     own, is_blurred: see `Estimate`. place: the position. age_s: since its moment. distance_m: from the autopilot's own.
     move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere origin.
     is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another place,
-    infinite where nothing was observed. level: how far off it may be. worse_m: see there.
+    infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a
+    reset, whether the autopilot is beyond doubt off by it.
     """
 
     gates: GatesConfig
@@ -40,6 +41,7 @@ class Facts:
     wrong: float = math.inf
     level: ProtectionLevel = UNBOUNDED
     worse_m: tuple[float, float] | None = (math.inf, 0.0)
+    is_needed: bool = True
 
 
 class Rule(NamedTuple):
@@ -59,6 +61,7 @@ class Rule(NamedTuple):
 
 
 GPS_HEALTHY = "GPS is healthy"
+AGREES = "the autopilot agrees with the places"
 NO_PLACES = "the places do not agree yet"
 STANDING = "standing"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
@@ -163,6 +166,15 @@ RULES = (
         is_certain=True,
         lacks=lambda now: "{:.1f} m, {:.1f} m needed".format(*now.worse_m or ()),
     ),
+    Rule(
+        AGREES,
+        "a reset by less than `min_move_m`, or two of its standard deviations (three where only lines measure), in "
+        "each direction that it measures: it would cost the autopilot's filter more than it corrects",
+        "test_an_autopilot_that_agrees_with_the_places_is_not_reset",
+        lambda now: not now.is_needed,
+        is_certain=True,
+        lacks=lambda now: f"{now.distance_m or 0.0:.1f} m apart",
+    ),
 )
 """In the order in which they are checked."""
 
@@ -172,6 +184,7 @@ class Refusal(Struct, frozen=True, tag=True):
 
     detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
     distance_m: from the autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
+    confirms: the position by which an autopilot that agrees with it is bounded, though it is not sent; see `AGREES`.
     """
 
     reason: str
@@ -180,6 +193,7 @@ class Refusal(Struct, frozen=True, tag=True):
     distance_m: float | None = None
     level: ProtectionLevel | None = None
     lacks: str = ""
+    confirms: Fix | None = None
 
     @property
     def in_words(self) -> str:
@@ -188,6 +202,11 @@ class Refusal(Struct, frozen=True, tag=True):
 
     def __str__(self) -> str:
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
+
+
+def position_of(answer: Fix | Refusal) -> Fix | None:
+    """The position that may be published, or that an autopilot which agrees with it does not need; None without one."""
+    return answer if isinstance(answer, Fix) else answer.confirms
 
 
 def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:

@@ -26,8 +26,8 @@ class LinkStatus:
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
     velocity_aid: what measures velocity without GPS by its parameters, "none" where nothing does. gps_verdict,
     gps_off_m, gps_off, gps_doubt: what the places say of GPS, see GpsVerdict; gps_off in words.
-    sent_ns: CLOCK_MONOTONIC of the newest position that was sent; sent_sigma_m: its standard deviation; level_along_m,
-    level_across_m: its protection level, None where nothing bounds it.
+    sent_ns: CLOCK_MONOTONIC of the newest position that was sent, or with which the autopilot agreed; sent_sigma_m: its
+    standard deviation; level_along_m, level_across_m: its protection level, None where nothing bounds it.
     """
 
     state: str

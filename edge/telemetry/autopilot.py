@@ -146,9 +146,9 @@ class AutopilotConnection:
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
-        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
+        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
-        along_m, across_m = level_m(sent.fix.level) if sent else (None, None)
+        along_m, across_m = level_m(sent[1].level) if sent else (None, None)
         return LinkStatus(
             state=self.state,
             connection=self.config.connection,
@@ -164,8 +164,8 @@ class AutopilotConnection:
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
-            sent_ns=sent.at_ns if sent else None,
-            sent_sigma_m=round(sent.place.sigma_m, 2) if sent else None,
+            sent_ns=sent[0] if sent else None,
+            sent_sigma_m=round(sent[1].place.sigma_m, 2) if sent else None,
             level_along_m=along_m,
             level_across_m=across_m,
         )

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen
+from edge.journal.records import FixConfirmed, FixSent, FixWithheld, PositionMessageChosen
 from edge.localization import (
     CORRELATION_M,
     NO_PLACES,
@@ -64,6 +65,7 @@ class PositionSender:
         self.sources = SourceSelection(vehicle, publisher, remembered)
         self.use = PositionUse(vehicle, drive, publisher)
         self._withheld: FixWithheld | None = None  # as recorded
+        self._confirmed: tuple[int, Fix] | None = None  # when a position confirmed the autopilot's own last
         self._refused = Refusal(NO_PLACES)
         self._said = ("", 0, "")  # why, since when, and what people read of it
 
@@ -120,6 +122,8 @@ class PositionSender:
             messages = self._encode(answer, now_ns, self.message, again=is_again)
         elif isinstance(answer, Refusal) and overdue is None:
             self._withhold(answer)
+            if answer.confirms is not None:
+                self._confirm(answer.confirms, answer.distance_m or 0.0, now_ns)
         if overdue is not None and not messages:
             self.use.give_up()
         return messages
@@ -128,8 +132,15 @@ class PositionSender:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
 
     def _since_s(self, now_ns: int) -> float:
-        """Seconds since the newest position was sent; endless before the first."""
-        return math.inf if self.use.newest is None else (now_ns - self.use.newest.at_ns) / 1e9
+        """Seconds since the newest position was sent, or confirmed the autopilot's own; endless before the first."""
+        newest = self.newest
+        return math.inf if newest is None else (now_ns - newest[0]) / 1e9
+
+    @property
+    def newest(self) -> tuple[int, Fix] | None:
+        """The newest position that was sent, or confirmed the autopilot's own, and when; None before the first."""
+        sent = None if self.use.newest is None else (self.use.newest.at_ns, self.use.newest.fix)
+        return max((one for one in (sent, self._confirmed) if one is not None), key=lambda one: one[0], default=None)
 
     def why_none(self, now_ns: int) -> str:
         """Why no position has been sent for a while, for people; "" where one has been."""
@@ -151,6 +162,26 @@ class PositionSender:
         if fix is not None and (before is None or str(refused) != before.reason):
             self._withheld = FixWithheld(fix.place, str(refused), refused.distance_m, fix.map)
             self._publisher.record(self._withheld)
+
+    def _confirm(self, fix: Fix, distance_m: float, now_ns: int) -> None:
+        """The autopilot's own position agrees with one that might be sent, which bounds it as one that it used."""
+        place, self._confirmed = fix.place, (now_ns, fix)
+        self._drive.update(now_ns, Used(fix, distance_m))
+        self._publisher.record(
+            FixConfirmed(
+                place.place,
+                place.stamp_ns,
+                place.lat_deg or 0.0,
+                place.lon_deg or 0.0,
+                place.sigma_m,
+                distance_m,
+                place.map,
+                *level_m(fix.level),
+                place.points,
+                place.sigma_along_m,
+                kept(fix),
+            )
+        )
 
     def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
@@ -178,7 +209,6 @@ class PositionSender:
 
     def _record(self, sent: Sent, message: PositionMessage, sending: Sending) -> None:
         fix, own = sent.place, sent.own
-        keeps_along, keeps_across = sent.fix.keeps
         self._publisher.record(
             FixSent(
                 fix.place,
@@ -194,7 +224,7 @@ class PositionSender:
                 *level_m(sent.fix.level),
                 fix.points,
                 fix.sigma_along_m,
-                "along" if keeps_along else "across" if keeps_across else UNSET,
+                kept(sent.fix),
             )
         )
 
@@ -231,6 +261,12 @@ class PositionSender:
                 self.sources.wanted = SET_WITHOUT_GPS
         elif works and known.gps.state == "agrees":
             self.sources.wanted = GPS_SET
+
+
+def kept(fix: Fix) -> Literal["along", "across"] | UnsetType:
+    """The direction in which a position is the autopilot's own, for the journal."""
+    along, across = fix.keeps
+    return "along" if along else "across" if across else UNSET
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:

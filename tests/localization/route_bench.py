@@ -77,13 +77,13 @@ class Bounded(NamedTuple):
 
 @dataclass
 class Result:
-    """What was sent: error over sigma of each, and the meters driven until then.
+    """What was sent, or confirmed the autopilot: error over sigma of each, and the meters driven until then.
 
     own_m, alone_m: the autopilot's own error each second, with and without what was sent. bounded: see `Bounded`.
     """
 
     sigmas: list[float] = field(default_factory=list)
-    sent_at_m: list[float] = field(default_factory=list)
+    known_at_m: list[float] = field(default_factory=list)
     own_m: list[float] = field(default_factory=list)
     alone_m: list[float] = field(default_factory=list)
     bounded: list[Bounded] = field(default_factory=list)
@@ -140,7 +140,7 @@ class Bench:
         self.exposed: dict[int, tuple[Points, Points]] = {}  # truth, and the autopilot alone, at each exposure
         self.sent: Sent | None = None
         self.followed_at = 0  # the step at which the autopilot has moved by it
-        self.bounded_ns = 0
+        self.bounded_ns = self.confirmed_ns = 0
         self.alias_now = False
         self.unlooked = 0
 
@@ -361,7 +361,8 @@ class Bench:
 
     def _is_due(self, now_ns: int) -> bool:
         period_s = STREAM_S if self.is_stream else self.config.gates.min_interval_s
-        return self.sent is None or now_ns - self.sent.at_ns >= round(period_s * 1e9)
+        last_ns = max(self.confirmed_ns, 0 if self.sent is None else self.sent.at_ns)
+        return now_ns - last_ns >= round(period_s * 1e9)
 
     def _ask(self, now_ns: int, own: VehiclePosition) -> None:
         if self.is_stream:
@@ -377,6 +378,10 @@ class Bench:
             self._bound(place, off_m, answer.level)
         if isinstance(answer, Fix):
             self._send(now_ns, own, answer, float(np.hypot(*off_m)), _meters(place) + self.alone - alone)
+        elif answer.confirms is not None:
+            self.confirmed_ns = now_ns
+            self._score(place, float(np.hypot(*off_m)))
+            self.drive.update(now_ns, Used(answer.confirms, answer.distance_m))
 
     def _bound(self, place: PlaceFix, off_m: Points, level: ProtectionLevel) -> None:
         (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)
@@ -386,8 +391,7 @@ class Bench:
 
     def _send(self, now_ns: int, own: VehiclePosition, fix: Fix, off_m: float, now_m: Points) -> None:
         """now_m: where the position puts the vehicle now, by the autopilot's velocity since."""
-        self.result.sigmas.append(off_m / fix.place.sigma_m)
-        self.result.sent_at_m.append(self.driven_m)
+        self._score(fix.place, off_m)
         self.sent = Sent(fix, now_ns, own)
         self.drive.update(now_ns, Used(fix))
         if not self.is_stream:
@@ -396,6 +400,10 @@ class Bench:
         self.own = self.own + FOLLOWS * (now_m - self.own)
         if self.sent.distance_m <= AGREE_SIGMAS * fix.place.sigma_m:
             self.drive.update(now_ns, Used(fix, self.sent.distance_m))
+
+    def _score(self, place: PlaceFix, off_m: float) -> None:
+        self.result.sigmas.append(off_m / place.sigma_m)
+        self.result.known_at_m.append(self.driven_m)
 
     def _follow(self, now_ns: int, own: VehiclePosition, sent: Sent) -> None:
         """A reset must have moved the autopilot by now."""

@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization import Fix, Own, ProtectionLevel
-from edge.localization.bound import Drift, Errors
-from edge.localization.integrity import BESIDE_M, GROWS, better_of
+from edge.localization import AGREE_SIGMAS, Fix, Own, ProtectionLevel
+from edge.localization.bound import Drift, Errors, OwnPosition
+from edge.localization.integrity import BESIDE_M, GROWS, OFF_SIGMAS, Best, better_of, is_correction
 from tests.localization.events_of import Road, S, Vehicle
 from tests.localization.route_course import HOME, Stretch
 
@@ -78,13 +78,33 @@ def test_nothing_is_kept_of_an_autopilot_that_a_certain_position_contradicts(
     assert found is not None and found.keeps == (False, is_kept)
 
 
+@pytest.mark.parametrize("far_m", [0.99, 1.01])
+@pytest.mark.parametrize("by_lane", [False, True])
+@pytest.mark.parametrize("sigma_m", [0.5, 4.0])
+def test_a_reset_corrects_an_autopilot_that_is_beyond_doubt_off(far_m: float, sigma_m: float, by_lane: bool) -> None:
+    """Along the road, which leads east; in the other direction the position is the autopilot's own."""
+    times = AGREE_SIGMAS if by_lane else OFF_SIGMAS
+    off_m, fix = far_m * max(3.0, times * sigma_m), replace(FIX, sigma_along_m=sigma_m, by_lane=by_lane)
+    for keeps, is_needed in (((False, False), far_m > 1), ((False, True), far_m > 1), ((True, False), False)):
+        assert is_correction(Best(fix, keeps), own(-off_m, 0.0), 3.0) is is_needed
+
+
+@pytest.mark.parametrize(("left_m", "along_m"), [(3.0, 4.0), (6.0, 6.0)])
+def test_a_position_bounds_the_autopilot_in_the_directions_that_it_measures(left_m: float, along_m: float) -> None:
+    """Whether it was sent, or the autopilot agrees with it: by as much as they differ, and at least its own sigma."""
+    bound, reported = OwnPosition(drift=0.05), Own(driven_m=0.0)
+    bound.bind(10.0, reported)
+    bound.bind_by_fix(Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True)), left_m, reported)
+    assert bound.axes_m(reported, FIX, 0.0) == pytest.approx((along_m, 10.0))
+
+
 def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
     """A hundred positions in a row that keep the autopilot's own across, on the way to the east."""
     fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
     for drift, share in ((Drift(0.0, 0.0, 0.04), 0.04), (Drift(0.01, 0.02, 0.0), 0.02)):
         errors = Errors(9.0 * np.eye(2))
         for _ in range(100):
-            errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix)
+            errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix, 0.0)
         across_m = math.hypot(3.0, share * 800.0)
         assert errors.along_and_across_m(90.0, drift) == pytest.approx((4.0, across_m))
         assert errors.along_and_across_m(0.0, drift) == pytest.approx((across_m, 4.0)), "after a bend"
@@ -105,6 +125,8 @@ def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_se
     one = Vehicle(Road(tmp_path, Stretch(0.0, 1200.0)))
     one.go(150, gps=True)
     one.go(100)
+    one.off_m = 12.0
+    one.own()
     answer = one.ask(is_reset=True)
     assert isinstance(answer, Fix) and answer.keeps == (False, True)
     assert answer.place.by_lane and answer.place.sigma_across_m > answer.place.sigma_along_m

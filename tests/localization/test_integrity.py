@@ -21,7 +21,7 @@ from edge.journal.records import PlaceFix
 from edge.localization import Break, Fix, Limits, Refusal
 from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
-from edge.localization.refusals import RULES
+from edge.localization.refusals import AGREES, RULES
 from edge.sequence import PlaceMatch
 from tests.docs.refusals_list import as_list
 from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
@@ -142,6 +142,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | Refusal], ...]] = {
     ),
     ALERT: (lambda one: since_gps(one.road, 200.0, alert_limit_m=40.0).ask(),),
     "less accurate than the autopilot": (just_after_gps,),
+    AGREES: (asked(is_reset=True),),
 }
 
 
@@ -152,7 +153,25 @@ def long_road(tmp_path_factory: pytest.TempPathFactory) -> Road:
 
 
 def test_a_good_position_is_published(long_road: Road) -> None:
-    assert isinstance(since_gps(long_road).ask(is_reset=True), Fix)
+    one = since_gps(long_road, 100.0)
+    one.off_m = 8.0
+    one.own()
+    assert isinstance(one.ask(is_reset=True), Fix)
+
+
+@pytest.mark.parametrize(("off_m", "is_needed"), [(2.0, False), (8.0, True)])
+def test_an_autopilot_that_agrees_with_the_places_is_not_reset(off_m: float, is_needed: bool, long_road: Road) -> None:
+    """One that weighs what it gets, and everybody else, gets the position all the same."""
+    one = since_gps(long_road, 100.0)
+    one.off_m = off_m
+    one.own()
+    reset = one.ask(is_reset=True)
+    assert isinstance(reset, Fix) is is_needed
+    assert isinstance(one.ask(), Fix)
+    if isinstance(reset, Refusal):
+        assert reset.reason == AGREES and reset.confirms is not None
+        assert reset.confirms.place.stamp_ns == one.t_ns
+        assert isinstance(one.ask(is_reset=True, again=reset.confirms), Fix), "an answer that is awaited is not new"
 
 
 @pytest.mark.parametrize("why", SITUATIONS)

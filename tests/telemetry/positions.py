@@ -9,14 +9,14 @@ from edge.localization import GpsVerdict
 from sim.vehicle.gps import GpsReport
 from tests.telemetry.rig import OpenRig, Rig
 
-OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
+OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0, min_move_m=0.0)
 OFF_M = 60.0
 AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
 
 
 def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:
     """GPS has been healthy for 10 s, and is 60 m too far to the east from then on."""
-    gates = GatesConfig(doubted_gps=doubted_gps, **options.pop("gates", {}))
+    gates = GatesConfig(doubted_gps=doubted_gps, min_move_m=0.0, **options.pop("gates", {}))
     rig = open_rig(gates=gates, **{"emit": "external_position", **options})
     rig.autopilot._gps_at = lambda now_s: GpsReport(east_off_m=rig.off_m)
     rig.run(8.0)

@@ -27,7 +27,7 @@ SPEED_MPS = 8.0
 START_NS = 1_000_000_000_000
 STEP_NS = 20_000_000
 """As the daemon's loop turns between two frames; shorter steps would only cost time."""
-LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0)
+LENIENT = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0, min_move_m=0.0)
 
 
 class ToldEstimator(PositionEstimator):

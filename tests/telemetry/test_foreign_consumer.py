@@ -86,7 +86,7 @@ class Setting:
     def __init__(self, foreigner: Foreigner, connection: str, emit: Any, cable: tuple[Link, ...] = ()) -> None:
         self.foreigner = foreigner
         self.connection = connection
-        gates = GatesConfig(risk=1.0, with_gps=True)  # GPS alone measures this velocity, see below
+        gates = GatesConfig(risk=1.0, with_gps=True, min_move_m=0.0)  # GPS alone measures this velocity, see below
         self.drive = ToldEstimator(Config(gates=gates))
         self.ours = AutopilotConnection(
             TelemetryConfig(connection=connection, emit=emit, origin=ORIGIN, journal=""),

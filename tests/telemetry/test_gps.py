@@ -20,7 +20,7 @@ from sim.vehicle.command import straight_line
 from tests.telemetry.rig import OpenRig, Rig
 from tests.tlog import messages_of
 
-OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0)
+OFTEN = GatesConfig(min_interval_s=0.5, risk=1.0, min_move_m=0.0)
 GPS_EACH_NS = 250_000_000
 FLIGHTS = Path(__file__).parents[3] / "shared" / "flights"
 NO_FIX, FIX_3D = 1, 3
@@ -384,7 +384,7 @@ def test_recorded_drives(name: str, lost_s: float, bounds: bool) -> None:
 @pytest.mark.parametrize("flags", [0x33F, 0x12F], ids=["used", "not used"])
 def test_gps_that_is_lost_before_the_filter_used_it_is_reported_at_once(open_rig: OpenRig, flags: int) -> None:
     """EKF3 uses a good GPS about 40 s after boot; a vehicle that sets off sooner has no known position without it."""
-    rig = open_rig(emit="external_position", gates=GatesConfig(), gps=False)
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_move_m=0.0), gps=False)
     sky = Sky(rig)
     sky.flags = flags
     sky.run(8.0)

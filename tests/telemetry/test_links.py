@@ -160,7 +160,7 @@ class Overheard:
 
 def test_two_autopilots_with_the_same_ids_get_no_position(open_rig: OpenRig) -> None:
     """Another vehicle 22 m ahead on the same radio."""
-    rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0), gps=False)
+    rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0, min_move_m=0.0), gps=False)
     pose_at = straight_line(8.0, 60.0, rig.now_ns / 1e9 - 22 / 8)
     ahead = SimulatedAutopilot(Overheard(rig), pose_at, lambda: rig.now_ns, gps=False)
 

@@ -21,7 +21,7 @@ from tests.telemetry.rig import OpenRig, Rig
 
 ODOMETRY = ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "VFR_HUD", "WHEEL_DISTANCE")
 SET_EKF_SOURCE_SET = mavlink.MAV_CMD_SET_EKF_SOURCE_SET
-SELDOM = GatesConfig(min_interval_s=30.0, risk=1.0)
+SELDOM = GatesConfig(min_interval_s=30.0, risk=1.0, min_move_m=0.0)
 
 
 def loses(*names: str) -> Callable[[Any], bool]:

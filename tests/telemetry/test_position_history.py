@@ -138,7 +138,7 @@ def test_without_gps_it_is_dead_reckoning_of_unknown_accuracy(open_rig: Callable
 
 
 def test_after_a_fix_positions_rest_on_it_until_gps_is_used_again(open_rig: Callable[..., Rig]) -> None:
-    rig = open_rig(emit="external_position", gps=False, gates=GatesConfig(risk=1.0))
+    rig = open_rig(emit="external_position", gps=False, gates=GatesConfig(risk=1.0, min_move_m=0.0))
     rig.run(12.0)
     assert rig.send_position(rig.fix())
     rig.run(2.0)
@@ -151,7 +151,7 @@ def test_after_a_fix_positions_rest_on_it_until_gps_is_used_again(open_rig: Call
 
 
 def test_a_restart_of_ours_does_not_forget_what_the_position_rests_on(open_rig: Callable[..., Rig]) -> None:
-    rig = open_rig(emit="external_position", gps=False, gates=GatesConfig(risk=1.0))
+    rig = open_rig(emit="external_position", gps=False, gates=GatesConfig(risk=1.0, min_move_m=0.0))
     rig.run(12.0)
     assert rig.send_position(rig.fix())
     rig.run(4.0)

@@ -8,7 +8,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
-from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld, PositionMessageChosen
+from edge.journal.records import (
+    FixAnswered,
+    FixChecked,
+    FixConfirmed,
+    FixSent,
+    FixWithheld,
+    PositionMessageChosen,
+)
 from edge.localization import distance_from
 from edge.telemetry.encoders import UNBOUNDED_M
 from sim.vehicle.autopilot import SILENT
@@ -48,7 +55,9 @@ def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, fir
 
 
 def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=30.0, risk=1.0), gps=False)
+    rig = open_rig(
+        emit="external_position", gates=GatesConfig(min_interval_s=30.0, risk=1.0, min_move_m=0.0), gps=False
+    )
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
     assert rig.send_position(rig.fix(age_s=0.5))
@@ -97,7 +106,7 @@ def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -
 
 
 def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) -> None:
-    gates = GatesConfig(min_interval_s=0.5)
+    gates = GatesConfig(min_interval_s=0.5, min_move_m=0.0)
     rig = open_rig(emit="external_position", gates=gates)
     rig.run(4.0)
     rig.autopilot.gps = False
@@ -118,12 +127,28 @@ def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) ->
 
 
 def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=GatesConfig())
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_move_m=0.0))
     rig.run(4.0)
     assert offer_for(rig, 5.0) == 0
     rig.autopilot.gps = False
     assert offer_for(rig, 8.0) >= 4
     assert [record.reason for record in rig.journalled(FixWithheld)] == ["GPS is healthy"]
+
+
+@pytest.mark.parametrize(("drift_percent", "is_reset"), [(1.0, False), (20.0, True)])
+def test_an_autopilot_is_reset_only_where_it_is_off(open_rig: OpenRig, drift_percent: float, is_reset: bool) -> None:
+    """As long as it agrees with the places, that is recorded, and nobody reads that a position is missing."""
+    rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0), drift_percent=drift_percent)
+    rig.run(4.0)
+    rig.autopilot.gps = False
+    rig.run(2.0)
+    assert (offer_for(rig, 30.0) > 0) is is_reset
+    assert bool(fixes_received(rig)) is is_reset
+    confirmed = rig.journalled(FixConfirmed)
+    assert confirmed and rig.connection.why_no_position == ""
+    assert rig.now_ns - (rig.connection.status().sent_ns or 0) <= 2_000_000_000, "as people read it"
+    assert all(one.distance_m is not None and one.distance_m <= 2 * one.sigma_m + 3.0 for one in confirmed)
+    assert {one.reason for one in rig.journalled(FixWithheld)} <= {"the autopilot agrees with the places"}
 
 
 def test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known(open_rig: OpenRig) -> None:
@@ -148,7 +173,7 @@ def protection_sent(rig: Rig) -> dict[str, float]:
 
 def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(open_rig: OpenRig) -> None:
     """It stays the same stretch of the map: only GPS and the velocity since bound it if that is wrong."""
-    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=0.01), gps=True)
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=0.01, min_move_m=0.0), gps=True)
     rig.run(9.0)
     rig.autopilot.gps = False
     offer_for(rig, 3.0)
@@ -166,7 +191,7 @@ def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(op
 
 def test_a_position_that_nothing_bounds_at_the_risk_has_no_protection_level(open_rig: OpenRig) -> None:
     """One stretch alone, at a ten-thousandth an hour."""
-    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=1e-4), gps=True)
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, risk_per_hour=1e-4, min_move_m=0.0), gps=True)
     rig.run(9.0)
     rig.autopilot.gps = False
     assert offer_for(rig, 3.0)
@@ -181,7 +206,7 @@ def test_a_position_that_px4_1_18_weighs_too_little_is_noticed_and_sent_as_it_is
 ) -> None:
     """Though the next one comes each second. Its velocity is a tenth too large, which its filter does not know."""
     errors = OdometryErrors("wheels" if firmware == "ardupilot" else "velocity sensor", 1.1)
-    gates = GatesConfig(with_gps=True, min_interval_s=1.0, risk=1.0)
+    gates = GatesConfig(with_gps=True, min_interval_s=1.0, risk=1.0, min_move_m=0.0)
     rig = open_rig(emit="external_position", gates=gates, firmware=firmware, errors=errors)
     rig.autopilot.parameters = {"EKF2_EV_CTRL": (4.0, mavlink.MAV_PARAM_TYPE_REAL32)}
     rig.run(9.0)
@@ -204,7 +229,7 @@ def see_road(rig: Rig) -> None:
 def unaided(open_rig: OpenRig, vision: float | None = 0.0, emit: str = "external_position") -> Rig:
     """PX4 12 s after it has lost GPS, whose velocity runs away, with its EKF2_EV_CTRL; None: it answers no request."""
     errors = OdometryErrors("none", acceleration_mps2=3.0)
-    rig = open_rig(emit=emit, gates=GatesConfig(min_interval_s=0.5), firmware="px4", errors=errors)
+    rig = open_rig(emit=emit, gates=GatesConfig(min_interval_s=0.5, min_move_m=0.0), firmware="px4", errors=errors)
     answers = {} if vision is None else {"EKF2_EV_CTRL": (vision, mavlink.MAV_PARAM_TYPE_REAL32)}
     rig.autopilot.parameters = answers
     rig.run(9.0)
@@ -271,7 +296,7 @@ def test_with_a_velocity_aid_a_position_is_compared_with_the_autopilots_own(open
 
 
 def test_above_the_alert_limit_nothing_is_sent(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, alert_limit_m=5.0), gps=True)
+    rig = open_rig(emit="auto", gates=GatesConfig(min_interval_s=0.5, alert_limit_m=5.0, min_move_m=0.0), gps=True)
     rig.run(9.0)
     rig.autopilot.gps = False
     assert offer_for(rig, 6.0) == 0
@@ -280,7 +305,7 @@ def test_above_the_alert_limit_nothing_is_sent(open_rig: OpenRig) -> None:
 
 
 def test_every_line_about_a_fix_says_which_of_several_maps(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5))
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_interval_s=0.5, min_move_m=0.0))
     rig.run(4.0)
     offer_for(rig, 2.0, map="tile-3")
     rig.autopilot.gps = False
@@ -316,7 +341,7 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
 @pytest.mark.parametrize("claimed_off_m", [0.0, 300.0])
 def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: OpenRig, claimed_off_m: float) -> None:
     """A recording near the start, then none, then another one 150 m on; the first may claim to be elsewhere."""
-    rig = open_rig(emit="external_position", gates=GatesConfig(), gps=False, drift_percent=3.0)
+    rig = open_rig(emit="external_position", gates=GatesConfig(min_move_m=0.0), gps=False, drift_percent=3.0)
     rig.run(4.0)
     off_deg = claimed_off_m / 111_000
     assert not offer_for(rig, 6.0, lat_deg=rig.true_position()[0] + off_deg)

@@ -13,7 +13,7 @@ from tests.telemetry.rig import OpenRig
 
 
 def test_px4_gets_five_positions_a_second_and_follows(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="auto", gates=GatesConfig(), firmware="px4", drift_percent=5.0)
+    rig = open_rig(emit="auto", gates=GatesConfig(min_move_m=0.0), firmware="px4", drift_percent=5.0)
     rig.run(5.0)
     rig.autopilot.gps = False
     rig.run(30.0)
@@ -67,7 +67,7 @@ def test_parameters_that_ignore_positions_are_named_with_the_first_one(
 @pytest.mark.parametrize(("firmware", "emit"), [("ardupilot", "external_position"), ("px4", "global_position_sensor")])
 def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmware: str, emit: str) -> None:
     """GPS has just gone, and the map is known to 28 m in each direction; a filter that weighs it may have it."""
-    rig = open_rig(emit=emit, gates=GatesConfig(risk=1.0), firmware=firmware)
+    rig = open_rig(emit=emit, gates=GatesConfig(risk=1.0, min_move_m=0.0), firmware=firmware)
     rig.run(6.0)
     rig.autopilot.gps = False
     rig.run(10.0)
@@ -86,7 +86,7 @@ def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmwar
 
 def test_a_stream_has_its_own_standard_deviation_which_an_aided_filter_follows(open_rig: OpenRig) -> None:
     """At 8 m/s 37.5 messages share an error; a filter that is told so of each would not follow them."""
-    rig = open_rig(emit="global_position_sensor", gates=GatesConfig(risk=1.0), firmware="px4")
+    rig = open_rig(emit="global_position_sensor", gates=GatesConfig(risk=1.0, min_move_m=0.0), firmware="px4")
     rig.run(6.0)
     rig.autopilot.gps = False
     rig.run(6.0)

@@ -17,7 +17,7 @@ import numpy as np
 from edge import __version__
 from edge.config import Config
 from edge.errors import FeedError
-from edge.localization import NO_PLACES, Fix, PositionEstimator
+from edge.localization import NO_PLACES, Fix, PositionEstimator, position_of
 from edge.localization.drive_file import read_drive
 from edge.localization.events import Frame
 from edge.localization.position_estimator import Asked, Entry, Restored
@@ -189,9 +189,10 @@ class _Stream:
 
     def add(self, t_ns: int, answer: Fix | Refusal | None, truth: RecordedDrive) -> None:
         """What was asked for then."""
-        if isinstance(answer, Fix) and answer.place.stamp_ns != self._stamp_ns:
-            self._answered_ns, self._stamp_ns = t_ns, answer.place.stamp_ns
-            self._positions.append(_off(answer, truth))
+        fix = None if answer is None else position_of(answer)
+        if fix is not None and fix.place.stamp_ns != self._stamp_ns:
+            self._answered_ns, self._stamp_ns = t_ns, fix.place.stamp_ns
+            self._positions.append(_off(fix, truth))
 
 
 def _off(fix: Fix, truth: RecordedDrive) -> Off:

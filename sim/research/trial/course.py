@@ -73,11 +73,12 @@ class CourseDraft(Draft):
     on the same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the
     camera, as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the
     camera: of a camera that is lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a
-    map of a folder, which `map learn` learned.
+    map of a folder, which `map learn` learned. keypoint_rules: see `course`.
     """
 
     map: list[Stretch] = field(init=False)
     rules: tuple[Rule, ...] = USUAL
+    keypoint_rules: tuple[Rule, ...] = ()
     firmware: str = "ardupilot"
     emit: str = "auto"
     steers: bool = True

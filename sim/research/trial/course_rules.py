@@ -176,11 +176,12 @@ def on_its_lane(run: CourseRun) -> str:
 
 
 def close(run: CourseRun) -> str:
-    """After a position the autopilot is right within 3 m (median) and 6 m (95 %), and on its lane within 5 m (95 %)."""
-    if not len(run.after_m):
+    """After a position that moved it, the autopilot is right within 3 m (median) and 6 m (95 %), and on its lane within
+    5 m (95 %). Where each position confirmed its own, only the last counts."""
+    if not len(run.after_m) and not run.sent.confirms.any():
         return "no position used"
-    lane_m = np.percentile(np.abs(run.track.left_m), 95)
-    found = np.median(run.after_m), np.percentile(run.after_m, 95), lane_m
+    after_m = np.percentile(run.after_m, [50, 95]) if len(run.after_m) else (0.0, 0.0)
+    found = *after_m, np.percentile(np.abs(run.track.left_m), 95)
     names = ("median after", "95 % after", "cross-track")
     return next((f"{n} {v:.1f} m" for n, v, most in zip(names, found, (3, 6, 5), strict=True) if v > most), "")
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from edge.journal.records import FixSent, FrameUsed
+from edge.journal.records import FixConfirmed, FixSent, FrameUsed
 from edge.telemetry.codec import Message
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.trial.records import Array
@@ -25,10 +25,11 @@ RESET_M = 0.15
 
 
 class SentPosition(msgspec.Struct, frozen=True):
-    """A position that was sent: how far from the truth, in the direction of travel and to its right.
+    """A position that was sent, or that confirmed the autopilot's own: how far from the truth, ahead and to the right.
 
-    message: the number of the command or message. time_s: since GPS was lost, driven_m: since then. sigma_m, levels,
-    sigma_along_m, keeps: as in the journal, None where it has none for this one (of a stream it has one a second).
+    message: the number of the command or message, 0 of one that was not sent. time_s: since GPS was lost, driven_m:
+    since then. sigma_m, levels, sigma_along_m, keeps: as in the journal, None where it has none for this one (of a
+    stream it has one a second).
     Errors are NaN where nothing says where the vehicle was.
     """
 
@@ -109,11 +110,13 @@ def score(
     messages: Sequence[tuple[float, Message]],
     sent: Sequence[FixSent],
     used: Sequence[FrameUsed],
+    confirmed: Sequence[FixConfirmed] = (),
 ) -> Score:
-    """Score what the daemon sent; sent, used: by its journal."""
+    """Score what the daemon sent; sent, used, confirmed: by its journal."""
     lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
     known = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
     positions = [one for at_s, message in messages if (one := _position(drive, at_s, message, known)) is not None]
+    positions = sorted([*positions, *(_confirmed(drive, one) for one in confirmed)], key=lambda one: one.time_s)
     moments_s = np.array([0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s])
     texts = [
         Text(round(at_s - lost_s, 2), message.text) for at_s, message in messages if message.get_type() == "STATUSTEXT"
@@ -154,6 +157,26 @@ def _position(
         level_across_m=fix.level_across_m,
         sigma_along_m=fix.sigma_along_m or None,
         keeps=fix.keeps or None,
+    )
+
+
+def _confirmed(drive: RecordedDrive, one: FixConfirmed) -> SentPosition:
+    at_s = one.stamp_ns / 1e9
+    error_m, along_m, across_m = (
+        round(off_m, 3) for off_m in off_truth(drive, east_north_m(one.lat_deg, one.lon_deg), at_s)
+    )
+    return SentPosition(
+        round(at_s - drive.gps_lost_s, 3),
+        round(drive.driven_m(at_s) - drive.driven_m(drive.gps_lost_s), 2),
+        0,
+        error_m,
+        along_m,
+        across_m,
+        one.sigma_m,
+        one.level_along_m,
+        one.level_across_m,
+        one.sigma_along_m or None,
+        one.keeps or None,
     )
 
 

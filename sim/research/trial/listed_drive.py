@@ -16,7 +16,7 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization import Fix, Maps, Own
+from edge.localization import Fix, Maps, Own, position_of
 from edge.localization.drive_file import read_drive, replay
 from edge.localization.events import Frame
 from edge.localization.place_fix import untracked_fix
@@ -52,7 +52,7 @@ class ListedDrive:
         self.lost_m = float(np.ptp(self._driven_m[:, 1])) if known_m else 0.0
         asked = [one for _, one in entries if isinstance(one, Asked)]
         frames = _frames(self.config, entries)
-        self.then = self._score([one.answer for one in asked if isinstance(one.answer, Fix)], frames)
+        self.then = self._score([fix for one in asked if (fix := position_of(one.answer))], frames)
         self.now = self._score(_fixes(self.config, entries, was_asked=bool(asked)), frames)
 
     def _score(self, fixes: Sequence[Fix], frames: Sequence[PlaceFix | None]) -> Score:
@@ -107,11 +107,10 @@ def _frames(config: Config, entries: Entries) -> list[PlaceFix | None]:
 def _fixes(config: Config, entries: Entries, *, was_asked: bool) -> list[Fix]:
     """The positions of today's estimator: when it was asked, or after each frame without GPS where it never was."""
     if was_asked:
-        return [now for _, _, now in replay(config, list(entries)) if isinstance(now, Fix)]
+        return [fix for _, _, now in replay(config, list(entries)) if (fix := position_of(now))]
     found, shadow = [], Shadow(config, lambda record: None)
     for t_ns, one in entries:
         shadow.update(t_ns, one)
-        answer = shadow.fix(t_ns) if isinstance(one, Frame) else None
-        if isinstance(answer, Fix):
+        if isinstance(one, Frame) and isinstance(answer := shadow.fix(t_ns), Fix):
             found.append(answer)
     return found

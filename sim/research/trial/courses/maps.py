@@ -169,7 +169,7 @@ def on_keypoints(one: Course) -> Course:
 
     def lay(draft: CourseDraft) -> None:
         one.lay(draft)
-        draft.keypoints = True
+        draft.keypoints, draft.rules = True, (*draft.rules, *draft.keypoint_rules)
 
     return replace(one, lay=lay)
 

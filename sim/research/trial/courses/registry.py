@@ -25,11 +25,17 @@ COURSES: dict[str, Course] = {}
 
 
 def course(
-    case: str, name: str, *values: object, rules: tuple[Rule, ...] = USUAL, least_m: float = 0.0
+    case: str,
+    name: str,
+    *values: object,
+    rules: tuple[Rule, ...] = USUAL,
+    keypoint_rules: tuple[Rule, ...] = (),
+    least_m: float = 0.0,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add a course to a case, or one for each value; `name` has the value's place. Its docstring says what it is.
 
-    rules: that it must pass, unless the course sets others.
+    rules: that it must pass, unless the course sets others. keypoint_rules: further ones on a map with keypoints, see
+    `on_keypoints`.
     """
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
@@ -38,7 +44,7 @@ def course(
         for given in arguments:
 
             def lay(draft: CourseDraft, given: tuple[object, ...] = given) -> None:
-                draft.rules = rules
+                draft.rules, draft.keypoint_rules = rules, keypoint_rules
                 function(draft, *given)
 
             COURSES[name.format(*given)] = Course(case, lay, about, least_m)
