@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints, Verified
-from edge.keypoints.network import LONGER_SIDE
+from edge.keypoints.view_geometry import per_network_pixel
 
 LEAST_COSINE = 0.82
 """Of two descriptors of one point; the authors' own (`XFeat.match`)."""
@@ -31,13 +31,13 @@ def mutual_matches(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDAr
 def verify(query: Keypoints, reference: Keypoints) -> Verified:
     """The matches that one fundamental matrix explains, found by MAGSAC++; the same each time for the same points.
 
-    Both pictures count as if their longer side had LONGER_SIDE pixels, so cameras of any two resolutions compare.
+    Both pictures count as if they had NETWORK_PIXELS, so cameras of any two resolutions compare.
     """
     matches = mutual_matches(query.descriptors, reference.descriptors)
     if len(matches) < _LEAST_MATCHES:
         return Verified(matches[:0], len(matches))
     one, other = (
-        points.xy[rows] * (LONGER_SIDE / max(points.size))
+        points.xy[rows] / per_network_pixel(*points.size)
         for points, rows in zip((query, reference), matches.T, strict=True)
     )
     try:

@@ -7,19 +7,22 @@ A position finer than a pixel is added: theirs are whole.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor import open_graph
 from edge.keypoints import Keypoints
+from edge.keypoints.view_geometry import NETWORK_PIXELS
 
 NETWORK = "xfeat"
 """What ships."""
 MOST = 400
 """Points of a picture."""
-LONGER_SIDE, MULTIPLE, CELL = 320, 32, 8
-"""Pixels: of what a picture is resized to; of which its sides are multiples; and of what has one feature."""
+MULTIPLE, CELL = 32, 8
+"""Pixels: of which the sides of a resized picture are multiples; and of what has one feature."""
 LEAST_PROBABILITY = 0.05
 """That a pixel is a keypoint, against the other 63 of its cell and none; XFeat's own."""
 _NEIGHBORS = np.ones((5, 5), np.uint8)
@@ -49,11 +52,15 @@ class KeypointNetwork:
         return Keypoints(xy.astype(np.float32), scores, np.rint(127 * descriptors / length).astype(np.int8), size)
 
 
+@lru_cache(8)
 def working_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Height and width that a picture of this height and width is resized to."""
-    scale = LONGER_SIDE / max(size) / MULTIPLE
-    height, width = (max(1, int(side * scale)) * MULTIPLE for side in size)
-    return height, width
+    """Height and width that a picture of this height and width is resized to.
+
+    Of at most NETWORK_PIXELS; those in which it loses the least in the direction in which it loses more.
+    """
+    sides = range(MULTIPLE, NETWORK_PIXELS // MULTIPLE + 1, MULTIPLE)
+    fitting = ((height, width) for height in sides for width in sides if height * width <= NETWORK_PIXELS)
+    return max(fitting, key=lambda fit: (min(fit[0] / size[0], fit[1] / size[1]), -fit[0] * fit[1]))
 
 
 def _pixels(cells: NDArray[np.float32]) -> NDArray[np.float32]:

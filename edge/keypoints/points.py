@@ -72,7 +72,7 @@ def points_of(
     it moves above its middle. The points are in the frame of the camera as it is mounted; and how it is by this row.
     of_drive: how it is mounted by other rows, from which the adjustment starts.
     """
-    limit = MOST_OFF_PX / camera.focal_px
+    limit = MOST_OFF_PX / camera.network_focal_px
     begun = unknown(ROW_SIGMA) if of_drive is None else replace(of_drive, information=unknown(ROW_SIGMA).information)
     mount = begun
     raw = np.concatenate([own[np.newaxis], matched])
@@ -90,7 +90,7 @@ def points_of(
     for wider in WIDER:
         kept = matches & _agree(points, seen, cameras, wider * limit)
         kept &= kept.sum(axis=0) >= FEWEST_ROWS
-        step = _adjusted(points, cameras, at, seen, kept, PIXEL_SIGMA / camera.focal_px, mount, begun)
+        step = _adjusted(points, cameras, at, seen, kept, PIXEL_SIGMA / camera.network_focal_px, mount, begun)
         points, cameras, mount, variance = step
         seen = mount.leveled(raw)
     kept &= _agree(points, seen, cameras, limit)

@@ -84,7 +84,7 @@ def pose_of(
     """
     if len(seen) < FEWEST_POINTS:
         return None
-    pixel = PIXEL_SIGMA / camera.focal_px
+    pixel = PIXEL_SIGMA / camera.network_focal_px
     cameras = np.column_stack([starts, np.zeros(len(starts))])
     inverse = np.repeat(points.places[np.newaxis, :, 2], len(cameras), axis=0)
     for step in range(STEPS):
@@ -121,6 +121,8 @@ def look(
     pairs = pairs[points.is_known[pairs[:, 1]]]
     mine, theirs = pairs.T
     seen = camera.directions(query.xy[mine] * (camera.width / query.size[1]))
+    ahead = np.isfinite(seen).all(axis=1)
+    pairs, theirs, seen = pairs[ahead], theirs[ahead], seen[ahead]
     pose = pose_of(points[theirs], seen, camera, starts)
     return pose and replace(pose, pairs=pairs)
 

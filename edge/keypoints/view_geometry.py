@@ -13,9 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+NETWORK_PIXELS = 320 * 240
+"""Of a picture as the network has it, whatever its shape: errors of points are alike in its pixels."""
+
+
+def per_network_pixel(width: float, height: float) -> float:
+    """Pixels of a picture of some size in one of the network's."""
+    return math.sqrt(width * height / NETWORK_PIXELS)
+
 
 class Camera(NamedTuple):
-    """A pinhole camera: pixels of its picture, and its horizontal field of view."""
+    """Pixels of its picture, its horizontal field of view without what the lens bends, and the lens."""
 
     width: int
     height: int
@@ -25,6 +33,11 @@ class Camera(NamedTuple):
     def focal_px(self) -> float:
         """Its focal length, alike in both directions."""
         return self.width / 2 / math.tan(math.radians(self.fov_deg) / 2)
+
+    @property
+    def network_focal_px(self) -> float:
+        """The same in pixels of the network's picture."""
+        return self.focal_px / per_network_pixel(self.width, self.height)
 
     def directions(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
         """Of pixels (..., 2), the middles of which are whole numbers: (x / z, y / z)."""

@@ -71,10 +71,13 @@ def test_positions_are_pixels_of_the_picture_that_was_given(network: KeypointNet
     ("given", "size"),
     [
         ((240, 320), (224, 320)),
-        ((1080, 1920), (160, 320)),
+        ((1080, 1920), (192, 352)),
+        ((376, 1241), (160, 480)),
+        ((480, 752), (224, 320)),
+        ((240, 240), (256, 256)),
         ((640, 480), (320, 224)),
         ((120, 160), (224, 320)),
-        ((1, 99), (32, 320)),
+        ((1, 99), (32, 2400)),
     ],
 )
 def test_any_picture_is_resized_to_what_the_network_takes(
