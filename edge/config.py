@@ -91,7 +91,33 @@ def without_secrets(text: str) -> str:
     return ADDRESS.sub(r"\1\2", COMMAND.sub(r"\1", text))
 
 
-class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
+class Lens(Struct, frozen=True, kw_only=True):
+    """How a camera bends what it sees, by OpenCV's models: pinhole k1, k2, p1, p2, k3; fisheye k1, k2, k3, k4."""
+
+    lens: Literal["pinhole", "fisheye"] = "pinhole"
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        counts = (0, 4, 5) if self.lens == "pinhole" else (4,)
+        if len(self.distortion) not in counts or not all(map(math.isfinite, self.distortion)):
+            names = {"pinhole": "k1, k2, p1, p2 and perhaps k3", "fisheye": "k1, k2, k3, k4"}[self.lens]
+            raise ValueError(f"distortion: a {self.lens} lens has {names} (OpenCV), not {list(self.distortion)}")
+
+    @property
+    def bends(self) -> bool:
+        """Whether it differs from a pinhole."""
+        return self.lens != "pinhole" or any(self.distortion)
+
+    @property
+    def alone(self) -> Lens:
+        """Without what else it is a part of."""
+        return Lens(lens=self.lens, distortion=self.distortion)
+
+
+PINHOLE = Lens()
+
+
+class CameraConfig(Lens, frozen=True, forbid_unknown_fields=True):
     """[camera]: which camera, and the settings to request from it."""
 
     kind: str = "v4l2"
@@ -110,11 +136,14 @@ class CameraConfig(Struct, frozen=True, forbid_unknown_fields=True):
     fov_deg: FieldOfView | UnsetType = UNSET
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.kind in ("v4l2", "feed", "oak") and "://" in self.device:
             raise ValueError(f'device: is an address, which needs kind = "stream"; it is "{self.kind}"')
         left, top, right, bottom = self.crop
         if max(left + right, top + bottom) > MOST_CROPPED:
             raise ValueError(f"crop: left and right together, and top and bottom, can be {MOST_CROPPED} at most")
+        if self.bends and (left != right or top != bottom):
+            raise ValueError("crop: with a lens it must be the same left and right, and top and bottom")
 
     @property
     def preprocessing(self) -> str:

@@ -49,8 +49,8 @@ class PlaceVerification:
 
     def __init__(self, config: Config) -> None:
         self._view, self._only = config.camera.view, config.sequence.directions
-        fov_deg = config.camera.fov_deg
-        self._fov_deg = None if isinstance(fov_deg, UnsetType) else fov_deg  # where it is not set, as the map's
+        camera = config.camera
+        self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
 
         self._newest: tuple[Keypoints, int, Pose] | None = None
 
@@ -169,7 +169,7 @@ class PlaceVerification:
     def _pose(self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS) -> Pose | None:
         key, record = self._key(place), self._record(place)
         height = round(key.width * query.size[0] / query.size[1])
-        camera = Camera(key.width, height, self._fov_deg or key.fov_deg)
+        camera = Camera(key.width, height, *(self._camera or (key.fov_deg, key.alone)))  # not set: as the map's
         return look(query, keypoints_of(record, key), points_of(record), camera, starts)
 
     def _row_at(self, place: int, along_m: float) -> int:

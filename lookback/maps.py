@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import NETWORKS, CameraConfig, DescriptorConfig, SamplingConfig, SequenceConfig
+from edge.config import NETWORKS, CameraConfig, DescriptorConfig, Lens, SamplingConfig, SequenceConfig
 from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
 from edge.keypoints import Camera
@@ -22,11 +23,11 @@ from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge.sequence import PlaceMatch, Travel
-from edge_plugins.mapping.keypoint_rows import keypoints_key
 from lookback import checks
 from lookback.description import network_of
 from lookback.verification import Picture, keypoints
 from sim.datasets.pictures import read_drive
+from sim.maps.adding_keypoints import key_of_feeds
 from sim.maps.command import build_map
 from sim.traverse import config_as_mapped, driven_m
 
@@ -63,8 +64,9 @@ class Map:
             feed = replace(feed, header=msgspec.structs.replace(feed.header, view=view))
         is_metric = driven_m(feed) is not None
         sampling = SamplingConfig(by="distance", spacing_m=spacing_m) if is_metric else SamplingConfig(by="frames")
-        fov_deg = feed.header.fov_deg if fov_deg is None else fov_deg
-        key_of = None if fov_deg is None else partial(keypoints_key, fov_deg=fov_deg)
+        if fov_deg is not None:
+            feed = replace(feed, header=msgspec.structs.replace(feed.header, fov_deg=fov_deg))
+        key_of = key_of_feeds([feed])
         with contextlib.redirect_stdout(io.StringIO()):
             made_by = network_of(str(model))
             build_map([feed], Path(path), DescriptorConfig(), sampling, network=made_by, keypoints=key_of)
@@ -98,19 +100,30 @@ class Map:
         """A small picture (H, W, 3) uint8 BGR of a place. Raises `Error` where there is none."""
         return decode_picture(f"{self.path}: place {place}", self.opened.thumbnail(place))
 
-    def pose(self, picture: Picture, place: int, *, fov_deg: float | None = None) -> Pose | None:
+    def pose(
+        self,
+        picture: Picture,
+        place: int,
+        *,
+        fov_deg: float | None = None,
+        lens: Literal["pinhole", "fisheye"] = "pinhole",
+        distortion: Sequence[float] = (),
+    ) -> Pose | None:
         """From where a picture shows a place: meters to the right and ahead of the place's camera, and turned from it.
 
-        picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: as the map's). None
-        where too few points agree: it shows another place, or its camera looked the other way. Raises `Error` for a
-        map without keypoints.
+        picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: that of the map),
+        with the lens and its distortion by OpenCV, see docs/cameras.md. None where too few points agree: it shows
+        another place, or its camera looked the other way. Raises `Error` for a map without keypoints.
         """
         key, records = self.opened.header.keypoints_key, self.opened.keypoints
         if key is None or records is None:
             raise MapError(f"{self.path}: no keypoints; add them with `lookback map keypoints`")
         query = keypoints(picture)
         height = round(key.width * query.size[0] / query.size[1])
-        camera = Camera(key.width, height, key.fov_deg if fov_deg is None else checks.field_of_view(fov_deg))
+        optics = key.fov_deg, key.alone
+        if fov_deg is not None:
+            optics = checks.field_of_view(fov_deg), Lens(lens=lens, distortion=tuple(distortion))
+        camera = Camera(key.width, height, *optics)
         there, points = keypoints_of(records[place], key), points_of(records[place])
         found = look(query, there, points, camera)
         # A map has its points as a camera would that looks along the road: this one's may look beside it.

@@ -124,15 +124,17 @@ def preprocessed_feed(feed: Feed, config: CameraConfig) -> Feed:
     Its field of view is that of [camera], or as recorded, which a crop makes unknown. Raises ConfigError if the mask
     cannot be used.
     """
-    fov_deg = feed.header.fov_deg if config.fov_deg is UNSET else config.fov_deg
+    is_set = config.fov_deg is not UNSET
+    fov_deg = config.fov_deg if is_set else feed.header.fov_deg
+    lens = msgspec.structs.asdict((config if is_set else feed.header).alone)
     if feed.header.preprocessing or not config.preprocessing:
-        if fov_deg == feed.header.fov_deg:
+        if not is_set:
             return feed
-        return replace(feed, header=msgspec.structs.replace(feed.header, fov_deg=fov_deg))
+        return replace(feed, header=msgspec.structs.replace(feed.header, fov_deg=fov_deg, **lens))
     if config.fov_deg is UNSET and any(config.crop):
         fov_deg = None
     preprocessor = Preprocessor(config)
     width, height = preprocessor.size(feed.header.width, feed.header.height)
     changes = {"width": width, "height": height, "video": "", "preprocessing": config.preprocessing}
-    header = msgspec.structs.replace(feed.header, fov_deg=fov_deg, **changes)
+    header = msgspec.structs.replace(feed.header, fov_deg=fov_deg, **lens, **changes)
     return replace(feed, header=header, pictures=lambda: _PreprocessedImages(FeedImages(feed), preprocessor))

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from edge.config import FieldOfView
+from edge.config import FieldOfView, Lens
 from edge.errors import FeedError, LookbackError
 from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.toml_file import Line, read_text, read_toml
@@ -22,14 +22,15 @@ View = Literal["front", "rear"]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=16384)]
 
 
-class FeedHeader(msgspec.Struct, frozen=True):
+class FeedHeader(Lens, frozen=True):
     """`feed.toml`; keys that are not listed here are ignored.
 
     preprocessing: the flip, crop and mask that the images were recorded with; "" for images as the camera gave them.
     odometer: whether distance_m and heading_deg were measured, and not computed from the positions.
     time_sigma_s: one standard deviation of what all stamps have in common against the positions' own times, as of a
     video that was laid over a track: all positions are off by that much travel, to one side. None: not known.
-    fov_deg: horizontal field of view of the images, after the preprocessing. None: not known.
+    fov_deg: horizontal field of view of the images, after the preprocessing, without what their lens bends. None: not
+    known.
     heading_is_course: whether heading_deg is the course of the positions, as `sim.traverse.with_course` has it.
     """
 

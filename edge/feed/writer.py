@@ -36,7 +36,9 @@ class FeedWriter:
         self.path = path
         self._whole_bytes = 0
         self._extra_columns = extra_columns
-        text = tomli_w.dumps({key: one for key, one in msgspec.structs.asdict(header).items() if one is not None})
+        usual = {"lens": "pinhole", "distortion": ()}
+        known = {key: one for key, one in msgspec.structs.asdict(header).items() if one not in (None, usual.get(key))}
+        text = tomli_w.dumps(known)
         begun = self._count_begun(text, begins)
         self.count = begun or 0
         """Frames that are written."""

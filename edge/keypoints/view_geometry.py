@@ -10,11 +10,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config import PINHOLE, Lens
+
 NETWORK_PIXELS = 320 * 240
 """Of a picture as the network has it, whatever its shape: errors of points are alike in its pixels."""
+
+STEPS, SAME = 20, 1e-4
+"""To a direction without what a lens bends, which then is the same: to a thirtieth of a pixel."""
 
 
 def per_network_pixel(width: float, height: float) -> float:
@@ -28,6 +34,7 @@ class Camera(NamedTuple):
     width: int
     height: int
     fov_deg: float
+    lens: Lens = PINHOLE
 
     @property
     def focal_px(self) -> float:
@@ -40,14 +47,31 @@ class Camera(NamedTuple):
         return self.focal_px / per_network_pixel(self.width, self.height)
 
     def directions(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Of pixels (..., 2), the middles of which are whole numbers: (x / z, y / z)."""
+        """Of pixels (..., 2), the middles of which are whole numbers: (x / z, y / z). NaN for what is not ahead."""
         found: NDArray[np.float64] = (np.asarray(xy, np.float64) - self.middle) / self.focal_px
-        return found
+        return found if not self.lens.bends or not found.size else _straightened(found, self.lens)
 
     @property
     def middle(self) -> NDArray[np.float64]:
         """The pixel (2,) straight ahead."""
         return np.array([self.width - 1, self.height - 1]) / 2
+
+
+def _straightened(bent: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:
+    """Directions (..., 2) without what a lens does to them; NaN where it shows none that is ahead."""
+    flat, unit, factors = bent.reshape(-1, 1, 2), np.eye(3), np.array(lens.distortion)
+    if lens.lens == "fisheye":
+        found = cv2.fisheye.undistortPoints(flat, unit, factors)
+        back = cv2.fisheye.distortPoints(found, unit, factors)
+    else:
+        found = cv2.undistortPoints(flat, unit, factors)
+        for _ in range(STEPS):  # those of OpenCV 4 are too few at the edge of a wide picture
+            rays = cv2.convertPointsToHomogeneous(found)
+            back = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), unit, factors)[0]
+            found = found + flat - back
+    right = (np.abs(back - flat) < SAME).all(axis=-1, keepdims=True)  # beyond its edge a polynomial has no inverse
+    straight: NDArray[np.float64] = np.where(right, found, np.nan).reshape(bent.shape)
+    return straight
 
 
 class Sight:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config import Lens
 from edge.errors import MapError, reason
 from edge.toml_file import Line
 
@@ -30,8 +31,11 @@ STEPS = 32
 MOST_PIXELS = (1 << 16) // STEPS
 
 
-class KeypointsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What made the keypoints of a map: the network, how many of each place, and the pictures they are in."""
+class KeypointsKey(Lens, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What made the keypoints of a map: the network, how many of each place, and the pictures they are in.
+
+    The lens is that of those pictures: `xy` is as it shows them, directions are without what it bends.
+    """
 
     network: Line
     sha256: Line

@@ -11,18 +11,20 @@ from edge.reference_map.keypoint_file import KEYPOINT, STEPS, KeypointsKey
 
 def camera_of(key: KeypointsKey) -> Camera:
     """The camera of a map's pictures."""
-    return Camera(key.width, key.height, key.fov_deg)
+    return Camera(key.width, key.height, key.fov_deg, key.alone)
 
 
 def record_of(keypoints: Keypoints, key: KeypointsKey) -> NDArray[np.void]:
     """Records (K,) of a picture's keypoints, whose distances are not known yet."""
     record = np.zeros(key.most, KEYPOINT)
     record["inverse"] = record["sigma"] = np.nan
-    count = min(len(keypoints), key.most)
-    xy = keypoints.xy[:count] * (key.width / keypoints.size[1])
-    record["descriptor"][:count] = keypoints.descriptors[:count]
-    record["xy"][:count] = np.rint(xy.clip(0) * STEPS)
-    record["direction"][:count] = camera_of(key).directions(xy)
+    xy = keypoints.xy * (key.width / keypoints.size[1])
+    directions = camera_of(key).directions(xy)
+    ahead = np.flatnonzero(np.isfinite(directions).all(axis=1))[: key.most]
+    count = len(ahead)
+    record["descriptor"][:count] = keypoints.descriptors[ahead]
+    record["xy"][:count] = np.rint(xy[ahead].clip(0) * STEPS)
+    record["direction"][:count] = directions[ahead]
     return record
 
 

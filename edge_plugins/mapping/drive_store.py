@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.config import PINHOLE, Lens
 from edge.errors import ConfigError, MapError, reason
 from edge.files import DISK_ERRORS, locked, named_by_time
 from edge.reference_map import MapSoFar
@@ -45,6 +46,7 @@ class DriveStore:
         before_long: Callable[[float], object] = lambda seconds: None,
         retry_s: float = RETRY_S,
         fov_deg: float | None = None,
+        lens: Lens = PINHOLE,
     ) -> None:
         """Make maps of earlier drives, and go on with the last one if it is of `resume_min` ago, after a restart.
 
@@ -54,7 +56,7 @@ class DriveStore:
         """
         self.header, self._drive, self._unix_time_s = header, DriveBegun(view), unix_time_s
         self._writer = partial(PlaceLog, min_free_bytes=config.min_free_mb * 1e6, retry_s=retry_s)
-        self.keypoints = LiveKeypoints(fov_deg, looks_back=view == "rear")
+        self.keypoints = LiveKeypoints(fov_deg, lens, looks_back=view == "rear")
         self._log: PlaceLog | None = None
         self.last: MappedPlace | None = None
         """The newest place; None where the next one begins a drive."""

@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
+from edge.config import PINHOLE, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.errors import MapError
 from edge.keypoints import Keypoints
@@ -30,11 +32,12 @@ KeyOf = Callable[[int, int], KeypointsKey]
 """The key of a map by the height and width of its first picture."""
 
 
-def keypoints_key(height: int, width: int, fov_deg: float) -> KeypointsKey:
+def keypoints_key(height: int, width: int, fov_deg: float, lens: Lens = PINHOLE) -> KeypointsKey:
     """Of a new map of pictures of this size and horizontal field of view, by the network that ships. ModelError."""
     made = read_model_file(resolve_model(Path(NETWORK))).info
     shrunk = min(1.0, MOST_PIXELS / max(height, width))
-    return KeypointsKey(NETWORK, made.sha256, MOST, round(width * shrunk), round(height * shrunk), float(fov_deg))
+    size = round(width * shrunk), round(height * shrunk)
+    return KeypointsKey(NETWORK, made.sha256, MOST, *size, float(fov_deg), **asdict(lens))
 
 
 def is_of_shape(key: KeypointsKey, height: int, width: int) -> bool:

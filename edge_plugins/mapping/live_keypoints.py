@@ -17,6 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from edge.config import Lens
 from edge.keypoints import Keypoints
 from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.mount import Mount, mount_of_drive
@@ -46,9 +47,9 @@ class _Row(NamedTuple):
 class LiveKeypoints:
     """Those of each place, which are added in their order by one thread."""
 
-    def __init__(self, fov_deg: float | None, *, looks_back: bool) -> None:
+    def __init__(self, fov_deg: float | None, lens: Lens, *, looks_back: bool) -> None:
         """fov_deg: horizontal, of the pictures; None: there are none. looks_back: the camera that maps. ModelError."""
-        self._made = None if fov_deg is None else keypoints_key(1, 1, fov_deg)
+        self._made = None if fov_deg is None else keypoints_key(1, 1, fov_deg, lens)
         self._looks_back = looks_back
         self._thread = ThreadPoolExecutor(1, "keypoints", _block_signals)
         self._pictures: list[Future[Keypoints]] = []
@@ -66,7 +67,8 @@ class LiveKeypoints:
 
     def header_of(self, header: LogHeader) -> LogHeader:
         """The header of a new file, whose first picture is the newest one."""
-        return header if self._made is None else header.with_keypoints(keypoints_key(*self._size, self._made.fov_deg))
+        made = self._made
+        return header if made is None else header.with_keypoints(keypoints_key(*self._size, made.fov_deg, made.alone))
 
     def write_to(self, file: PlaceLog) -> None:
         """Write to a file, going on with its last drive if there is one."""

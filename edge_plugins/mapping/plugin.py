@@ -107,7 +107,7 @@ class Mapping(Plugin):
             where = "camera" if camera is UNSET else "mapping.camera"
             log.warning("[%s] fov_deg: is not set, so the map of this drive gets no keypoints", where)
         header = LogHeader(model_key(self._parts.network), RegionsKey.of(config.descriptor), config.sampling)
-        store = DriveStore(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg)
+        store = DriveStore(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg, lens=maps.alone)
         keeps = config.camera.keep_pictures and maps.keep_pictures
         self.live = LiveMap(mapping, opened.enter_context(closing(store)), keeps_pictures=keeps)
         device: NewestFrame | None = None

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from msgspec import UNSET
+from msgspec.structs import asdict
 
 from edge.config import CameraConfig
 from edge.errors import FeedError, reason
@@ -130,6 +131,7 @@ def begun_feed(path: Path, camera: CameraConfig, frame: Frame, notes: str = "") 
     about = path.name, camera.view, width, height, camera.source, notes
     # While GPS works, the autopilot's velocity and with it distance_m are GPS's own: they do not vouch for positions.
     fov_deg = None if camera.fov_deg is UNSET else camera.fov_deg
-    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, time_sigma_s=0.0, fov_deg=fov_deg))
+    optics = {"fov_deg": fov_deg, **asdict(camera.alone)}
+    writer = FeedWriter(path, FeedHeader(*about, preprocessing=processed, time_sigma_s=0.0, **optics))
     log.info("recording: %s", path)
     return writer

@@ -23,7 +23,7 @@ from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.store import HEADER, KEYPOINTS, PLACES, encode_header
-from edge_plugins.mapping.keypoint_rows import KeypointRows, keypoints_key
+from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows, keypoints_key
 from sim.maps.known_distances import spell_distances
 from sim.traverse import with_course
 
@@ -47,20 +47,29 @@ def camera_from(args: argparse.Namespace, camera: CameraConfig) -> CameraConfig:
     return checked_option(camera, "--fov-deg", fov_deg=args.fov_deg)
 
 
-def fov_of(feeds: Sequence[Feed]) -> float | None:
-    """The field of view that all recordings have; None if it is not known. MapError for several."""
-    found = {feed.header.fov_deg for feed in feeds}
+def key_of_feeds(feeds: Sequence[Feed]) -> KeyOf | None:
+    """Of a new map by the field of view and the lens that all recordings have; None if it is not known.
+
+    MapError for several.
+    """
+    found = {(feed.header.fov_deg, feed.header.alone) for feed in feeds}
     if len(found) > 1:
         spelled = ", ".join(f"{feed.path}: {feed.header.fov_deg or 'not known'}" for feed in feeds)
-        raise MapError(f"a map with keypoints has one field of view; build several maps, or use {WHERE} ({spelled})")
-    return found.pop() if found else None
+        what = "field of view" if len({fov_deg for fov_deg, _ in found}) > 1 else "lens"
+        raise MapError(f"a map with keypoints has one {what}; build several maps, or use {WHERE} ({spelled})")
+    for fov_deg, lens in found:
+        if fov_deg is not None:
+            return partial(keypoints_key, fov_deg=fov_deg, lens=lens)
+    return None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback map keypoints`."""
     parser.add_argument("map", type=Path, metavar="MAP", help="the map's folder")
     parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="the recordings that it was made of")
-    parser.add_argument("--config", type=Path, help="read fov_deg, flip, crop and mask of [camera] from this file")
+    parser.add_argument(
+        "--config", type=Path, help="read fov_deg, lens, flip, crop and mask of [camera] from this file"
+    )
     add_fov_option(parser)
     parser.set_defaults(run=run)
 
@@ -69,10 +78,10 @@ def run(args: argparse.Namespace) -> int:
     """The command."""
     camera = camera_from(args, (load_config(args.config) if args.config else Config()).camera)
     feeds = [preprocessed_feed(read_feed(path), camera) for path in args.feeds]
-    fov_deg = fov_of(feeds)
-    if fov_deg is None:
+    key_of = key_of_feeds(feeds)
+    if key_of is None:
         raise ConfigError(f"{args.map}: keypoints need the field of view of the pictures; {WHERE}")
-    key = add_keypoints(open_map(args.map, every_file=True), feeds, fov_deg)
+    key = add_keypoints(open_map(args.map, every_file=True), feeds, key_of)
     print(
         f"{args.map}: {key.most} keypoints of each place, {key.place_bytes / 1e3:.1f} kB, for {key.fov_deg:g} degrees"
     )
@@ -81,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov_deg: float) -> KeypointsKey:
+def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], key_of: KeyOf) -> KeypointsKey:
     """Write the map anew with keypoints of all places, in place of those that it has. MapError.
 
     feeds: all that its drives were made of, by their names.
@@ -94,10 +103,7 @@ def add_keypoints(reference_map: ReferenceMap, feeds: list[Feed], fov_deg: float
     with AtomicFolder(path) as new:
         for name in header.files.keys() - {*CHANGED}:
             shutil.copyfile(path / name, new.path / name)
-        rows, extract = (
-            KeypointRows(new.path / KEYPOINTS, partial(keypoints_key, fov_deg=fov_deg)),
-            KeypointNetwork().extract,
-        )
+        rows, extract = KeypointRows(new.path / KEYPOINTS, key_of), KeypointNetwork().extract
         places, segments = reference_map.places.copy(), list(header.segments)
         for number, segment in enumerate(segments):
             own, feed = places[segment.start : segment.end], by_name[segment.source]

@@ -26,7 +26,7 @@ from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
 from sim.datasets import USUAL_FOV
 from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
-from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, fov_of
+from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, key_of_feeds
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.known_distances import spell_distances
 from sim.maps.shrinking import shrink_to
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build = actions.add_parser("build", help="build a map from feeds; each feed becomes a segment")
     build.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="a feed, MCAP file, video or log")
     build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
-    about = "read [descriptor] and [sampling] from this file, and fov_deg, flip, crop and mask of [camera]"
+    about = "read [descriptor] and [sampling] from this file, and fov_deg, lens, flip, crop and mask of [camera]"
     build.add_argument("--config", type=Path, help=about)
     build.add_argument("--regions", choices=("left-right", "whole"), help="parts of it (default left-right)")
     add_spacing_options(build)
@@ -185,7 +185,7 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
         for feed in feeds:
             if driven_m(feed) is None:
                 print(f"{feed.path}: {every}")
-    keypoints, describe = None if args.no_keypoints else _new_key(feeds), None
+    keypoints, describe = None if args.no_keypoints else key_of_feeds(feeds), None
     if args.cluster:
         settings = msgspec.structs.replace(config, descriptor=descriptor, camera=camera)
         work = Work(settings, feed_options(args), sampling, is_metric, keypoints is not None)
@@ -211,12 +211,6 @@ def print_keypoints(path: Path, header: MapHeader) -> None:
         print(f"{path}: {line}")
 
 
-def _new_key(feeds: list[Feed]) -> KeyOf | None:
-    """Of a new map; None where the field of view is not known. MapError where there are several."""
-    fov_deg = fov_of(feeds)
-    return None if fov_deg is None else partial(keypoints_key, fov_deg=fov_deg)
-
-
 def _key_of(old: ReferenceMap, feeds: list[Feed]) -> KeyOf | None:
     """Of further places of a map with keypoints. MapError where another network made those, or by another camera."""
     had = old.header.keypoints_key
@@ -228,6 +222,8 @@ def _key_of(old: ReferenceMap, feeds: list[Feed]) -> KeyOf | None:
         elif feed.header.fov_deg != had.fov_deg:
             seen = f"{feed.header.fov_deg:g} degrees wide, the map's {had.fov_deg:g}"
             raise MapError(f"{feed.path}: its pictures are {seen}; build a map of its own in the same folder")
+        elif feed.header.alone != had.alone:
+            raise MapError(f"{feed.path}: its lens is not the map's; build a map of its own in the same folder")
     if keypoints_key(had.height, had.width, had.fov_deg).sha256 != had.sha256:
         raise MapError(f"{old.path}: its keypoints are of another network {had.network}; build the map again")
     return lambda height, width: had
