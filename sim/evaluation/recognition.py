@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from edge.geodesy import east_north
 from edge.journal.records import FrameUsed
 from edge.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
+from edge.sequence import Seen
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.evaluation.replay import config_for_feed, replay
 
@@ -34,13 +36,15 @@ class Recognition:
     """A recording's used frames and what the recognizer answered to each, in order.
 
     states: of the recognizer, after each frame. costs: (Q, N) cosine distance of each frame from each place, the better
-    of the region orders; (Q, 0) where the map has more than DRAWN_PLACES places.
+    of the region orders; (Q, 0) where the map has more than DRAWN_PLACES places. looks: what each frame's keypoints say
+    of the place that is believed, None where they say nothing or were not asked.
     """
 
     feed: Feed
     used: list[FrameUsed]
     states: list[State]
     costs: NDArray[np.float32]
+    looks: Sequence[Seen | None] = ()
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -59,15 +63,17 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     search, places = recognizer.matcher.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
     used: list[FrameUsed] = []
     states: list[State] = []
+    looks: list[Seen | None] = []
     costs = []
-    for one in replay(recognizer, feed, config.sampling):
+    for one, match in replay(recognizer, feed, config.sampling):
         used.append(one)
+        looks.append(match.seen if match is not None and match.accepted else None)
         states.append(recognizer.state)
         newest = search.newest_costs.min(axis=0) / np.float32(COST_ONE)
         costs.append(newest if len(newest) == places else np.full(places, np.nan, np.float32))
     if not used:
         raise FeedError(f"{feed.path}: none of its pictures can be read")
-    return Recognition(feed, used, states, np.array(costs, dtype=np.float32))
+    return Recognition(feed, used, states, np.array(costs, dtype=np.float32), looks)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from edge.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
+from edge.sequence import PlaceMatch
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
 from sim.output import writing
 from sim.traverse import config_as_mapped, driven_m, traverse
@@ -48,8 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) -> Iterator[FrameUsed]:
-    """Every used frame of the feed, in order. MapError for a map that is damaged, if there is no other."""
+def replay(
+    recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig
+) -> Iterator[tuple[FrameUsed, PlaceMatch | None]]:
+    """Each used frame of the feed and its match, in order. MapError for a map that is damaged, if there is no other."""
     checksums = recognizer.map_set.checksum_schedule()
     while _exclude_damaged(recognizer, checksums, recognizer.matcher.search.folders_in_use):
         pass
@@ -60,7 +63,8 @@ def replay(recognizer: PlaceRecognizer, feed: Feed, sampling: SamplingConfig) ->
             behind = recognizer.map_set.folders_behind(match.place_index, recognizer.config.sequence_frames)
             if _exclude_damaged(recognizer, checksums, behind):
                 match, route = None, Route(recognizer.map_set)
-        yield frame_used(item.frame.index, item.frame.stamp_ns, match, route, recognizer.config.rig, item.missed)
+        rig = recognizer.config.rig
+        yield frame_used(item.frame.index, item.frame.stamp_ns, match, route, rig, item.missed), match
 
 
 def _exclude_damaged(recognizer: PlaceRecognizer, checksums: ChecksumSchedule, folders: list[Path]) -> bool:
@@ -100,8 +104,11 @@ def load_config_for_map(path: Path, header: MapHeader) -> Config:
 
 
 def config_for_feed(config: Config, feed: Feed) -> Config:
-    """The config with the view of the feed's camera; frames by time where nothing says how far they are apart."""
-    camera, sampling = msgspec.structs.replace(config.camera, view=feed.header.view), config.sampling
+    """The config with what the feed says of its camera; frames by time where nothing says how far they are apart."""
+    header, camera, sampling = feed.header, config.camera, config.sampling
+    if header.fov_deg is not None:
+        camera = msgspec.structs.replace(camera, fov_deg=header.fov_deg, **msgspec.structs.asdict(header.alone))
+    camera = msgspec.structs.replace(camera, view=header.view)
     if sampling.by == "distance" and driven_m(feed) is None:
         words = "no distances or positions in it: a frame every %g s; they must be as far apart as the map's places"
         log.warning(f"%s: {words}", feed.path, sampling.interval_s)
@@ -122,7 +129,7 @@ def run(args: argparse.Namespace, network: Network | None = None) -> int:
     recognizer = open_recognizer(config, network=network, map_set=maps)
     for excluded in recognizer.map_set.excluded:
         excluded.log()
-    lines = replay(recognizer, feed, config.sampling)
+    lines = (used for used, _ in replay(recognizer, feed, config.sampling))
     if args.output:
         with writing(args.output) as stream:
             _write(lines, stream, feed, every=args.all)

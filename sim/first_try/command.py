@@ -25,12 +25,15 @@ from sim.datasets.alignment import Alignment
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
+from sim.evaluation.look_errors import look_errors
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from sim.evaluation.recognition import judge, recognize
+from sim.evaluation.recognition import Judged, Recognition, judge, recognize
 from sim.evaluation.replay import as_line
 from sim.first_try.verdict import Tried, Verdict, verdict
-from sim.maps.adding_keypoints import add_fov_option, camera_from
+from sim.first_try.with_keypoints import WithKeypoints
+from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
 from sim.maps.command import add_spacing_options, build_map, sampling_from
+from sim.maps.known_distances import spell_distances
 from sim.output import needing, replacing
 from sim.traverse import config_as_mapped, driven_m
 
@@ -114,28 +117,42 @@ def _try(
 
     reference, query = (feeds[role] for role in ROLES)
     print(f"1. Map of {args.reference}", flush=True)
-    build_map([reference], folder / "map", DescriptorConfig(model=FIRST_NETWORK), sampling)
+    key = None if driven_m(reference) is None else key_of_feeds([reference])
+    build_map([reference], folder / "map", DescriptorConfig(model=FIRST_NETWORK), sampling, keypoints=key)
     maps = open_map_set(folder / "map")
+    plain = MapSet.of(replace(maps.maps[0], header=maps.headers[0].with_keypoints(None)))
     print(f"2. Recognizing {args.query}", flush=True)
-    network = MemoizingNetwork.load(Path(FIRST_NETWORK))  # the frames are recognized twice: for the offset, and with it
+    network = MemoizingNetwork.load(Path(FIRST_NETWORK))  # the frames are recognized several times
     offsets, why = _measure(folder / "map", query, network)
     config = msgspec.structs.replace(config_as_mapped(maps.headers[0]), rig=rig_config(offsets))
     if is_fitted:
-        config = _fitted(config, maps, query, network)
+        config = _fitted(config, plain, query, network)
     watch = _Watch()
     seen = recognize(maps, replace(query, pictures=lambda: _Watched(FeedImages(query), watch)), config, network)
-    try:
-        judged = judge(maps, seen, args.tolerance_m)
-    except (FeedError, MapError):
-        judged = None
+    judged, with_keypoints = _judged(maps, seen, args.tolerance_m), None
+    if key is not None:
+        alone = recognize(plain, query, config, network)
+        errors, known = look_errors(maps, seen, config.rig), tuple(spell_distances(maps.maps[0]))
+        with_keypoints = WithKeypoints(alone, _judged(plain, alone, args.tolerance_m), errors, known)
     rows = [one.frame for one in seen.used]
     gray, faults = np.array([watch.gray[row] for row in rows]), tuple(watch.faults.get(row, "") for row in rows)
-    tried = Tried(reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults, tuple(offsets), why)
+    measured = tuple(offsets), why
+    tried = Tried(
+        reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults, *measured, with_keypoints
+    )
     found, lines = verdict(tried), rig_lines(offsets)
     (folder / "frames.jsonl").write_text("".join(map(as_line, seen.used)), encoding="utf-8")
     (folder / "lookback.toml").write_text(_config_text(lines), encoding="utf-8")
     (folder / "report.html").write_text(render(tried, found, lines, aligned), encoding="utf-8")
     return found
+
+
+def _judged(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged | None:
+    """None without positions in both."""
+    try:
+        return judge(maps, seen, tolerance_m)
+    except (FeedError, MapError):
+        return None
 
 
 def _open(args: argparse.Namespace, role: str) -> Feed | Traverse:

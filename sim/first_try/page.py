@@ -21,12 +21,15 @@ from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
 from sim.evaluation.matched_points import side_by_side
 from sim.evaluation.metrics import precision_recall
-from sim.first_try.verdict import Tried, Verdict, distances_m
-from sim.traverse import driven_m
+from sim.evaluation.recognition import Judged, Recognition
+from sim.first_try.verdict import Tried, Verdict
+from sim.first_try.with_keypoints import WithKeypoints, errors_words, first_words
+from sim.traverse import distances_m, driven_m
 
 PAIRS = 4
 """Matched pairs on the page, spread over the believed frames."""
 MOST_STRETCHES = 20
+COLUMNS = "", "believed, %", "the first", "precision", "recall", "error, m", "95 %, m"
 FILM_S, FILM_FPS, FILM_PX = 20, 10, (320, 240)
 
 
@@ -39,6 +42,8 @@ def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Align
         "model": f"{header.model.name}, sha256 {header.model.sha256}",
     }
     sections = [_pictures(tried), _where(tried, found)]
+    if tried.keypoints is not None:
+        sections.insert(1, _compared(tried.keypoints, tried.seen, tried.judged))
     if found.advice:
         rows: list[list[report.Cell]] = [[number, line] for number, line in enumerate(found.advice, start=1)]
         advice = report.Table("advice", "", ("", "The most important first"), rows)
@@ -53,6 +58,19 @@ def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Align
         about_it = sheet.section(feed, f"The {role} as it was understood: {feed.header.name}", aligned.get(role))
         sections.append(replace(about_it, folded=True))
     return report.render_page(found.headline, about, sections, lead=found.facts)
+
+
+def _compared(found: WithKeypoints, seen: Recognition, judged: Judged | None) -> report.Section:
+    """Both side by side."""
+    rows: list[list[report.Cell]] = []
+    for name, one, known in (("the sequence alone", found.alone, found.judged), ("with keypoints", seen, judged)):
+        row: list[report.Cell] = [name, f"{100 * one.believed.mean():.0f}", first_words(one)]
+        if known is not None and known.believed.any():
+            errors_m = np.percentile(known.error_m[known.believed], (50, 95))
+            row += [f"{known.precision:.3f}", f"{known.recall:.3f}", *(f"{error_m:.1f}" for error_m in errors_m)]
+        rows.append([*row, *[""] * (len(COLUMNS) - len(row))])
+    table = report.Table("keypoints", "", COLUMNS, rows)
+    return report.Section("The sequence alone, and with keypoints", errors_words(found, seen), tables=[table])
 
 
 def _where(tried: Tried, found: Verdict) -> report.Section:

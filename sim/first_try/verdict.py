@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,8 @@ from edge.sequence.search import FIRST_FRAMES
 from sim.calibration.offset import Offset
 from sim.evaluation.metrics import precision_recall, recall_at_precision
 from sim.evaluation.recognition import Judged, Recognition
+from sim.first_try.with_keypoints import WithKeypoints, why_none
+from sim.first_try.with_keypoints import facts as keypoint_facts
 from sim.maps.files import LIGHTS
 from sim.traverse import driven_m
 
@@ -62,7 +64,7 @@ class Tried:
 
     reference, query: as recorded. judged: None without positions in both. gray: (Q,) mean gray level of each used
     frame's picture. faults: (Q,) what the daemon finds wrong with the picture, "" for nothing. offsets: of the camera,
-    empty where not measured, and why.
+    empty where not measured, and why. keypoints: None where the map has none.
     """
 
     reference: Feed
@@ -76,6 +78,7 @@ class Tried:
     faults: tuple[str, ...]
     offsets: tuple[Offset, ...] = ()
     why_no_offset: str = "too few places are believed"
+    keypoints: WithKeypoints | None = None
 
     @property
     def is_on_map(self) -> Flags:
@@ -122,6 +125,10 @@ def verdict(tried: Tried) -> Verdict:
         if found
         else f"the camera's offset is not known: {tried.why_no_offset}"
     )
+    if tried.keypoints is None:
+        facts.append(why_none(tried.reference))
+    else:
+        facts += keypoint_facts(tried.keypoints, tried.seen)
     stretches = tuple(_stretches(tried))
     return Verdict(_headline(tried, share), tuple(facts), stretches, tuple(_advice(tried, share)))
 
@@ -278,13 +285,6 @@ def opposite_share(judged: Judged) -> float:
     nearest = [int(np.hypot(*(places_m - truth_m[row]).T).argmin()) for row in on_map]
     turned = np.einsum("nd,nd->n", along[nearest], driven[on_map])
     return float((turned < 0).mean()) if len(turned) else 0.0
-
-
-def distances_m(feed: Feed, rows: Sequence[int], driven: Sequence[float] | None) -> tuple[Floats, str]:
-    """Meters driven, else seconds, at some rows of a feed, and the unit."""
-    if driven is not None:
-        return np.array([driven[row] for row in rows]), "m"
-    return np.array([(feed.rows[row].stamp_ns - feed.rows[0].stamp_ns) / 1e9 for row in rows]), "s"
 
 
 def _is_placed(feed: Feed) -> bool:

@@ -119,7 +119,7 @@ def test_a_tile_that_is_opened_on_the_way_is_checked_before_it_is_told_of(
     def told(path: Path) -> list[str]:
         recognizer = open_recognizer(config, network=grid, map_set=open_map_set(path))
         lines = replay(recognizer, feed, SamplingConfig(by="frames"))
-        return [str(line.map) for line in lines if line.accepted]
+        return [str(line.map) for line, _ in lines if line.accepted]
 
     assert "1" in told(street / "tiles")
     assert not caplog.records
@@ -200,7 +200,7 @@ def test_a_frame_says_which_map(street: Path, grid: Network) -> None:
     config = with_options(config_as_mapped(open_map(street / "map").header), 5, None)
     tiles = open_map_set(street / "tiles")
     recognizer = open_recognizer(config, network=grid, map_set=tiles)
-    *_, newest = replay(recognizer, read_feed(street / "last"), SamplingConfig(by="frames"))
+    *_, (newest, _) = replay(recognizer, read_feed(street / "last"), SamplingConfig(by="frames"))
     assert (newest.map, newest.place) == ("1", FRAMES - BORDER - 1)
     assert map_view(tiles).starts == {"0": 0, "1": BORDER}
 

@@ -1,0 +1,66 @@
+"""What keypoints change: the same drive by the sequence alone and with them, and how far off single looks are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.feed import Feed
+from sim.datasets import USUAL_FOV
+from sim.evaluation.look_errors import LookErrors
+from sim.evaluation.recognition import Judged, Recognition
+from sim.traverse import distances_m, driven_m
+
+
+@dataclass(frozen=True)
+class WithKeypoints:
+    """alone, judged: the same drive by the sequence alone. errors: of looks. known: how many places have distances."""
+
+    alone: Recognition
+    judged: Judged | None
+    errors: LookErrors
+    known: tuple[str, ...]
+
+
+def facts(found: WithKeypoints, seen: Recognition) -> list[str]:
+    """For people, in the order of what they ask. seen: with keypoints."""
+    alone, both = (f"{100 * one.believed.mean():.0f} % ({first_words(one)})" for one in (found.alone, seen))
+    return [
+        *found.known,
+        f"of all frames, {alone} are believed by the sequence alone, {both} with keypoints",
+        errors_words(found, seen),
+    ]
+
+
+def errors_words(found: WithKeypoints, seen: Recognition) -> str:
+    """How far off single pictures are."""
+    looks, errors = sum(one is not None for one in seen.looks), found.errors
+    if not looks:
+        return "no single picture shows where its camera was"
+    if not errors.frames.size:
+        return f"{looks} single pictures show where their camera was; without positions nobody knows how well"
+    sizes = [np.percentile(np.abs(one), (50, 95)) for one in (errors.along_m, errors.across_m)]
+    along, across = (f"{median:.2f} / {nearly:.2f} m" for median, nearly in sizes)
+    return (
+        f"{len(errors.frames)} single pictures show where their camera was, {along} (median / 95 %) along the road and"
+        f" {across} across it from the recording's own positions"
+    )
+
+
+def why_none(reference: Feed) -> str:
+    """Why a recording's map has no keypoints, and what to do."""
+    name = reference.header.name
+    if reference.header.fov_deg is None:
+        return f"no keypoints: the field of view of {name} is not known; --fov-deg says it ({USUAL_FOV})"
+    return f"no keypoints: without positions or distances of {name}, how far away its points are is not known"
+
+
+def first_words(seen: Recognition) -> str:
+    """From where on a place is believed."""
+    rows = np.flatnonzero(seen.believed)
+    if not rows.size:
+        return "never"
+    frame = seen.used[rows[0]].frame
+    at, unit = distances_m(seen.feed, [frame], driven_m(seen.feed))
+    return f"first after {at[0]:.0f} {unit}"
