@@ -25,13 +25,18 @@ SHOWN_M, LONG_M, HIGH_M, GROUND_M = 70.0, 5.0, 6.0, 1.5
 NEAR_M = 0.5
 
 
-def photograph(name: str) -> Image:
-    """(H, W, 3) uint8 BGR; what asks is skipped where the package is not installed."""
+def shipped(name: str) -> Path:
+    """A file that the package ships; what asks is skipped where it is not installed."""
     found = find_spec("skimage")
     if found is None or found.origin is None:
         pytest.skip("needs photographs: pip install --no-deps scikit-image")
-    (file,) = (Path(found.origin).parent / "data").glob(f"{name}.[pj][np]g")
-    return np.asarray(cv2.imread(str(file), cv2.IMREAD_COLOR), np.uint8)
+    (file,) = (Path(found.origin).parent / "data").glob(name)
+    return file
+
+
+def photograph(name: str) -> Image:
+    """(H, W, 3) uint8 BGR."""
+    return np.asarray(cv2.imread(str(shipped(f"{name}.[pj][np]g")), cv2.IMREAD_COLOR), np.uint8)
 
 
 class PhotographedStreet:
