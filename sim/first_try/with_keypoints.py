@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.feed import Feed
-from sim.datasets import USUAL_FOV
 from sim.evaluation.look_errors import LookErrors
 from sim.evaluation.recognition import Judged, Recognition
 from sim.traverse import distances_m, driven_m
@@ -52,7 +51,7 @@ def why_none(reference: Feed) -> str:
     """Why a recording's map has no keypoints, and what to do."""
     name = reference.header.name
     if reference.header.fov_deg is None:
-        return f"no keypoints: the field of view of {name} is not known; --fov-deg says it ({USUAL_FOV})"
+        return f"no keypoints: the field of view of {name} is not known; --fov-deg says it"
     return f"no keypoints: without positions or distances of {name}, how far away its points are is not known"
 
 
