@@ -18,7 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from edge.config import CameraConfig, checked_option
+from edge.config import PINHOLE, CameraConfig, Lens, checked_option
 from edge.errors import FeedError
 from edge.feed import FeedRow, Pictures, View
 from sim.datasets.alignment import Alignment
@@ -51,6 +51,7 @@ class Traverse:
     """See `FeedHeader`, where there is no alignment."""
     fov_deg: float | None = None
     """Horizontal field of view of the pictures, where the recording says it."""
+    lens: Lens = PINHOLE
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     if options.fov_deg is not None:
-        traverse = replace(traverse, fov_deg=options.fov_deg)
+        traverse = replace(traverse, fov_deg=options.fov_deg, lens=PINHOLE)
     if options.view is not None:
         return replace(traverse, view=options.view)
     if kind in OWN and traverse.view == "front":

@@ -16,10 +16,12 @@ import logging
 import math
 import re
 import struct
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
-from edge.config import CameraConfig, checked_option
+from edge.config import PINHOLE, CameraConfig, Lens, checked_option
 from edge.errors import ConfigError
 from sim.datasets.boxes import content_of
 from sim.datasets.tables import read_text
@@ -29,6 +31,11 @@ log = logging.getLogger(__name__)
 FILM_DIAGONAL_MM = math.hypot(36, 24)
 APPLE = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 LINEAR = b"L"
+EUROC = "intrinsics", "resolution", "distortion_coefficients"
+MODELS: Mapping[str, Literal["pinhole", "fisheye"]] = {
+    **dict.fromkeys(("radial-tangential", "radtan", "plumb_bob"), "pinhole"),
+    "equidistant": "fisheye",
+}
 
 
 def of_focal_length(where: str, focal_px: float, width: float) -> float | None:
@@ -60,15 +67,30 @@ def of_kitti(file: Path, camera: str, width: int) -> float | None:
     return None if found is None else of_focal_length(str(file), _number(found[1]), width)
 
 
-def of_euroc(pictures: Path) -> float | None:
-    """By the sensor.yaml in a folder of pictures, or beside it."""
+def of_euroc(pictures: Path) -> tuple[float | None, Lens]:
+    """By the sensor.yaml in a folder of pictures, or beside it; and what its lens bends."""
     for file in (pictures / "sensor.yaml", pictures.parent / "sensor.yaml"):
         if file.is_file():
             text = read_text(file, "it describes the camera")
-            focal, size = (re.search(rf"^{key}:\s*\[\s*([^,\]]+)", text, re.M) for key in ("intrinsics", "resolution"))
-            if focal and size:
-                return of_focal_length(str(file), _number(focal[1]), _number(size[1]))
-    return None
+            found = dict(re.findall(r"^(\w+):\s*\[?([^\]#\n]*)", text, re.M))
+            focal, size, bent = (found.get(key, "").split(",") for key in EUROC)
+            lens = lens_of(str(file), found.get("distortion_model", "").strip(), map(_number, filter(str.strip, bent)))
+            return of_focal_length(str(file), _number(focal[0]), _number(size[0])), lens
+    return None, PINHOLE
+
+
+def lens_of(where: str, model: str, distortion: Iterable[float]) -> Lens:
+    """By the names that Kalibr, EuRoC and ROS have for OpenCV's models; a pinhole, with a warning, for another one."""
+    factors = tuple(map(float, distortion))
+    if not any(factors):
+        return PINHOLE
+    try:
+        return Lens(lens=MODELS[model], distortion=factors)
+    except (KeyError, ValueError):
+        log.warning(
+            "%s: a lens of the model %r with %d factors is not known here; not used", where, model, len(factors)
+        )
+        return PINHOLE
 
 
 def of_video(file: Path, width: int, height: int) -> float | None:

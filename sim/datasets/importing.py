@@ -153,7 +153,8 @@ def _header(traverse: Traverse, size: tuple[int, ...]) -> FeedHeader:
     sigma_s = traverse.alignment.sigma_s if traverse.alignment else traverse.time_sigma_s
     size_px = size[1], size[0]
     about = traverse.name, traverse.view, *size_px, traverse.source, traverse.notes
-    return FeedHeader(*about, time_sigma_s=sigma_s, fov_deg=traverse.fov_deg)
+    bent = traverse.lens.lens, traverse.lens.distortion
+    return FeedHeader(*about, time_sigma_s=sigma_s, fov_deg=traverse.fov_deg, lens=bent[0], distortion=bent[1])
 
 
 def feed_row(traverse: Traverse, chosen: ChosenRow) -> FeedRow:

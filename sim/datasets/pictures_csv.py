@@ -76,13 +76,15 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     else:
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
     found = ", ".join(column if column == what else f"{column} ({what})" for what, column in columns.items())
+    fov_deg, lens = of_euroc(path)
     return Traverse(
         name=path.name,
         source=f"{path.name} and {file.name}",
         rows=rows,
         pictures=PictureFiles([path / name for name in names]),
         notes=f"columns of {file.name}: {found}",
-        fov_deg=of_euroc(path),
+        fov_deg=fov_deg,
+        lens=lens,
     )
 
 

@@ -22,10 +22,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
+from edge.config import PINHOLE, Lens
 from edge.errors import FeedError, FrameError
 from edge.feed import decode_picture
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
-from sim.datasets.field_of_view import of_focal_length
+from sim.datasets.field_of_view import lens_of, of_focal_length
 from sim.datasets.pictures import PicturesInOrder
 from sim.datasets.track import Fix, Track
 
@@ -57,13 +58,15 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         info = _info_of(camera, reader.connections)
     track = Track(f"{path}: {receiver}", _fixes(path, receiver))
     stamps_ns = [_stamp_ns(message) for message in _messages(path, camera)]
+    fov_deg, lens = (None, PINHOLE) if info is None else _view_of(path, info)
     return Traverse(
         name=path.stem,
         source=f"{path.name} {camera}",
         rows=track.rows(f"{path}: {camera}", [f"{camera}#{index}" for index in range(len(stamps_ns))], stamps_ns),
         pictures=PicturesInOrder(f"{path}: {camera}", partial(_messages, path, camera), to_bgr),
         notes=f"positions from {receiver}",
-        fov_deg=None if info is None else _fov_deg(path, info),
+        fov_deg=fov_deg,
+        lens=lens,
         time_sigma_s=ONE_CLOCK_S,
     )
 
@@ -112,12 +115,16 @@ def _info_of(camera: str, connections: Sequence[Connection]) -> str | None:
     return next((topic for topic in (f"{name}/camera_info" for name in above) if topic in there), None)
 
 
-def _fov_deg(path: Path, topic: str) -> float | None:
+def _view_of(path: Path, topic: str) -> tuple[float | None, Lens]:
+    """Field of view and lens by the first calibration."""
     message = next(iter(_messages(path, topic)), None)
     if message is None:
-        return None
-    matrix = message.K if hasattr(message, "K") else message.k  # ROS 1, ROS 2
-    return of_focal_length(f"{path}: {topic}", float(matrix[0]), message.width)
+        return None, PINHOLE
+    where = f"{path}: {topic}"
+    matrix, bent = (message.K, message.D) if hasattr(message, "K") else (message.k, message.d)  # ROS 1, ROS 2
+    found = of_focal_length(where, float(matrix[0]), message.width)
+    # Pictures that ROS has straightened are on a topic of that name.
+    return found, PINHOLE if "rect" in topic else lens_of(where, message.distortion_model, bent)
 
 
 def _messages(path: Path, topic: str) -> Iterator[Any]:

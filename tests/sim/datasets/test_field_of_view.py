@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
+from edge.config import Lens
 from edge.feed import read_feed
 from sim.datasets import open_dataset
 from sim.datasets.field_of_view import APPLE
@@ -46,8 +47,11 @@ def test_euroc_says_it_in_sensor_yaml(tmp_path: Path, write_pictures: WritePictu
     lines = [f"{file.stem},{file.name}" for file in sorted((cam / "data").iterdir())]
     (cam / "data.csv").write_text("\n".join(["#timestamp [ns],filename", *lines]))
     said = f"rate_hz: 20\nresolution: [752, 480]\nintrinsics: [{752 * FOCAL_PX / WIDTH}, 457.2, 367.2, 248.3] #fu, fv\n"
-    (cam / "sensor.yaml").write_text(f"sensor_type: camera\n{said}")
-    assert open_dataset("pictures", cam / "data").fov_deg == FOV_DEG
+    bent = "distortion_model: radial-tangential\ndistortion_coefficients: [-0.28, 0.07, 0.0002, 1.8e-05]\n"
+    for more, distortion in (("", ()), (bent, (-0.28, 0.07, 0.0002, 1.8e-05))):
+        (cam / "sensor.yaml").write_text(f"sensor_type: camera\n{said}{more}")
+        found = open_dataset("pictures", cam / "data")
+        assert (found.fov_deg, found.lens) == (FOV_DEG, Lens(distortion=distortion))
 
 
 @pytest.mark.parametrize("orientation", [1, 6])

@@ -78,7 +78,9 @@ class Messages:
         """Of pictures twice as wide as those that come with it, as of a driver that scales them."""
         names = "kdrp" if not self._sequence else "KDRP"
         k = np.array([focal_px, 0, 32, 0, focal_px, 24, 0, 0, 1.0])
-        matrices = dict(zip(names, (k, np.zeros(5), np.eye(3).ravel(), np.zeros(12)), strict=True))
+        matrices = dict(
+            zip(names, (k, np.array([-0.3, 0.1, 0.0, 0.0, 0.0]), np.eye(3).ravel(), np.zeros(12)), strict=True)
+        )
         region = self._types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
         about = {"height": 48, "width": 64, "distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
         kind = self._types["sensor_msgs/msg/CameraInfo"]
@@ -118,6 +120,7 @@ def test_each_format_gives_pictures_at_their_positions(
         traverse = open_dataset("rosbag", tmp_path / name, ReadOptions(camera=camera))
         assert [row.stamp_ns for row in traverse.rows] == [START_NS + i * 100_000_000 for i in range(20)]
         assert traverse.fov_deg == (77.32 if camera == "/rear/compressed" else None)
+        assert traverse.lens.distortion[:2] == ((-0.3, 0.1) if camera == "/rear/compressed" else ())
         assert [row.lat_deg is None for row in traverse.rows] == [True] * 2 + [False] * 17 + [True]
         assert (traverse.rows[9].lat_deg, traverse.rows[9].lon_deg) == pytest.approx(degrees_at(0.0, 3.6), abs=1e-8)
         assert traverse.rows[9].alt_m == 110.5
