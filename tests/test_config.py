@@ -61,6 +61,12 @@ def test_the_config_to_start_from_has_few_keys_as_the_whole_one_explains_them() 
         ("[camera]\nfps = 0", "[camera] fps: expected a number > 0"),
         ("[camera]\nfourcc = 'MJPEG'", "[camera] fourcc: expected text in quotes matching"),
         ("[camera]\nwidth = 640.5", "[camera] width: expected a whole number, got a number"),
+        ("[camera]\ndistortion = [0.1]", "[camera] distortion: a pinhole lens has k1, k2, p1, p2 and perhaps k3"),
+        ("[camera]\nlens = 'fisheye'", "[camera] distortion: a fisheye lens has k1, k2, k3, k4 (OpenCV), not []"),
+        (
+            "[camera]\ndistortion = [-0.2, 0.1, 0.0, 0.0]\ncrop = [0.1, 0.0, 0.0, 0.0]",
+            "[camera] crop: with a lens it must be the same left and right",
+        ),
         ("[sequence]\nlength = 1", "[sequence] length: expected a whole number >= 2"),
         ("[sequence]\nlength = true", "[sequence] length: expected a whole number, got true or false"),
         (
