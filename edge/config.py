@@ -56,29 +56,6 @@ ModelPath = Annotated[str, Meta(description="of a network that Lookback knows; o
 FilePath = Annotated[str, Meta(description="of a file or folder, relative to the folder of the config file")]
 
 
-OUTDATED: dict[tuple[str, str, str | None], str | None] = {
-    ("gates", "doubted_gps", "tell"): "report",
-    ("gates", "far_matches", None): None,
-    ("gates", "far_sigmas", None): None,
-    ("gates", "near_matches", None): None,
-    ("gates", "near_sigmas", None): None,
-    ("mapping", "recognize", None): None,
-    ("motion", "fov_deg", None): "camera.fov_deg",
-    ("rig", "parallax", None): None,
-    ("telemetry", "emit", "vision_position"): "auto",
-    ("telemetry", "sigma_m", None): None,
-    ("telemetry", "switch_sources", None): None,
-    ("tracking", "drift_percent", None): "scale_error_percent",
-    ("tracking", "matches", None): None,
-}
-"""Section, key and value of earlier versions, and what the value is called now; without a value, what the key is called
-now, with its section where it has moved (None: it is gone)."""
-INSTEAD = {
-    ("rig", "parallax"): "remove it; a map with keypoints shows where across the road it is (`lookback map keypoints`)"
-}
-"""What to do about a key that is gone, where there is more to do than to remove it."""
-
-
 ADDRESS = re.compile(r"(\w[\w+.-]*://)(?:[^\s\"]*@)?([^\s?=\"'@]*)(?:[?=][^\s\"']*)?")
 COMMAND = re.compile(r"^(exec:\s*\S+)\s.*", re.DOTALL)
 
@@ -370,11 +347,8 @@ def load_config(path: Path) -> Config:
 
 def parse_config(text: str, path: Path) -> Config:
     """Check the text of a config file, and resolve its paths from the folder of `path`, which messages name."""
-    values, notes = brought_up_to_date(toml_values(text, path))
-    for note in notes:
-        log.warning("%s: %s", path, note)
     with naming(path):
-        config = _converted(values, path)
+        config = _converted(toml_values(text, path), path)
     for where, why in _unusable_paths(config):
         raise ConfigError(f"{path}: {where}: {why}")
     return change_paths(config, lambda _, value: str(path.parent / os.path.expanduser(value)))  # noqa: PTH111
@@ -432,30 +406,6 @@ def loaded(name: str, value: str, call: Callable[[], T]) -> T:
         why = " ".join(f"{type(error).__name__}: {error}".split())  # numpy's has many lines
         log.debug("where it failed", exc_info=True)
         raise ConfigError(f"[{name}] plug-in {name} ({value}): {why}; repair its package, or turn it off") from error
-
-
-def brought_up_to_date(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """A file's tables with the keys and values of OUTDATED as they are now, and a line about each that was found."""
-    values = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in values.items()}
-    notes: list[str] = []
-    for (section, key, value), now in OUTDATED.items():
-        keys = values.get(section)
-        if not isinstance(keys, dict) or key not in keys or value not in (None, keys[key]):
-            continue
-        if now is None:
-            del keys[key]
-            notes.append(
-                f"[{section}] {key}: nothing reads this key any more; {INSTEAD.get((section, key), 'remove it')}"
-            )
-            continue
-        old = f'"{value}"' if value else "this key"
-        moved_to, _, name = ("", "", now) if value else now.rpartition(".")
-        tables = values.setdefault(moved_to, {}) if moved_to else keys
-        if isinstance(tables, dict):
-            tables[key if value else name] = now if value else keys.pop(key)
-        shown = f"[{moved_to}] {name}" if moved_to else f'"{now}"'
-        notes.append(f"[{section}] {key}: {old} is replaced by {shown}; the old one is accepted until 0.5")
-    return values, notes
 
 
 @contextlib.contextmanager

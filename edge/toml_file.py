@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import difflib
 import re
 import sys
 from collections.abc import Iterator
@@ -122,11 +121,9 @@ def explain(message: str, values: dict[str, Any], kind: type[msgspec.Struct]) ->
         what = _missing(values, kind, where)
     elif unknown:
         is_section = not where and isinstance(values.get(unknown), dict)
-        near = _nearest(unknown, list(_fields_of(_type_at(kind, where))))
-        what = f"unknown {'section' if is_section else 'key'} `{unknown}`{near}"
+        what = f"unknown {'section' if is_section else 'key'} `{unknown}`"
     elif (wrong := re.fullmatch("invalid enum value '?(.*?)'?", what)) and (allowed := _allowed(kind, where)):
         what = f'"{wrong[1]}" is none of {", ".join(f"{chr(34)}{one}{chr(34)}" for one in allowed)}'
-        what += _nearest(wrong[1], allowed)
     if not where:
         return what
     section, key = where[0], ".".join(where[1:])
@@ -195,9 +192,3 @@ def _allowed(kind: type[msgspec.Struct], where: list[str]) -> list[str]:
     info = _type_at(kind, where)
     kinds = info.types if isinstance(info, UnionType) else (info,)
     return [str(value) for one in kinds if isinstance(one, LiteralType) for value in one.values]
-
-
-def _nearest(word: str, known: list[str]) -> str:
-    """A question about the known word that is spelled most like another, "" if none is."""
-    near = difflib.get_close_matches(word, known, n=1)
-    return f"; did you mean `{near[0]}`?" if near else ""

@@ -158,12 +158,9 @@ def test_a_model_that_is_none(
 def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "bad.toml"
     config.write_text("[sequence]\nlenght = 20\n")
-    assert (
-        refused(capsys, "run", str(config))
-        == f"lookback: {config}: [sequence] unknown key `lenght`; did you mean `length`?\n"
-    )
+    assert refused(capsys, "run", str(config)) == f"lookback: {config}: [sequence] unknown key `lenght`\n"
     assert main(["doctor", "--offline", str(config)]) == 78
-    assert f"{config}: [sequence] unknown key `lenght`; did you mean `length`?\n" in capsys.readouterr().out
+    assert f"{config}: [sequence] unknown key `lenght`\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -314,8 +314,8 @@ def test_a_section_may_ask_for_nothing(installed: Path, open_street: OpenStreet)
         ('[witness]\nfails = "start"', "[witness] plug-in witness (Witness): KeyError: 'start'"),
         ("[witness]\nquiet = 1", "[witness] unknown key `quiet`"),
         ("[witness]\nloud = 12", "[witness] loud: expected a number <= 11"),
-        ("[witnes]", "unknown section `witnes`; did you mean `witness`?"),
-        ("[motions]", "unknown section `motions`; did you mean `motion`?"),
+        ("[witnes]", "unknown section `witnes`"),
+        ("[motions]", "unknown section `motions`"),
     ],
 )
 def test_what_is_wrong_with_one_that_the_config_names_is_one_line(

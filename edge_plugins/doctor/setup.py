@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from edge.camera import check_kind
-from edge.config import LinkConfig, brought_up_to_date, load_config
+from edge.config import LinkConfig, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
@@ -24,7 +24,6 @@ from edge.recognizer import network_for, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
-from edge.toml_file import read_text, toml_values
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
@@ -52,7 +51,6 @@ def check_config(examined: Examined) -> Iterator[Found]:
     try:
         config = load_config(path)
         check_kind(config.camera)
-        _, outdated = brought_up_to_date(toml_values(read_text(path), path))
     except LookbackError as error:
         remedy = "`lookback config --all` prints every key with its range"
         for mistake in str(error).splitlines():
@@ -60,7 +58,6 @@ def check_config(examined: Examined) -> Iterator[Found]:
         return
     examined.config = config
     yield good(f"{path}: every key is valid")
-    yield from (note(one, f"edit {path}") for one in outdated)
 
 
 def check_last_state(examined: Examined) -> Iterator[Found]:
