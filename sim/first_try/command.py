@@ -192,7 +192,8 @@ def _as_traverse(one: Feed | Traverse) -> Traverse:
     if isinstance(one, Traverse):
         return one
     header = one.header
-    return Traverse(header.name, one.path.name, one.rows, FeedImages(one), header.view, fov_deg=header.fov_deg)
+    kept = Traverse(header.name, one.path.name, one.rows, FeedImages(one), header.view)
+    return replace(kept, fov_deg=header.fov_deg, lens=header.alone)
 
 
 def _fitted(config: Config, maps: MapSet, query: Feed, network: MemoizingNetwork) -> Config:

@@ -124,11 +124,14 @@ def test_without_positions_the_pace_is_found_and_nothing_is_claimed(
     frames = range(80 if is_located else 45)
     out = write_traverse(tmp_path / "out", frames, is_located=is_located, period_ms=500)
     again = write_traverse(tmp_path / "again", frames, is_located=False, period_ms=1700, noise=8.0)
+    with (again / "feed.toml").open("a", encoding="utf-8") as header:
+        header.write("\ndistortion = [-0.1, 0.0, 0.0, 0.0]\n")
     assert main(["try", str(out), str(again), "-o", str(tmp_path / "tried")]) == 0
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed, printed
     assert "whether they are right is not known: it needs positions in both recordings" in printed
     assert "the camera's offset is not known" in printed
+    assert read_feed(tmp_path / "tried/query").header.distortion == (-0.1, 0.0, 0.0, 0.0)
     assert f"no positions in {'again' if is_located else 'out and again'}:" in printed
     for one in (out, again):
         assert f"{one}: no keypoints without its field of view: --fov-deg DEG (a phone 65, upright 40;" in printed
