@@ -162,7 +162,7 @@ class SequenceMatcher:
         step, usual = self._steps.next(odometer_m, travel.missed, self._drives.spacing_m), self._usual_step
         if step > (1 + MOST_MISSED * self._config.sequence_frames) * usual:  # too long for a line to run over
             self.reset()
-        match = self.best = self._best_line(raw, travel, step, is_measured=odometer_m is not None)
+        match = self.best = self._best_line(raw, travel, step, usual, is_measured=odometer_m is not None)
         some_excluded = self.search.part is not None and self.search.part.excludes
         self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         vote = PlaceVote.of(match, self._drives, self._config.rig) if match else None
@@ -208,15 +208,16 @@ class SequenceMatcher:
             self._looks.use_network(network)
 
     def _best_line(
-        self, raw: NDArray[np.float32], travel: Travel, step: float, *, is_measured: bool
+        self, raw: NDArray[np.float32], travel: Travel, step: float, usual: float, *, is_measured: bool
     ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
-        step: places that are as far apart as was driven since the last frame. is_measured: whether by the odometer.
+        step, usual, is_measured: see `PlaceSearch.push`.
         """
         change = self._normalizer.push(raw)
         self._stopwatch("normalization")
-        match = self.search.push(change, self._normalizer.rows, travel, step=step, is_measured=is_measured)
+        ring = self._normalizer.rows
+        match = self.search.push(change, ring, travel, step=step, usual=usual, is_measured=is_measured)
         self._stopwatch("search")
         return match
 

@@ -22,6 +22,8 @@ frames a second and 10 m/s it is a sixth of 2 m."""
 BACK_M = 1.0
 """By so much a distance may fall and be the same count: a frame was exposed before one whose distance was extrapolated
 while braking. On one recorded drive such a fall of 0.36 m at its turn ended the map of the way out."""
+GAP = 20
+"""Usual steps; a longer one is no step but a gap, unless the next one is as long."""
 KEPT_STEPS = 40
 """Frames of which the median is the usual step: as many as the default sequence has."""
 
@@ -85,6 +87,7 @@ class Steps:
         self._begun_m = 0.0
         self._last: float | None = None  # driven until the last frame, in spacings
         self._kept: deque[float] = deque(maxlen=KEPT_STEPS)
+        self._is_gap = False  # whether the newest step is one
 
     def next(self, odometer_m: float | None, missed: int, map_spacing_m: float) -> float:
         """The step to a frame; odometer_m: at the frame, None where not known. missed: frames like it before it."""
@@ -92,12 +95,17 @@ class Steps:
         now = self._last = None if odometer_m is None else self._driven(odometer_m)
         if now is None or before is None or now <= before:
             return (1 + missed) * self.usual(map_spacing_m)
-        self._kept.append(now - before)
+        was_gap, self._is_gap = self._is_gap, now - before > GAP * self._median()
+        if was_gap or not self._is_gap:
+            self._kept.append(now - before)
         return (now - before) * self._places(map_spacing_m)
 
     def usual(self, map_spacing_m: float) -> float:
         """The usual step; one place where no distance was measured."""
-        return statistics.median(self._kept) * self._places(map_spacing_m) if self._kept else 1.0
+        return self._median() * self._places(map_spacing_m) if self._kept else 1.0
+
+    def _median(self) -> float:
+        return statistics.median(self._kept) if self._kept else 1.0
 
     def _places(self, map_spacing_m: float) -> float:
         """Places in a spacing of the frames; one where both are nearly the same."""

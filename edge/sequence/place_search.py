@@ -162,18 +162,19 @@ class PlaceSearch:
         travel: Travel = NOTHING_KNOWN,
         *,
         step: float = 1.0,
+        usual: float = 1.0,
         is_measured: bool = False,
     ) -> PlaceMatch | None:
         """The best match now; None while there are too few rows, or the maps are still being scanned.
 
-        step: places that are as far apart as was driven since the last row. is_measured: whether that was measured, so
-        that lines are hardly inclined.
+        step: places that are as far apart as was driven since the last row. usual: the same from row to row, as a rule.
+        is_measured: whether that was measured, so that lines are hardly inclined.
         """
         self._measure(is_measured)
         self._is_position_known = travel.near is not None
         if not self._is_whole and travel.near is not None:
             self._look_around(travel.near)
-        self._drive(step)
+        self._drive(step, usual)
         if self.part is not None:
             self.part.head(travel.course_rad)
         match = self._advance(change, ring)
@@ -205,7 +206,7 @@ class PlaceSearch:
             return CostView(part.newest, part.places, nothing, 0)
         at = int(np.searchsorted(part.places, match.place_index))
         first = max(0, at - WINDOW_PLACES)
-        window = part.recent_costs(match.direction, match.order)[:, first : at + WINDOW_PLACES + 1]
+        window = part.recent_costs(match.direction, match.order, slice(first, at + WINDOW_PLACES + 1))
         return CostView(part.newest, part.places, window, int(part.places[min(first, len(part.places) - 1)]))
 
     @property
@@ -305,13 +306,17 @@ class PlaceSearch:
     def _is_measured(self) -> bool:
         return self._measured_frames >= self._config.sequence_frames
 
-    def _drive(self, step: float) -> None:
-        """Count what was driven; lines that pass more places than they have room for need another part."""
-        length = self._config.sequence_frames
-        self._driven = [*self._driven, self._driven[-1] + step][-length - 1 :]
-        span = length * (self._driven[-1] - self._driven[0]) / (len(self._driven) - 1)
-        if span > self._span + EXACT:
-            self._span = ROOM * span
+    def _drive(self, step: float, usual: float) -> None:
+        """Count what was driven; lines that pass more places than they have room for need another part.
+
+        So do those that have twice the room that they need. What was driven before the first row is on no line.
+        """
+        length, now = self._config.sequence_frames, self._driven[-1] + step
+        before = self._driven if len(self._driven) > 1 else [now - usual]
+        self._driven = [*before, now][-length - 1 :]
+        span = length * (now - self._driven[0]) / (len(self._driven) - 1)
+        if span > self._span + EXACT or length < self._span > 2 * ROOM * span:
+            self._span = max(length, ROOM * span)
             if self.part is not None:
                 self.part, self._is_fresh = self._submap(self.part.ranges), True
 

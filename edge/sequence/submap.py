@@ -97,9 +97,9 @@ class RowMatcher:
         # Where every frame took its better order, the line is said to have that of the newest.
         return replace(match, order=ORDERS[int(self.newest[:, place].argmin())])
 
-    def recent_costs(self, direction: Direction, order: Order) -> NDArray[np.int32]:
-        """The cost rows in the ring, (n, places) oldest first, as a line of that kind sees them."""
-        return self._search.recent((direction, "same" if self._per_frame_order else order))
+    def recent_costs(self, direction: Direction, order: Order, places: slice) -> NDArray[np.int32]:
+        """The cost rows in the ring at some places, (n, places) oldest first, as a line of that kind sees them."""
+        return self._search.recent((direction, "same" if self._per_frame_order else order), places)
 
     def clear(self) -> None:
         """Remove all rows."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -155,3 +157,45 @@ def test_without_the_odometer_nothing_wrong_is_believed_at_another_spacing(
             if match is not None and match.accepted and abs(map_m * match.place_index - here_m) > NEAR_M:
                 far_m.append(map_m * match.place_index - here_m)
     assert not far_m
+
+
+@pytest.mark.parametrize("before_m", [1, LENGTH_M // 2], ids=["at once", "under way"])
+def test_a_hole_of_3_km_costs_no_memory_and_the_place_is_known_again(road: NDArray[np.float32], before_m: int) -> None:
+    """The step over the hole counted as if each of the 40 rows were so far: every drive was padded by 126 km."""
+    places, model = (
+        [Place(row, route_m=float(row)) for row in range(LENGTH_M)],
+        ModelKey("m", "0" * 64, "fc6", DIMENSIONS),
+    )
+    config, rng = Config(sampling=SamplingConfig(spacing_m=1.0)), np.random.default_rng(1)
+    others = [MappedDrive(np.abs(rng.normal(size=road.shape)).astype(np.float32), places, "front") for _ in range(4)]
+    with temporary_map([MappedDrive(road, places, "front"), *others], model, DescriptorConfig()) as maps:
+        matcher, peaks, off_m = SequenceMatcher(maps, config), [], []
+        tracemalloc.start()
+        for hole_m, way_m in ((0, range(before_m)), (3000, range(100, LENGTH_M))):
+            tracemalloc.reset_peak()
+            for here_m in way_m:
+                raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
+                match = matcher.push(raw.astype(np.float32), Travel(float(hole_m + here_m)))
+                matcher.search.cost_view(match)
+                if hole_m:
+                    off_m.append(abs(match.place - here_m) if match is not None and match.accepted else np.nan)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert max(peaks) < 40e6
+    assert np.nanmax(off_m) <= NEAR_M
+    assert np.mean(~np.isnan(off_m[2 * config.sequence_frames :])) > 0.9
+
+
+def test_room_for_a_frame_that_was_missed_is_given_back(road: NDArray[np.float32]) -> None:
+    places, model = (
+        [Place(row, route_m=float(row)) for row in range(LENGTH_M)],
+        ModelKey("m", "0" * 64, "fc6", DIMENSIONS),
+    )
+    with temporary_map([MappedDrive(road, places, "front")], model, DescriptorConfig()) as maps:
+        tracemalloc.start()
+        matcher, held = SequenceMatcher(maps, Config(sampling=SamplingConfig(spacing_m=1.0))), []
+        for here_m in (*range(100, 105), *range(120, 300)):
+            matcher.push(road[here_m], Travel(float(here_m)))
+            held.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+    assert held[-1] < 0.9 * max(held)
