@@ -238,7 +238,7 @@ class Daemon:
         if parts.config.telemetry.journal_frames:
             parts.record(record)
         fix = None if match is None else self._publish_place(frame, match)
-        used = UsedFrame(frame, distance_m, missed, match, record, fix)
+        used = UsedFrame(parts.plugins.copied(frame), distance_m, missed, match, record, fix)
         parts.plugins.each(lambda plugin: plugin.frame_used(used))
 
     def _publish_place(self, frame: Frame, match: PlaceMatch) -> PlaceFix | None:

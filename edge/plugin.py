@@ -16,6 +16,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import Frame, Frames
@@ -123,7 +124,7 @@ class Plugin:
     def frame(self, frame: Frame) -> None:
         """A picture that shows something, also where it shows no new place; before its place is recognized.
 
-        It cannot be written to.
+        It is a copy that cannot be written to.
         """
 
     def frame_used(self, used: UsedFrame) -> None:
@@ -149,6 +150,7 @@ class Plugins:
         """link: to the autopilot, with which their services exchange messages, and to the journal and the pilot."""
         self._open: dict[str, Plugin] = {}
         self._newest: MapSoFar | None = None
+        self._copied: tuple[Frame, Frame] | None = None
         self._link = link
         link.serve(self)
 
@@ -170,11 +172,16 @@ class Plugins:
             self._call(name, partial(moment, plugin))
 
     def show(self, frame: Frame) -> None:
-        """Call each with a picture."""
-        image = frame.image.view()
-        image.flags.writeable = False
-        shown = replace(frame, image=image)
-        self.each(lambda plugin: plugin.frame(shown))
+        """Call each with a copy of a picture."""
+        if self._open:
+            self.each(lambda plugin: plugin.frame(self.copied(frame)))
+
+    def copied(self, frame: Frame) -> Frame:
+        """The frame with a copy of its picture in bytes, which numpy makes writable for nobody; made once."""
+        if self._copied is None or self._copied[0] is not frame:
+            image = np.frombuffer(frame.image.tobytes(), np.uint8).reshape(frame.image.shape)
+            self._copied = frame, replace(frame, image=image)
+        return self._copied[1]
 
     def ask(self, name: str, what: Callable[..., T]) -> T | None:
         """What a call of the plug-in of that name returns, for another one: it is the former that ends if it fails.

@@ -83,6 +83,7 @@ class Witness(Plugin):
     def newest_map(self):
         return self.newest
     def frame_used(self, used):
+        assert not used.frame.image.flags.writeable
         self.seen.append(("frame_used", used.frame.index, used.record.emitted, used.place and used.place.place))
     def turn(self, spare_s):
         self.seen.append("turn" if spare_s is None else "spare turn")
@@ -112,6 +113,8 @@ def broken_map(self, frame):
 
 INTRUSIONS = {
     "paints": lambda self, frame: frame.image.fill(0),
+    "unlocks": lambda self, frame: setattr(frame.image.flags, "writeable", True),
+    "paints below": lambda self, frame: frame.image.base.__setitem__(slice(None), 0),
     "resets": lambda self, frame: self.parts.recognizer.reset(),
     "joins the link": lambda self, frame: self.parts.autopilot.serve(object()),
     "broken map": broken_map,
@@ -252,6 +255,8 @@ def test_it_is_called_at_its_moments_in_order(installed: Path, open_street: Open
         ("message", "AttributeError"),
         ("record", "TypeError"),
         ("paints", "ValueError: assignment destination is read-only"),
+        ("unlocks", "ValueError: cannot set WRITEABLE flag"),
+        ("paints below", "ValueError: assignment destination is read-only"),
         ("resets", "AttributeError: 'Recognized' object has no attribute 'reset'"),
         ("joins the link", "RuntimeError: the link has a service"),
         ("broken map", "ValueError: newest_map: has other places"),
