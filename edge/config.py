@@ -279,6 +279,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1
+    odometry_from: tuple[Annotated[int, Meta(ge=1, le=255)], ...] = ()
     origin: tuple[float, ...] = ()
     signing_key: FilePath = ""
     signing_clock: FilePath = "/var/lib/lookback/signing"
@@ -292,6 +293,8 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
         limits = zip(self.origin, (90, 180, 20000), strict=False)
         if len(self.origin) not in (0, 3) or any(not abs(value) <= limit for value, limit in limits):
             raise ValueError("origin: expected [latitude deg, longitude deg, meters above sea level], or []")
+        if len(self.odometry_from) not in (0, 2):
+            raise ValueError("odometry_from: expected [system ID, component ID], or []")
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True):

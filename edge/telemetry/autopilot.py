@@ -80,7 +80,7 @@ class AutopilotConnection:
         """
         self.config, self.clock_ns, self.record = config, clock_ns, record
         self.state: Literal["closed", "waiting", "up"] = "closed"
-        self.vehicle = vehicle = Vehicle(config.system_id, config.component_id)
+        self.vehicle = vehicle = Vehicle(config.system_id, config.odometry_from)
         self.requests = Requests(config, vehicle)
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._people = PeopleLink(self._port, vehicle)

@@ -31,8 +31,6 @@ NORTH_M, EAST_M = 110_574.3, 111_319.5
 """Of a degree at latitude and longitude 0, where local positions are compared with each other: their origin may not be
 known. Within a millimeter of a conversion, which takes a thousand times as long."""
 FIRST_SYSTEM_ID = 1
-GROUND_STATION = 255
-"""The system of ground stations, and of programs that use a library's default."""
 INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
 log = logging.getLogger(__name__)
@@ -45,9 +43,12 @@ class Vehicle:
     link, and only messages of that system and of component 1 count.
     """
 
-    def __init__(self, system_id: int = 0, component_id: int = 191) -> None:
-        """system_id: the only one whose heartbeats count; 0 is the first that is heard. component_id: our own."""
-        self._only_system_id, self._component_id = system_id, component_id
+    def __init__(self, system_id: int = 0, odometry_from: tuple[int, ...] = ()) -> None:
+        """system_id: the only one whose heartbeats count; 0 is the first that is heard.
+
+        odometry_from: system and component whose ODOMETRY counts; () is nobody's.
+        """
+        self._only_system_id, self._odometry_from = system_id, odometry_from
         self.system_id: int | None = None
         self.connected = False
         self.session = Session()
@@ -248,9 +249,13 @@ class Vehicle:
 
     def _read_odometry(self, message: Message, now_ns: int) -> None:
         """By another program beside the vehicle, in its own time; its yaw may be the autopilot's, and is not used."""
-        own = message.get_srcSystem() == self.system_id and message.get_srcComponent() != self._component_id
-        is_beside = own or message.get_srcSystem() == GROUND_STATION
-        if not (self.connected and is_beside and not self.is_doubled and message.quality >= 0):
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if sender != self._odometry_from:
+            if not self._has_warned:
+                self._has_warned = True
+                log.warning("ODOMETRY of %d:%d is ignored: [telemetry] odometry_from names who sends it", *sender)
+            return
+        if not (self.connected and not self.is_doubled and message.quality >= 0):
             return
         if message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD and math.isfinite(message.vx + message.vy):
             self.velocity.use_odometry(now_ns, message.vx, -message.vy, None)

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.localization import Displacement
-from edge.telemetry.vehicle import GROUND_STATION, Vehicle
+from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker
 
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
@@ -29,8 +29,9 @@ def odometry(
 class Driven:
     """A vehicle in a circle; its autopilot turns its heading away from it, as EKF3 behind a GPS that is dragged."""
 
-    def __init__(self, autopilot: int) -> None:
-        self.vehicle, self.autopilot, self.speaker, self.now_ns = Vehicle(), autopilot, Speaker(), 0
+    def __init__(self, autopilot: int, odometry_from: tuple[int, ...] = ()) -> None:
+        self.vehicle, self.speaker = Vehicle(odometry_from=odometry_from), Speaker()
+        self.autopilot, self.now_ns = autopilot, 0
         for _ in range(2):
             self.now_ns += S
             self.vehicle.handle(self.speaker.heartbeat(autopilot), self.now_ns)
@@ -88,13 +89,13 @@ def test_without_raw_rates_only_px4_has_a_witness(autopilot: int, is_known: bool
     assert (one.displacement is not None) == is_known
 
 
-@pytest.mark.parametrize("component", [(1, 197), (GROUND_STATION, 190)])
+@pytest.mark.parametrize("component", [(1, 197), (255, 190)])
 def test_odometry_of_another_program_is_a_speed_without_gps(component: tuple[int, int]) -> None:
-    one = Driven(PX4)
+    one = Driven(PX4, component)
     one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS))
     assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
     ahead_m = one.moved_m
-    one = Driven(PX4)
+    one = Driven(PX4, component)
     one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS * 0.6, SPEED_MPS * 0.8))
     assert one.moved_m == pytest.approx(ahead_m, rel=0.01), "also to the side"
 
@@ -105,13 +106,15 @@ def test_odometry_of_another_program_is_a_speed_without_gps(component: tuple[int
         pytest.param((1, 191), odometry(SPEED_MPS), id="our own"),
         pytest.param((1, 1), odometry(SPEED_MPS), id="the autopilot's"),
         pytest.param((2, 197), odometry(SPEED_MPS), id="of another vehicle"),
+        pytest.param((1, 196), odometry(SPEED_MPS), id="of another component"),
+        pytest.param((255, 197), odometry(SPEED_MPS), id="of a ground station"),
         pytest.param((1, 197), odometry(math.nan), id="no number"),
         pytest.param((1, 197), odometry(SPEED_MPS, frame=mavlink.MAV_FRAME_LOCAL_NED), id="not of the body"),
         pytest.param((1, 197), odometry(SPEED_MPS, quality=-1), id="failed"),
     ],
 )
 def test_other_odometry_is_none(component: tuple[int, int], sent: Any) -> None:
-    one = Driven(PX4)
+    one = Driven(PX4, (1, 197))
     one.drive(beside=Speaker(*component), sent=sent)
     assert one.displacement is None
 
