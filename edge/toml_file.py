@@ -62,6 +62,8 @@ def toml_values(text: str, path: Path, error: type[SetupError] = ConfigError) ->
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as failure:
         raise error(f"{path}: not TOML: {failure}") from None
+    except ValueError:
+        raise error(f"{path}: a whole number in it has thousands of digits; correct it") from None
     except RecursionError:
         raise error(f"{path}: {TOO_DEEP}") from None
     if _is_too_deep(values):

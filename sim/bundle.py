@@ -16,6 +16,7 @@ import platform
 import re
 import subprocess
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -36,6 +37,8 @@ from edge_plugins.mapping.place_log import logs_in
 from sim.output import refusing
 
 LIST = "drive.list"
+MOST_PACKED, LEAST_BYTES = 100, 1_000_000
+"""Times that a list may be larger than in the bundle, where it takes at least so many bytes; lines take a tenth."""
 SECRET_KEY = re.compile(r"token|key$|pass|secret")
 HIDDEN = "***"
 SHORTEST = 8
@@ -173,4 +176,10 @@ def drive_list(file: Path, folder: Path) -> Path:
     with zipfile.ZipFile(file) as bundle:
         if LIST not in bundle.namelist():
             raise FeedError(f"{file}: no {LIST} in it; [telemetry] drive names the file that a drive is listed in")
-        return Path(bundle.extract(LIST, folder))
+        packed = bundle.getinfo(LIST)
+        if packed.file_size > MOST_PACKED * max(packed.compress_size, LEAST_BYTES):
+            raise FeedError(f"{file}: {LIST} would unpack to {packed.file_size / 1e6:.0f} MB, too many for its size")
+        try:
+            return Path(bundle.extract(LIST, folder))
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as failure:
+            raise FeedError(f"{file}: {LIST} in it is damaged: {failure}; copy the bundle again") from None

@@ -27,6 +27,8 @@ LOCAL = " +step +proj=tmerc +lat_0=0 +lon_0=0 +k=1 +ellps=WGS84"
 MAX_GAP_S = 5.0
 """Positions further apart in time than this are not interpolated."""
 
+FARTHEST_NS = 2**62
+"""Stamps of 1824 to 2116 fit int64, also their differences; others count as these."""
 LONGEST_S = 86_400.0
 """Of one drive: a day. All that is made of a track, such as its motion ten times a second, is bounded by that."""
 SWAPPED_S = 1.0
@@ -137,7 +139,7 @@ class Track:
 
 def _without_jumps(source: str, fixes: list[Fix]) -> list[Fix]:
     """Those whose times agree with their neighbors'. FeedError where that leaves more than a day."""
-    stamps_ns = np.array([fix.stamp_ns for fix in fixes], dtype=np.int64)
+    stamps_ns = np.array([min(max(fix.stamp_ns, -FARTHEST_NS), FARTHEST_NS) for fix in fixes], dtype=np.int64)
     kept = np.ones(len(fixes), dtype=bool)
     if (np.diff(stamps_ns) < -SWAPPED_S * 1e9).any():
         kept = _in_order(stamps_ns)
@@ -152,6 +154,8 @@ def _without_jumps(source: str, fixes: list[Fix]) -> list[Fix]:
         kept[longest] = True
     if not kept.any():
         return fixes
+    if np.abs(stamps_ns[kept]).max() == FARTHEST_NS:
+        raise FeedError(f"{source}: its positions are of a year that no clock of a drive has; correct their times")
     first_ns, last_ns = int(stamps_ns[kept].min()), int(stamps_ns[kept].max())
     if last_ns - first_ns > LONGEST_S * 1e9:
         raise FeedError(

@@ -61,6 +61,7 @@ TEXTS: list[tuple[str, str]] = [
     ('[map]\npath = "a\\u0000b"\n', "path"),
     ("[map]\npath = 'no-such-map'\n[telemetry]\njournal = ''\n", "no-such-map"),
     ('[descriptor]\nmodel = "a\\u0000b"\n', "model"),
+    (f"[camera]\nfps = {'9' * 5000}\n", "thousands of digits"),
     (f"[camera]\nfps = {'[' * 2000}{']' * 2000}\n", "nested more than"),
     (f"{'.'.join(['camera'] * 2000)} = 1\n", "nested more than"),
 ]

@@ -14,6 +14,7 @@ from edge.config import Config
 from edge.localization import Limits, Own, PositionEstimator
 from edge.localization.drive_file import DriveFile
 from edge_plugins.mapping.place_log import SUFFIX
+from sim.bundle import LIST
 
 TOKEN, PASSWORD = "a-token-of-the-page", "pass-of-the-camera"
 CONFIG = f"""
@@ -90,3 +91,19 @@ def test_what_is_missing_is_named_with_what_to_do(
         assert line in printed
     assert main(["dev", "drive", str(tmp_path / "it.zip")]) == 78
     assert "it.zip: no drive.list in it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("level", "lines", "why"),
+    [(zipfile.ZIP_STORED, b"{}\n" * 9, "is damaged"), (zipfile.ZIP_DEFLATED, b"0" * 10**9, "MB")],
+)
+def test_a_bundle_that_is_damaged_or_a_bomb_is_one_line(
+    level: int, lines: bytes, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "it.zip"
+    with zipfile.ZipFile(file, "w", level) as bundle:
+        bundle.writestr(LIST, lines)
+    file.write_bytes(file.read_bytes().replace(b"{}", b"{ ", 1))  # its checksum is another one
+    assert main(["dev", "drive", str(file)]) != 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert str(file) in line and why in line

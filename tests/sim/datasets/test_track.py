@@ -9,6 +9,7 @@ import pytest
 from edge.errors import FeedError
 from edge.feed import Feed, FeedHeader
 from sim.datasets.track import Fix, Track
+from sim.datasets.track_files import TRACKS
 from sim.traverse import driven_m
 
 SECOND = 1_000_000_000
@@ -115,3 +116,26 @@ def test_more_than_a_day_is_no_drive() -> None:
         Track("log", driven([*range(50), *range(3 * DAY_S, 3 * DAY_S + 50)]))
     with pytest.raises(FeedError, match="one drive is a day at most"):
         Track("log", driven([1000.0 * row for row in range(100)]))
+
+
+@pytest.mark.parametrize("year", [1, 9999])
+def test_a_year_that_fits_no_stamp_is_one_line_or_dropped(
+    year: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A receiver before its first fix says such; numpy raised OverflowError."""
+    pytest.importorskip("gpxpy")
+    times = [f"{year:04}-12-31T12:00:{second:02}Z" for second in range(30)]
+    honest = [f"2026-05-04T12:00:{second:02}Z" for second in range(30)]
+
+    def track(of: list[str]) -> Track:
+        points = "".join(
+            f'<trkpt lat="{51 + k * 1e-5}" lon="-1"><time>{time}</time></trkpt>' for k, time in enumerate(of)
+        )
+        file = tmp_path / "drive.gpx"
+        file.write_text(f'<gpx version="1.1" creator="test"><trk><trkseg>{points}</trkseg></trk></gpx>')
+        return Track(file.name, TRACKS[".gpx"](file, file.read_bytes()))
+
+    with pytest.raises(FeedError, match="of a year that no clock of a drive has"):
+        track(times)
+    assert len(track([times[0], *honest[1:]]).fixes) == len(honest) - 1
+    assert "1 of 30 positions are dropped" in caplog.text
