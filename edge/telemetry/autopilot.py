@@ -36,6 +36,7 @@ from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
+from edge.telemetry.session import Session
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
@@ -82,6 +83,7 @@ class AutopilotConnection:
         self.state: Literal["closed", "waiting", "up"] = "closed"
         self.vehicle = vehicle = Vehicle(config.system_id, config.odometry_from)
         self.requests = Requests(config, vehicle)
+        self._unplaced: Session | None = None  # in which that was said
         self._port = open_port(config, LinkConfig(config.connection, config.signing_key), 0, clock_ns)
         self._people = PeopleLink(self._port, vehicle)
         self._report_links = [
@@ -199,6 +201,8 @@ class AutopilotConnection:
         now_ns = self.clock_ns()
         for link in self._links if self.state == "up" else self._report_links:
             link.publish_place(fix, now_ns)
+        if self.requests.session is self.vehicle.session:
+            self.requests.believe(fix)
         self._update_state()
 
     def position_due(self) -> Limits | None:
@@ -334,6 +338,9 @@ class AutopilotConnection:
             if why:
                 self._warn(f"Lookback: {why}")
         self.send(self.requests.due(self.clock_ns()))
+        if self.requests.waits_for_place and self._unplaced is not self.requests.session:
+            self._unplaced = self.requests.session
+            self._warn("Lookback: position not known, no origin set yet")
         if self.positions.enabled:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()

@@ -64,9 +64,10 @@ class Firmware:
     standard deviations off by it. gps_glitch: the flag of its filter. rates_follow_gps: whether the bias of the turn
     rates in its ATTITUDE follows GPS that is dragged, so that its gyros count. integers_as_bytes: whether the bytes of
     an integer parameter are put where the float goes. home_is_item_0: whether that item of a mission is its own home
-    position. gps_switch: what its filter uses is selected as one of its sets of sources, which it does not report, or
-    by GPS itself, which it does; such a one ignores positions far from GPS. examined: what else `lookback doctor`
-    reads. aid_remedy, camera_remedy: what to do where a velocity is not measured, or that of the camera not used.
+    position. stands_at_origin: whether one that has no position takes an origin for where it is, and can be armed.
+    gps_switch: what its filter uses is selected as one of its sets of sources, which it does not report, or by GPS
+    itself, which it does; such a one ignores positions far from GPS. examined: what else `lookback doctor` reads.
+    aid_remedy, camera_remedy: what to do where a velocity is not measured, or that of the camera not used.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Firmware:
     rates_follow_gps: bool = False
     integers_as_bytes: bool = False
     home_is_item_0: bool = False
+    stands_at_origin: bool = False
     gps_switch: Literal["", "sources", "fusion"] = ""
     examined: tuple[str, ...] = ()
     aid_remedy: str = ""
@@ -164,6 +166,7 @@ FIRMWARES = {
         camera_drifts=True,
         gps_glitch=mavlink.ESTIMATOR_GPS_GLITCH,
         integers_as_bytes=True,
+        stands_at_origin=True,
         gps_switch="fusion",
         examined=(GPS_MODE, NO_AID_TIMEOUT),
         aid_remedy=("fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]"),

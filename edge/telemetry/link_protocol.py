@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.backoff import BackOff, Exchange
 from edge.config import TelemetryConfig
+from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.firmware import AIRSPEED, NO_AID, VISION
@@ -133,6 +134,8 @@ class Requests:
         names = *firmware.aid_parameters, *(one.parameter for name in sent for one in firmware.needs[name])
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
         self._origin = Origin(*config.origin) if config.origin else None
+        self.needs_place = self._origin is not None and firmware.stands_at_origin
+        """Whether no origin is set before a place is believed."""
         self._timesync, self._version, self._known_origin = map(Exchange, (TIMESYNC_NS, AGAIN_NS, AGAIN_NS))
 
     def due(self, now_ns: int) -> list[Message]:
@@ -150,11 +153,22 @@ class Requests:
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
         if session.origins.known is None and self._known_origin.is_due(now_ns):
             # Set ours only where the autopilot reports none: an origin cannot be moved in flight.
-            if self._known_origin.times and self._origin is not None:
+            if self._known_origin.times and self._origin is not None and not self.needs_place:
                 messages.append(encoders.set_origin(system_id, self._origin))
             self._known_origin.ask(now_ns)
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
         return messages
+
+    def believe(self, place: PlaceFix) -> None:
+        """The vehicle is at a place: an autopilot that takes its origin for where it is gets that which is right."""
+        if self.needs_place and self._origin is not None and place.lat_deg is not None and place.lon_deg is not None:
+            self.needs_place = False
+            self._origin = self.session.origins.of_place(place.lat_deg, place.lon_deg, self._origin.alt_m)
+
+    @property
+    def waits_for_place(self) -> bool:
+        """Whether an origin would have been set by now."""
+        return self.needs_place and self.session.origins.known is None and self._known_origin.times > 1
 
     def answer(self, message: Message, now_ns: int) -> list[Message]:
         """The answers to a message of the autopilot that is for us."""

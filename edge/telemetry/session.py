@@ -89,6 +89,11 @@ class Origins:
             log.warning("the autopilot has moved its origin")
             self.known, self._other = origin, None
 
+    def of_place(self, lat_deg: float, lon_deg: float, alt_m: float) -> Origin:
+        """The origin by which the autopilot's local position is at a place now."""
+        east_m, north_m = self._local[1:] if self._local else (0.0, 0.0)
+        return Origin(*moved(lat_deg, lon_deg, -east_m, -north_m), alt_m)
+
     def _off_m(self, origin: Origin, own: VehiclePosition | None) -> float | None:
         """How far the position is from the origin plus the local position; None where one of them is not known."""
         if own is None or self._local is None or abs(own.stamp_ns - self._local[0]) > ORIGIN_NS:

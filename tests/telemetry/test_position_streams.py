@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
+from edge.geodesy import east_north_of
 from edge.journal.records import FixAnswered, FixChecked, FixSent, FixWithheld
 from edge.telemetry.firmware import CONTROL, ID
 from tests.telemetry.positions import OFTEN, offer_for
@@ -109,6 +112,22 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
     assert rig.autopilot.resets[-1].error_after_m < 1.0
+
+
+def test_px4_gets_no_origin_before_a_place_is_believed_and_then_the_one_by_which_it_is_there(open_rig: OpenRig) -> None:
+    """It takes an origin for where it stands, and could be armed 744 m from there."""
+    config = {"origin": (-27.4839, 153.0283, 20.0)}
+    rig = open_rig(emit="global_position_sensor", gps=False, firmware="px4", config=config)
+    rig.wire.loses = lambda one: one.get_type() in ("GPS_GLOBAL_ORIGIN", "GLOBAL_POSITION_INT")
+    rig.run(12.0)
+    assert not rig.received("SET_GPS_GLOBAL_ORIGIN")
+    assert [one for one in rig.received("STATUSTEXT") if "position not known, no origin set yet" in one.text]
+    rig.connection.publish_place(rig.fix())
+    rig.run(6.0)
+    message = rig.received("SET_GPS_GLOBAL_ORIGIN")[-1]
+    assert message.altitude == 20_000
+    there = message.latitude / 1e7, message.longitude / 1e7
+    assert math.hypot(*east_north_of(*there, (-27.4772, 153.0283))) < 10.0, "that of the simulation"
 
 
 def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
