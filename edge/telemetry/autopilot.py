@@ -181,6 +181,11 @@ class AutopilotConnection:
         for link in self._links:
             link.system_status = status
 
+    def speak_as(self, kind: int) -> None:
+        """MAV_TYPE of our heartbeats from now on, on every link."""
+        for link in self._links:
+            link.kind = kind
+
     def poll(self) -> None:
         """One turn: read what has arrived, and send what is due. Never raises LinkLost."""
         now_ns = self.clock_ns()

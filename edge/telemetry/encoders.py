@@ -34,11 +34,9 @@ class Sending:
     sensor_id: int = 1
 
 
-def heartbeat(system_status: int) -> Message:
-    """An onboard controller's heartbeat; autopilot 8 (invalid) says that we are not the vehicle itself."""
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3
-    )
+def heartbeat(system_status: int, kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Message:
+    """A heartbeat of a MAV_TYPE; autopilot 8 (invalid) says that we are not the vehicle itself."""
+    return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3)
 
 
 def external_position(fix: PlaceFix, sending: Sending) -> Message:

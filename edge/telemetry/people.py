@@ -51,6 +51,8 @@ class PeopleLink:
         self._vehicle = vehicle
         self.system_status: int = mavlink.MAV_STATE_ACTIVE
         """MAV_STATE of our heartbeats."""
+        self.kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        """MAV_TYPE of our heartbeats."""
         self._lines: deque[list[Message]] = deque(maxlen=QUEUE_LINES)
         self._heartbeat_ns = self._line_ns = self._place_ns = 0
 
@@ -76,7 +78,7 @@ class PeopleLink:
             self._heartbeat_ns = now_ns
         elif now_ns >= self._heartbeat_ns:
             self._heartbeat_ns = now_ns + HEARTBEAT_NS
-            self.send([encoders.heartbeat(self.system_status)])
+            self.send([encoders.heartbeat(self.system_status, self.kind)])
 
     def send_line(self, now_ns: int) -> None:
         """The next line, if it is time for one."""
@@ -87,7 +89,7 @@ class PeopleLink:
     def say_now(self, text: str, severity: int, now_ns: int) -> None:
         """A heartbeat and a line at once, even where no peer was heard."""
         if self.port.open_if_due(now_ns):
-            self.send([encoders.heartbeat(self.system_status), *encoders.status_text(text, severity)])
+            self.send([encoders.heartbeat(self.system_status, self.kind), *encoders.status_text(text, severity)])
 
 
 class ReportLink(PeopleLink):

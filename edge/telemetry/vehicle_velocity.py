@@ -167,6 +167,10 @@ class VehicleVelocity:
         missing += [] if speed else [NO_SPEED]
         return f"gyros and {speed}" if not missing else "", " and ".join(missing)
 
+    def hears_odometry(self, now_ns: int) -> bool:
+        """Whether odometry of another program comes."""
+        return self._fresh(ODOMETRY, now_ns) is not None
+
     def _body_mps(self, now_ns: int) -> tuple[float, float] | None:
         """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""
         own, speed_mps = self._own, self._own_speed(now_ns)

@@ -74,13 +74,16 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
     config = examined.settings.telemetry
     try:
         # "report": nothing is sent that moves a vehicle or selects anything.
-        link = AutopilotConnection(replace(config, emit="report", origin=(), links=(), journal=""))
+        # Not as a companion computer either, which a PX4 would miss afterwards.
+        alone = replace(config, emit="report", origin=(), links=(), journal="")
+        link = AutopilotConnection(replace(alone, component_id=mavlink.MAV_COMP_ID_MISSIONPLANNER))
     except LookbackError:
         return  # the links have a finding of their own
     doubts = examined.settings.gates.doubted_gps
     vehicle, until_s = link.vehicle, time.monotonic() + examined.seconds
     with closing(link):
         link.set_system_status(mavlink.MAV_STATE_STANDBY)
+        link.speak_as(mavlink.MAV_TYPE_GCS)
         while True:
             link.poll()
             status, wanted = link.status(), _wanted_parameters(config, vehicle)
@@ -141,7 +144,7 @@ def _judge_witness(examined: Examined, witness: str, missing: str) -> Found:
 def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
     """What measures velocity without GPS; without it, nothing replaces a GPS that the places contradict."""
     doubted_gps, firmware = examined.settings.gates.doubted_gps, vehicle.session.firmware
-    aid = velocity_aid(vehicle, GPS_SET)
+    aid, sends = velocity_aid(vehicle, GPS_SET), examined.settings.of(MotionConfig).use == "send"
     aid_of_doubted = velocity_aid(vehicle, SET_WITHOUT_GPS) if doubted_gps == "switch" else aid
     if aid is None:
         words = "whether anything measures velocity without GPS is not known: the daemon assumes that nothing does"
@@ -149,9 +152,17 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
     elif aid == NO_AID:
         words = "no velocity aid: without GPS the autopilot cannot hold its position between fixes"
         yield bad(words, firmware.aid_remedy)
+    elif aid == VISION and not (sends or vehicle.velocity.hears_odometry(time.monotonic_ns())):
+        words = (
+            "velocity without GPS: by a parameter it is vision, but no ODOMETRY is heard, nor does [motion] send any"
+        )
+        remedy = (
+            'start the program that sends it and name it in [telemetry] odometry_from, or set [motion] use = "send"'
+        )
+        yield bad(words, remedy)
     else:
         yield good(f"velocity without GPS: {aid}")
-    if examined.settings.of(MotionConfig).use == "send" and aid != VISION:
+    if sends and aid != VISION:
         words = '[motion] use = "send" is of no use: the autopilot does not use a velocity by vision'
         yield bad(words, firmware.camera_remedy)
     if doubted_gps != "report" and aid_of_doubted in (None, NO_AID):

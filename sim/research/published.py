@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-MADE = re.compile(r"^`(?P<command>[^`]+)`[^`|]* of version (?P<version>\d[^\s:]*):$")
+MADE = re.compile(
+    r"^(?P<made>Made by )?`(?P<command>(?:lookback|make) [^`]+)`(?:.* of version (?P<version>\d[^\s:]*):$)?"
+)
+TABLE = re.compile(r"^(\||<!--)")
 CODE = ("edge", "edge_plugins", "lookback", "sim")
 
 
 class Published(NamedTuple):
-    """A line (from 1) of a page, which names the command and the version that made what follows."""
+    """A line (from 1) of a page, which names the command that made what follows, and the version, "" if it does not."""
 
     page: str
     line: int
@@ -22,11 +26,19 @@ class Published(NamedTuple):
 
 
 def published(folder: Path) -> Iterator[Published]:
-    """Of every page in a folder, in the order of their names."""
+    """Of every page in a folder, in the order of their names: paragraphs with a table next, or that say "Made by"."""
     for page in sorted(folder.glob("*.md")):
-        for number, text in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
-            if found := MADE.match(text):
-                yield Published(page.name, number, found["command"], found["version"])
+        lines = page.read_text(encoding="utf-8").splitlines()
+        for number, text in enumerate(lines):
+            found = MADE.match(text)
+            if found and (found["made"] or found["version"] or TABLE.match(_next_paragraph(lines[number:]))):
+                yield Published(page.name, number + 1, found["command"], found["version"] or "")
+
+
+def _next_paragraph(lines: list[str]) -> str:
+    """The first line after the paragraph that these begin with."""
+    after = itertools.dropwhile(bool, lines)
+    return next(filter(None, after), "")
 
 
 def commits_since(root: Path, page: str, line: int) -> int:
@@ -44,7 +56,8 @@ def main(root: Path) -> None:
     """Print a line for each table."""
     for one in published(root / "docs"):
         newer = commits_since(root, f"docs/{one.page}", one.line)
-        print(f"docs/{one.page}:{one.line}: version {one.version}, {newer} commits ago: {one.command[:60]}")
+        version = f"version {one.version}, " if one.version else ""
+        print(f"docs/{one.page}:{one.line}: {version}{newer} commits ago: {one.command[:60]}")
 
 
 if __name__ == "__main__":

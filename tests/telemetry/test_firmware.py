@@ -82,5 +82,9 @@ def test_the_doctor_knows_what_it_needs() -> None:
     thread.join()
     link.close()
     words = "\n".join(str(one) for one in found)
-    assert "Heron 2.1" in words and "velocity without GPS: vision" in words
+    assert "Heron 2.1" in words
+    assert "velocity without GPS: by a parameter it is vision, but no ODOMETRY is heard" in words
+    beats = [one.message for one in autopilot.received if one.message.get_type() == "HEARTBEAT"]
+    speakers = {(one.get_srcComponent(), one.type) for one in beats}
+    assert speakers == {(mavlink.MAV_COMP_ID_MISSIONPLANNER, mavlink.MAV_TYPE_GCS)}, "no companion to miss"
     assert "HN_POS = 1: else it ignores positions" in words

@@ -20,7 +20,7 @@ def test_the_commits_since_a_table_was_written(tmp_path: Path, capsys: pytest.Ca
             subprocess.run(("git", *words), cwd=tmp_path, check=True)
 
     subprocess.run(("git", "init", "-q"), cwd=tmp_path, check=True)
-    table = "# Roads\n\n`lookback dev roads` of version 0.3.0:\n"
+    table = "# Roads\n\n`lookback dev roads` of version 0.3.0:\n\n| road |\n"
     commit("docs/roads.md", table)
     commit("edge/code.py", "")
     commit("README.md", "")
@@ -28,3 +28,18 @@ def test_the_commits_since_a_table_was_written(tmp_path: Path, capsys: pytest.Ca
     commit("docs/roads.md", f"{table}\nof version 0.2.0 are words of a sentence.\n")
     published.main(tmp_path)
     assert capsys.readouterr().out == "docs/roads.md:3: version 0.3.0, 2 commits ago: lookback dev roads\n"
+
+
+def test_every_table_that_a_command_made_is_known() -> None:
+    """Two of nine were: those that named a version."""
+    docs = Path(__file__).parents[3] / "docs"
+    found = {(one.page, one.command.split(" -")[0][:24]) for one in published.published(docs)}
+    assert {
+        ("bench.md", "make bench"),
+        ("benchmark.md", "make benchmark"),
+        ("flights.md", "lookback dev flights fli"),
+        ("integrity.md", "lookback dev sim fixes"),
+        ("integrity.md", "lookback dev ablate LIST"),
+        ("trial.md", "lookback dev sim fixes"),
+    } <= found
+    assert len(list(published.published(docs))) >= 8
