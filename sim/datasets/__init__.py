@@ -120,13 +120,11 @@ KINDS: Mapping[str, DatasetKind] = MappingProxyType(
             "equal_index", "Gardens Point: day_left, ...", "names", "fps", truth="rows", tolerance=2.0
         ),
         "kitti": _kind("kitti", "KITTI odometry: sequences/NN", "camera", "positions", tolerance=10.0),
-        "utm-names": _kind("utm_names", "folder of @utm_e@utm_n@...@.jpg pictures", "fps"),
-        "frodobots": _kind("robots", "FrodoBots-2K: folder of one ride", "camera"),
-        "fred": _kind("robots", "FRED: folder of one sequence", "camera"),
+        "fred": _kind("fred", "FRED: folder of one sequence", "camera"),
         "geotagged": _kind("geotagged", "folder of pictures, with EXIF positions or without", "fps"),
         "pictures": _kind("pictures_csv", "folder of pictures and a CSV file", "positions", "columns", "fps"),
         "video-log": _kind("video_log", "video, and its log or track", "positions", "offset_s", "start_time"),
-        "video": _kind("video", "video or a folder of its parts: GoPro, dashcam, Tesla", "camera"),
+        "video": _kind("video", "video or a folder of its parts: GoPro, dashcam", "camera"),
         "rosbag": _kind("rosbag", "ROS 1 or 2 bag, or MCAP", "camera", "positions"),
     }
 )

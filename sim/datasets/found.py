@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from edge.errors import FeedError
@@ -17,7 +16,6 @@ LAYOUTS = (
     ("mono_rear.timestamps", "robotcar"),
     ("times.txt", "kitti"),
     ("metadata.yaml", "rosbag"),
-    ("front_camera_timestamps_*.csv", "frodobots"),
     ("front-imgs", "fred"),
 )
 """A file that only one layout has, and its kind."""
@@ -48,8 +46,6 @@ def find_kind(path: Path, positions: str | None = None) -> str | None:
             f"{path}: neither a feed (feed.toml), nor pictures, nor a layout of {', '.join(sorted(KINDS))}; of a video,"
             f" name the file, and put its track ({', '.join(LOG_SUFFIXES)}) of the same name beside it"
         )
-    if all(re.match(r"@[-\d.]+@[-\d.]+@", name) for name in pictures):
-        return "utm-names"
     has_table = positions or next(path.glob("*.csv"), None) or path.with_name(f"{path.name}.csv").is_file()
     return "pictures" if has_table else "geotagged"
 

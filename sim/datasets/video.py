@@ -2,8 +2,6 @@
 
     GX010042.MP4                     GoPro (GPMF), CAMM, BlackVue: read by mapillary_tools
     2024_0101_120000_0001F.MP4       other dashcams: by mapillary_tools from what ExifTool finds, if it is installed
-    2025-12-14_21-13-01-front.mp4    Tesla: see `tesla_clip`
-    2025-12-14_21-13-01-back.mp4
 
 `camera` chooses among the videos of a folder by the end of their names: front, back, F, R. A rear camera is known by
 such an end (`REAR`). Parts are put together without a gap. Positions of BlackVue, and those that ExifTool finds, count
@@ -23,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from edge.errors import FeedError
-from edge.feed import Feed, FeedRow
+from edge.feed import FeedRow
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.boxes import contents
 from sim.datasets.field_of_view import of_video
@@ -34,7 +32,6 @@ log = logging.getLogger(__name__)
 
 SIGNS = (b"gpmd", b"camm", b"gps ", b"GPS ")
 """Kinds of tracks and boxes that hold positions: GoPro, CAMM, BlackVue, Novatek."""
-TESLA = re.compile(r"-(front|back|left_repeater|right_repeater|left_pillar|right_pillar)$")
 REAR = re.compile(r"(-back|[_\d][A-Z]?R)$")
 """Ends of names of rear cameras: Tesla; 20240101_120000_NR (BlackVue), 0001R (VIOFO)."""
 
@@ -46,12 +43,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     names, stamps_ns = joined.names, joined.stamps_ns
     fixes = [
         replace(fix, stamp_ns=start_ns + fix.stamp_ns)
-        for file, feed, start_ns in zip(files, joined.feeds, joined.starts_ns, strict=True)
-        for fix in positions_in(file, feed)
+        for file, start_ns in zip(files, joined.starts_ns, strict=True)
+        for fix in _positions_in(file)
     ]
-    side = TESLA.search(files[0].stem)
-    if side and side[1] not in ("front", "back"):
-        raise FeedError(f"{files[0]}: a camera that looks aside; use the clips of the front or the back camera")
     if fixes:
         rows = Track(str(path), fixes).rows(str(path), names, stamps_ns)
     else:
@@ -73,7 +67,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
 
 def _parts(folder: Path, camera: str | None) -> list[Path]:
     files = video_files(folder, camera or "")
-    ends = {(match[1] if (match := TESLA.search(file.stem)) else bool(REAR.search(file.stem))) for file in files}
+    ends = {bool(REAR.search(file.stem)) for file in files}
     if len(ends) != 1:
         what = (
             "several cameras; choose one with `lookback import --camera`, as in --camera front"
@@ -86,22 +80,11 @@ def _parts(folder: Path, camera: str | None) -> list[Path]:
 
 def holds_positions(file: Path) -> bool:
     """Whether a video seems to hold positions of its own, by the kinds of its tracks; needs no package."""
-    if TESLA.search(file.stem):
-        return True
     return any(sign in content for _, content in contents(file) for sign in SIGNS)
 
 
-def positions_in(file: Path, feed: Feed) -> list[Fix]:
-    """The positions that a video holds, stamped from its first frame on; empty where there are none."""
-    if TESLA.search(file.stem):
-        from sim.datasets.tesla_clip import read_clip
-
-        front = file.with_name(TESLA.sub("-front", file.stem) + file.suffix)
-        return read_clip(file, feed) or (read_clip(front, feed) if front.is_file() else [])
-    return list(_mapillary_fixes(file))
-
-
-def _mapillary_fixes(file: Path) -> Iterator[Fix]:
+def _positions_in(file: Path) -> Iterator[Fix]:
+    """The positions that a video holds, stamped from its first frame on; none where there are none."""
     from mapillary_tools.exceptions import MapillaryDescriptionError, MapillaryVideoGPSNotFoundError
     from mapillary_tools.geotag.video_extractors.native import NativeVideoExtractor
 

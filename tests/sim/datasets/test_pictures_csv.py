@@ -125,8 +125,6 @@ def test_each_recording_is_known_by_what_lies_there(
     (drive / "log.csv").unlink()
     assert find_kind(drive) == "geotagged"
     assert find_kind(drive, "elsewhere.csv") == "pictures"
-    write_pictures(tmp_path / "queries", ["@500@600@@@@@@@@@@@@@.jpg"])
-    assert find_kind(tmp_path / "queries") == "utm-names"
     assert find_kind(feed_path) is None
     assert find_kind(video_path) is None
     video_path.with_suffix(".gpx").touch()

@@ -1,4 +1,4 @@
-"""Frames with positions: KITTI odometry, and places in file names."""
+"""Frames with positions: KITTI odometry."""
 
 from __future__ import annotations
 
@@ -72,48 +72,3 @@ def test_kitti_files_that_do_not_belong_together_are_named(kitti_path: Path, ref
     times.write_text("0.0\nx\n")
     refused("kitti", kitti_path, r"times\.txt: line 2: not 1 number: 'x'")
     refused("kitti", kitti_path, r"image_3: cannot read this folder: No such file", ReadOptions(camera="image_3"))
-
-
-def test_names_of_vpr_datasets_downloader(
-    tmp_path: Path, write_pictures: WritePictures, sim_import: Import, index_of: IndexOf
-) -> None:
-    queries = tmp_path / "st_lucia/images/test/queries"
-    write_pictures(
-        queries,
-        [
-            "@0500234.35@6957706.19@56@J@-27.50407@0153.00237@180809_1545_00010@@270@@@@@@.jpg",
-            "@0500240.10@6957706.19@56@J@-27.50408@0153.00243@180809_1545_00002@@@@@@@@.jpg",
-        ],
-    )
-    traverse = open_dataset("utm-names", queries)
-    assert [row.extra["local_x_m"] for row in traverse.rows] == ["500240.10", "500234.35"]  # by pano_id, not by name
-    last = traverse.rows[1]
-    assert (last.lat_deg, last.lon_deg, last.heading_deg) == (-27.50407, 153.00237, 270.0)
-    assert index_of(traverse.pictures.read(1)) == 0
-    assert traverse.source == "st_lucia/images/test/queries"
-
-
-def test_names_without_degrees_are_judged_by_their_meters(
-    tmp_path: Path, write_pictures: WritePictures, sim_import: Import
-) -> None:
-    for folder in ("database", "queries"):
-        write_pictures(tmp_path / folder, [f"@0@{2.4 * i:07.1f}@@@@@{i}@@@@@@@@.jpg" for i in range(24)])
-        sim_import("utm-names", tmp_path / folder, "-o", tmp_path / f"feeds/{folder}")
-    database, queries = (read_feed(tmp_path / f"feeds/{folder}") for folder in ("database", "queries"))
-    errors_m = errors_between(*points_of("positions", database, queries))
-    assert np.flatnonzero(errors_m[12] <= 25.0).tolist() == list(range(2, 23))
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("street.jpg", r"street\.jpg: this name does not begin with @utm_east@utm_north@"),
-        ("@500@@56@J@@@@@@@@@@@.jpg", r"@500@@56.*: this name does not begin with @utm_east@utm_north@"),
-        ("@500@69577o6@56@J@@@@@@@@@@@.jpg", r"y in this name is '69577o6', which is not a number"),
-    ],
-)
-def test_a_name_without_a_place_is_named(
-    tmp_path: Path, write_pictures: WritePictures, name: str, message: str, refused: Refused
-) -> None:
-    write_pictures(tmp_path / "queries", ["@500@600@@@@@@@@@@@@@.jpg", name])
-    refused("utm-names", tmp_path / "queries", f"^{tmp_path}/queries/.*{message}")

@@ -13,7 +13,6 @@ import av
 import numpy as np
 import pytest
 
-from edge.errors import FeedError
 from edge.feed import FeedImages, read_feed
 from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.found import find_kind
@@ -21,7 +20,6 @@ from tests.sim.datasets.conftest import HEIGHT, WIDTH, picture
 
 COUNT, FPS = 30, 10
 Degrees = Callable[[float, float], tuple[float, float]]
-Messages = Sequence[bytes | None]
 IndexOf = Callable[[Any], int]
 
 
@@ -34,24 +32,18 @@ def full_box(kind: bytes, *content: bytes) -> bytes:
     return box(kind, bytes(4), *content)
 
 
-def write_mp4(file: Path, messages: Messages = (None,) * COUNT, codec: str = "libx264") -> None:
-    """Pictures of `picture`, the first darkest, each with an SEI NAL unit where there is a message."""
+def write_mp4(file: Path, codec: str = "libx264") -> None:
+    """Pictures of `picture`, the first darkest."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(file), "w") as video:
         stream: Any = video.add_stream(codec, rate=FPS, options={"x264-params": "bframes=2:keyint=10"})
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.time_base = Fraction(1, FPS)
-        packets: list[Any] = []
         for index in range(COUNT):
             frame = av.VideoFrame.from_ndarray(picture(index), format="bgr24")
             frame.pts = index
-            packets += stream.encode(frame)
-        for packet in [*packets, *stream.encode(None)]:
-            message = messages[round(packet.pts * packet.time_base * FPS)]
-            told = av.Packet((message or b"") + bytes(packet))
-            told.pts, told.dts, told.time_base, told.stream = packet.pts, packet.dts, packet.time_base, stream
-            told.is_keyframe = packet.is_keyframe
-            video.mux(told)
+            video.mux(stream.encode(frame))
+        video.mux(stream.encode(None))
 
 
 def add_track(file: Path, samples: Sequence[bytes]) -> None:
@@ -180,6 +172,16 @@ def test_a_blackvue_places_its_own_pictures(tmp_path: Path, degrees_at: Degrees)
     assert open_dataset("video", file).view == "rear"
 
 
+def test_a_folder_of_two_cameras_asks_for_one(
+    tmp_path: Path, degrees_at: Degrees, refused: Callable[..., None]
+) -> None:
+    for name in ("20240504_123000_NF", "20240504_123000_NR", "20240504_123100_NR"):
+        gopro(tmp_path / f"{name}.MP4", degrees_at, from_m=30.0 * ("3100" in name))
+    assert find_kind(tmp_path) == "video"
+    refused("video", tmp_path, "several cameras; choose one with `lookback import --camera`, as in --camera front")
+    assert north_m(tmp_path, degrees_at, camera="R")[:58] == pytest.approx(np.arange(58.0), abs=0.2)
+
+
 @pytest.mark.skipif(shutil.which("exiftool") is None, reason="needs ExifTool: apt-get install libimage-exiftool-perl")
 def test_another_dashcam_is_read_by_exiftool(tmp_path: Path, degrees_at: Degrees) -> None:
     """Novatek, as ExifTool documents it: a box gps in moov lists blocks freeGPS of one position each."""
@@ -200,70 +202,6 @@ def test_another_dashcam_is_read_by_exiftool(tmp_path: Path, degrees_at: Degrees
     file.write_bytes(media + b"".join(blocks) + box(b"moov", moov[8:after_header], gps, moov[after_header:]))
     assert find_kind(file) == "video"
     assert north_m(file, degrees_at) == pytest.approx(np.arange(30.0), abs=1.0)
-
-
-def varint(number: int) -> bytes:
-    return bytes([number]) if number < 128 else bytes([number & 127 | 128]) + varint(number >> 7)
-
-
-def sei(lat: float, lon: float, *, number: int, gear: int = 1) -> bytes:
-    """A NAL unit as Tesla's sei_extractor.py reads it, with fields of dashcam.proto that are not used as well."""
-    body = b"\x08\x01\x10" + varint(gear) + b"\x18" + varint(number) + b"\x25" + struct.pack("<f", 10.0)
-    body += b"\x35" + struct.pack("<f", -3.5) + b"\x38\x01"
-    for field, value in ((11, lat), (12, lon), (13, 0.0), (14, 0.25)):
-        body += varint(field << 3 | 1) + struct.pack("<d", value)
-    payload = b"\x42\x42\x42\x69" + body
-    escaped = bytearray()
-    for byte in b"\x06\x05" + bytes([len(payload)]) + payload + b"\x80":
-        if escaped[-2:] == b"\0\0" and byte <= 3:
-            escaped.append(3)
-        escaped.append(byte)
-    return b"\0\0\0\1" + bytes(escaped)
-
-
-def drive(degrees_at: Degrees, **options: int) -> list[bytes]:
-    return [sei(*degrees_at(0, index), number=7 + index, **options) for index in range(COUNT)]
-
-
-def test_a_tesla_places_its_own_pictures_front_and_back(tmp_path: Path, degrees_at: Degrees) -> None:
-    for camera, messages in (("front", drive(degrees_at)), ("back", [None] * COUNT)):
-        write_mp4(tmp_path / f"2026-05-04_12-30-00-{camera}.mp4", messages)
-    for camera, view in (("front", "front"), ("back", "rear")):
-        file = tmp_path / f"2026-05-04_12-30-00-{camera}.mp4"
-        assert find_kind(file) == "video"
-        traverse = open_dataset("video", file)
-        assert traverse.view == view
-        # The back camera's clip may lack messages: then those of the front camera's, picture for picture.
-        assert north_m(file, degrees_at) == pytest.approx(np.arange(30.0), abs=0.01)
-        assert {row.speed_mps for row in traverse.rows} == {10.0}
-
-
-def test_the_clips_of_one_tesla_camera_are_one_drive(tmp_path: Path, degrees_at: Degrees) -> None:
-    first, second = drive(degrees_at), [sei(*degrees_at(0, 30 + index), number=index) for index in range(COUNT)]
-    for camera in ("front", "back"):
-        write_mp4(tmp_path / f"2026-05-04_12-30-00-{camera}.mp4", first)
-        write_mp4(tmp_path / f"2026-05-04_12-31-00-{camera}.mp4", second)
-    with pytest.raises(
-        FeedError, match="several cameras; choose one with `lookback import --camera`, as in --camera front"
-    ):
-        open_dataset("video", tmp_path)
-    assert find_kind(tmp_path) == "video"
-    assert north_m(tmp_path, degrees_at, camera="back") == pytest.approx(np.arange(60.0), abs=0.01)
-
-
-def test_a_tesla_that_drives_in_reverse_has_no_place(
-    tmp_path: Path, degrees_at: Degrees, caplog: pytest.LogCaptureFixture
-) -> None:
-    messages = [*drive(degrees_at)[:20], *drive(degrees_at, gear=2)[22:], None, None]
-    write_mp4(tmp_path / "2026-05-04_12-30-00-front.mp4", messages)
-    known = np.isfinite(north_m(tmp_path / "2026-05-04_12-30-00-front.mp4", degrees_at))
-    assert known.tolist() == [True] * 20 + [False] * 10
-    assert "2 pictures are missing in it, by their numbers" in caplog.text
-
-
-def test_a_camera_that_looks_aside_is_refused(tmp_path: Path, refused: Callable[..., None]) -> None:
-    write_mp4(tmp_path / "2026-05-04_12-30-00-left_repeater.mp4", codec="mpeg4")
-    refused("video", tmp_path / "2026-05-04_12-30-00-left_repeater.mp4", "a camera that looks aside; use the clips of")
 
 
 def test_a_plain_video_is_used_as_it_is(tmp_path: Path) -> None:
