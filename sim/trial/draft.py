@@ -41,9 +41,8 @@ class Draft:
         sign = self.rng.choice((-1.0, 1.0))
         self.errors = OdometryErrors(
             scale=1.0 + 0.03 * self.rng.choice((-1.0, 1.0)),
-            heading_deg=0.5 * sign,
-            reported_deg=self.rng.uniform(0.3, 3.0) * sign,
-            settled_deg=self.rng.uniform(0.3, 1.3) * sign,
+            heading_deg=self.rng.uniform(0.1, 0.5) * sign,
+            gyro_dps=self.rng.uniform(0.02, 0.2) * sign,
         )
 
     def drive(self, way: Way, *legs: Leg) -> None:

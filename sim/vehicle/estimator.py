@@ -3,8 +3,9 @@
 With GPS the position is the receiver's. Without it the filter integrates a velocity, and its errors are those of the
 velocity's source: a wheel scale and a heading error (wheels), a scale alone (a velocity sensor), or an acceleration
 bias that nothing stops (none). Positions correct the estimate, and through the covariance also the heading or the
-velocity: a stream of correlated positions turns the heading, as on the real autopilot. docs/trial.md compares it with
-recorded flights.
+velocity: a stream of correlated positions turns the heading, as on the real autopilot. Likewise the compass finds what
+a gyroscope does wrong and takes back what that has moved the position by, until a reset of the position cuts what the
+covariance knows of it. docs/trial.md compares it with recorded flights.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ GPS_SIGMA_M = 1.0
 STARVED_S = 5.0  # EKF2_NOAID_TOUT: after this long without aiding, a rejected source resets the estimate
 VELOCITY_STARVED_S = 1.0  # the same for a velocity alone (EKF2_NOAID_TOUT as shipped); EKF3 then begins anew as well
 COVARIANCE_S = 0.1
-SETTLES_S = 20.0
 SPIN_S, SPIN_EVERY_S = 3.0, 20.0  # as wheels were driven to spin on the trial's first drives of that kind
 LEVELS_PER_S2 = 0.012
 """By how much an error of a measured velocity changes the estimated bias of the accelerometers within a second, in
@@ -38,16 +38,18 @@ FOLLOWS, FOLLOWS_S, FOLLOWS_MPS = 0.47, 4.0, 1.0
 """Share of the angle between the course of GPS and the true one by which the filter turns its heading, within what
 time, and above which speed: EKF3 on a recorded drive whose GPS was dragged to the left by 1 m/s at 3.6 m/s, from -1.4
 to -8.5 degrees within 10 s."""
-EAST, NORTH, V_EAST, V_NORTH, HEADING = range(5)
+EAST, NORTH, V_EAST, V_NORTH, HEADING, TURN = range(6)
+"""Of the covariance; TURN is by what the heading turns wrong, in rad/s: the bias of a gyroscope."""
+STATES = TURN + 1
 
 
 @dataclass(frozen=True)
 class OdometryErrors:
     """What is wrong with an autopilot's velocity and heading.
 
-    scale: of the measured speed. heading_deg: the error, clockwise, of the heading in which dead reckoning goes. Real
-    autopilots report a heading and a velocity that are wrong by more: at first by reported_deg, later by settled_deg.
-    turns_deg, turns_within_m: see `HeadingWander`, of that heading besides, from `seed`.
+    scale: of the measured speed. heading_deg: the error, clockwise, of the compass. gyro_dps: what the filter has not
+    found yet of the gyroscope's bias when GPS is lost: its heading turns by it, by the most after half a minute.
+    turns_deg, turns_within_m: see `HeadingWander`, of the compass besides, from `seed`.
     spins: times by which the wheels turn too fast besides for SPIN_S of every SPIN_EVERY_S. slips: the same from
     `slips_from_m` driven on, as on another surface. acceleration_mps2: the forward bias of an accelerometer that no
     velocity aids; wander_mps: by how much that changes the velocity besides within a second, each way, from `seed`.
@@ -59,8 +61,7 @@ class OdometryErrors:
     slips: float = 1.0
     slips_from_m: float = math.inf
     heading_deg: float = 0.0
-    reported_deg: float = 0.0
-    settled_deg: float = 0.0
+    gyro_dps: float = 0.0
     turns_deg: float = 0.0
     turns_within_m: float = math.inf
     acceleration_mps2: float = 0.15
@@ -68,7 +69,7 @@ class OdometryErrors:
     seed: int = 0
 
 
-AS_FLOWN = OdometryErrors(scale=1.03, heading_deg=-0.5, reported_deg=2.7, settled_deg=1.3)
+AS_FLOWN = OdometryErrors(scale=1.03, heading_deg=0.14, gyro_dps=0.11)
 """Of ArduPilot Rover 4.6.3 with wheel encoders, on the recorded drives home at night."""
 
 
@@ -76,14 +77,17 @@ AS_FLOWN = OdometryErrors(scale=1.03, heading_deg=-0.5, reported_deg=2.7, settle
 class FilterNoise:
     """The noise that a firmware's filter assumes, and its gate; of EKF3 as its parameters are shipped, by default.
 
-    position: of dead reckoning, m^2/s. heading_rad: standard deviation of the heading, and compass_s the time within
-    which the compass corrects it. acceleration: m^2/s^3, without a velocity aid. gate_sigmas: of the innovation of a
+    position: of dead reckoning, m^2/s. heading_rad: standard deviation of the heading by gyroscope and compass, and
+    compass_s the time within which the compass corrects it; shown_rad, turn_rps: that of heading and bias of the
+    gyroscope when GPS is lost. acceleration: m^2/s^3, without a velocity aid. gate_sigmas: of the innovation of a
     stream.
     """
 
     position: float = 0.02
     heading_rad: float = 0.09
-    compass_s: float = 60.0
+    compass_s: float = 17.7
+    shown_rad: float = 0.032
+    turn_rps: float = 0.0019
     acceleration: float = 0.0012
     gate_sigmas: float = 5.0
 
@@ -99,17 +103,16 @@ class Estimator:
         turns_rad, wander_rng = math.radians(errors.turns_deg), np.random.default_rng([errors.seed, 2])
         self._wander = HeadingWander(turns_rad, errors.turns_within_m, wander_rng)
         self._heading_rad = self._compass_rad
-        self._reported_rad = math.radians(errors.reported_deg)
+        self._turn_rps = 0.0  # by what the heading turns wrong
         self._bias_mps = (0.0, 0.0)  # of the velocity, where nothing measures it
         self._felt_mps2 = np.zeros(2)  # the bias of the accelerometers, as found
         self._rng = np.random.default_rng(errors.seed)
         self.driven_m = pose.distance_m * errors.scale
         """Distance by the wheel encoders."""
         self._covariance_s = time_s
-        self._covariance: NDArray[np.float64] = np.zeros((5, 5))
+        self._covariance: NDArray[np.float64] = np.zeros((STATES, STATES))
         self._gps = False
         self._off_m: tuple[float, float] | None = None  # GPS from the truth, while it is fused
-        self._follows_rad = 0.0  # by how much it has turned the heading
         self._is_free = errors.source in ("camera", "none")
         self._fused_s = self._velocity_fused_s = -math.inf
         self._motions: deque[tuple[float, float, float]] = deque(
@@ -145,16 +148,14 @@ class Estimator:
     @property
     def heading_deg(self) -> float:
         """Reported heading, clockwise from north."""
-        return (self._pose.heading_deg + math.degrees(self._heading_rad + self._reported_rad)) % 360.0
+        return (self._pose.heading_deg + math.degrees(self._heading_rad)) % 360.0
 
     @property
     def velocity_mps(self) -> tuple[float, float]:
         """Reported velocity, east and north."""
-        return self._velocity_mps(self._heading_rad + self._reported_rad)
-
-    def _velocity_mps(self, turned_rad: float) -> tuple[float, float]:
         errors = self._errors
-        heading_rad = math.radians(self._pose.heading_deg) + (turned_rad if errors.source == "wheels" else 0.0)
+        turned_rad = self._heading_rad if errors.source == "wheels" else 0.0
+        heading_rad = math.radians(self._pose.heading_deg) + turned_rad
         speed_mps = self._pose.speed_mps * (1.0 if self._gps or self._is_free else self._scale)
         return (
             speed_mps * math.sin(heading_rad) + self._bias_mps[0],
@@ -183,8 +184,6 @@ class Estimator:
     def update(self, pose: Pose, time_s: float, gps: tuple[float, float] | None) -> None:
         """Move on to the true `pose` at `time_s`, which must not go back; gps: the receiver's position, if usable."""
         elapsed_s, self._time_s = time_s - self._time_s, time_s
-        unsettled_rad = math.radians(self._errors.settled_deg) - self._reported_rad
-        self._reported_rad += unsettled_rad * min(1.0, elapsed_s / SETTLES_S)
         driven_m = pose.distance_m - self._pose.distance_m
         self.driven_m += driven_m * self._scale
         self._heading_rad += self._wander.move(driven_m)
@@ -196,12 +195,13 @@ class Estimator:
             self._follow(east_m - pose.east_m, north_m - pose.north_m, elapsed_s)
             self._restart(GPS_SIGMA_M)
         else:
-            self._off_m, self._follows_rad = None, 0.0
+            self._off_m = None
+            self._heading_rad += self._turn_rps * elapsed_s
             self._drift(elapsed_s)
-            east_mps, north_mps = self._velocity_mps(self._heading_rad)
+            east_mps, north_mps = self.velocity_mps
             east_m, north_m = self.east_m + east_mps * elapsed_s, self.north_m + north_mps * elapsed_s
-        self._predict(time_s)
         self._past.append((time_s, east_m - self._shift_m[0], north_m - self._shift_m[1]))
+        self._predict(time_s)
         if self._past[0][0] < time_s - 2 * KEPT_S:
             self._past = [entry for entry in self._past if entry[0] >= time_s - KEPT_S]
 
@@ -275,16 +275,20 @@ class Estimator:
         return not self._is_free or self._time_s - self._velocity_fused_s < STARVED_S
 
     def _correct(self, innovation: NDArray[np.float64], gain: NDArray[np.float64], measured: slice | int) -> None:
-        """Apply a Kalman gain (5, n) to the state and to its covariance; measured: the n states."""
+        """Apply a Kalman gain (STATES, n) to the state and to its covariance; measured: the n states."""
         change = gain @ innovation
-        self._covariance = self._covariance - gain @ self._covariance[measured].reshape(len(innovation), 5)
+        self._covariance = self._covariance - gain @ self._covariance[measured].reshape(len(innovation), STATES)
         self.shift(float(change[EAST]), float(change[NORTH]))
         self._bias_mps = self._bias_mps[0] + float(change[V_EAST]), self._bias_mps[1] + float(change[V_NORTH])
         self._heading_rad += float(change[HEADING])
+        self._turn_rps += float(change[TURN])
 
     def _restart(self, sigma_m: float) -> None:
-        """The covariance while GPS is fused: the velocity is known, and the heading as well as a compass does."""
-        self._covariance = np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01, self._noise.heading_rad**2])
+        """The state while GPS is fused: the velocity is known, the heading as well as GPS shows it."""
+        noise = self._noise
+        self._turn_rps = math.radians(self._errors.gyro_dps)
+        self._covariance = np.diag([sigma_m**2, sigma_m**2, 0.01, 0.01, noise.shown_rad**2, noise.turn_rps**2])
+        self._covariance[HEADING, TURN] = self._covariance[TURN, HEADING] = noise.shown_rad * noise.turn_rps
         if not self._is_free:
             self._covariance[V_EAST, V_EAST] = self._covariance[V_NORTH, V_NORTH] = 0.0
 
@@ -297,9 +301,8 @@ class Estimator:
         east_mps, north_mps = (east_m - before[0]) / elapsed_s, (north_m - before[1]) / elapsed_s
         ahead_mps, right_mps = self._pose.speed_mps + east_mps * sin + north_mps * cos, east_mps * cos - north_mps * sin
         turned_rad = math.atan2(right_mps, ahead_mps) if self._pose.speed_mps > FOLLOWS_MPS else 0.0
-        change_rad = (FOLLOWS * turned_rad - self._follows_rad) * min(1.0, elapsed_s / FOLLOWS_S)
-        self._follows_rad += change_rad
-        self._heading_rad += change_rad
+        unfollowed_rad = self._compass_rad + FOLLOWS * turned_rad - self._heading_rad
+        self._heading_rad += unfollowed_rad * min(1.0, elapsed_s / FOLLOWS_S)
 
     def _drift(self, elapsed_s: float) -> None:
         if self._is_free:
@@ -318,7 +321,8 @@ class Estimator:
             self._covariance_s = time_s if self._gps else self._covariance_s
             return
         self._covariance_s = time_s
-        moves, noise = np.eye(5), np.zeros(5)
+        moves, noise = np.eye(STATES), np.zeros(STATES)
+        moves[HEADING, TURN] = step_s
         if self._is_free:
             moves[EAST, V_EAST] = moves[NORTH, V_NORTH] = step_s
             noise[V_EAST] = noise[V_NORTH] = self._noise.acceleration * step_s

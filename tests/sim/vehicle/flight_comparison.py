@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.position_inputs import Moment, PositionInputs
 
 STEP_S = 0.1
-SLOW = OdometryErrors(scale=0.97, heading_deg=-0.2, reported_deg=0.3, settled_deg=0.5)
+SLOW, RIGHT, FAST = (replace(AS_FLOWN, scale=scale) for scale in (0.97, 0.999, 1.027))
 VELOCITY_SENSOR = OdometryErrors("velocity sensor", 1.03)
 EVV_NOISE = FilterNoise(position=2e-3, gate_sigmas=3.0)
 """Of PX4 with the EKF2_EVV_NOISE of firmware_config/px4_velocity_aid.params, 0.5 instead of 0.1."""
@@ -45,11 +45,25 @@ FLIGHTS: dict[str, OdometryErrors] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors (N,) of the recorded and of the simulated autopilot from the loss of GPS on; fixes: how many it got."""
+    """Errors (N, 2), east and north, of the recorded and of the simulated autopilot from the loss of GPS on.
 
-    real_m: NDArray[np.float64]
-    simulated_m: NDArray[np.float64]
+    heading_rad: (N,), in truth. fixes: how many positions it got.
+    """
+
+    real: NDArray[np.float64]
+    simulated: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
     fixes: int
+
+    @property
+    def real_m(self) -> NDArray[np.float64]:
+        """Meters (N,)."""
+        return np.asarray(np.hypot(*self.real.T))
+
+    @property
+    def simulated_m(self) -> NDArray[np.float64]:
+        """Meters (N,)."""
+        return np.asarray(np.hypot(*self.simulated.T))
 
     @property
     def mean_ratio(self) -> float:
@@ -82,15 +96,16 @@ def compare(folder: Path, errors: OdometryErrors, noise: FilterNoise | None = No
     estimate.reset(float(own_m[0, at]), float(own_m[1, at]), float(times_s[at]))
     inputs = PositionInputs(firmware, estimate)
     positions = [(time_s, message) for time_s, message in messages if time_s > lost_s and _is_position(message)]
-    simulated_m, fixes = [], len(positions)
+    believed, fixes = [], len(positions)
     for time_s, pose in zip(times_s[at + 1 :], poses[at + 1 :], strict=True):
         estimate.update(pose, float(time_s), None)
         while positions and positions[0][0] <= time_s:
             sent_s, message = positions.pop(0)
             _give(inputs, message, sent_s, lost_s - 1.0)
-        simulated_m.append(estimate.error_m)
-    true_m = np.array([(pose.east_m, pose.north_m) for pose in poses]).T
-    return Comparison(np.hypot(*(own_m - true_m))[at + 1 :], np.array(simulated_m), fixes)
+        believed.append((estimate.east_m, estimate.north_m))
+    true_m = np.array([(pose.east_m, pose.north_m) for pose in poses])[at + 1 :]
+    heading_rad = np.radians([pose.heading_deg for pose in poses[at + 1 :]])
+    return Comparison(own_m.T[at + 1 :] - true_m, np.array(believed) - true_m, heading_rad, fixes)
 
 
 def _give(inputs: PositionInputs, message: Any, now_s: float, lost_s: float) -> None:

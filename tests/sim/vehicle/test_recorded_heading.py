@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from sim import Pose
 from sim.research.trial.courses.streams import PX4_TURNS_DEG, TURNS_WITHIN_M
 from sim.research.trial.recorded_drive import read_columns
-from sim.vehicle.estimator import Estimator, OdometryErrors
+from sim.vehicle.estimator import AS_FLOWN, Estimator, OdometryErrors
 from sim.vehicle.firmware import EKF3
 
 EVERY_M, MOVES_MPS, GPS_S, MPS = 5.0, 1.0, 9.0, 8.0
 APART_M = 50.0, 100.0, 200.0
 BY_CAMERA = ("flights_eca2e43/px4_cam_*",)
 PX4 = "flights_eca2e43/px4_*", "flights_b06f79e/px4_*"
-ARDUPILOT = "flights_*/ardupilot_cam*", "flights_*/ardupilot_a9*", "flights_*/ardupilot_tmh*"
+ARDUPILOT = tuple(f"flights_{of}/ardupilot_{kind}" for of in ("b06f79e", "eca2e43") for kind in ("cam*", "a9*", "tmh*"))
 
 
 def off_deg(folder: Path) -> NDArray[np.float64]:
@@ -102,3 +102,20 @@ def test_the_heading_follows_a_gps_that_is_dragged_as_that_of_ekf3_did() -> None
     lost_deg = changes_deg[-1]
     estimate.update(Pose(0.0, 60.0, 0.0, 3.6, 60.0), 16.0, None)
     assert math.degrees(estimate.steering_error_rad) == pytest.approx(lost_deg, abs=0.5), "the compass takes longer"
+
+
+def test_what_a_gyroscope_did_wrong_is_taken_back_but_after_a_reset() -> None:
+    """On a straight road without GPS; the resets change nothing but what the filter knows: none, one, one a second."""
+    ends_m = []
+    for resets_s in ([], [30], list(range(1, 100))):
+        estimate = Estimator(Pose(0.0, 0.0, 0.0, MPS, 0.0), 0.0, OdometryErrors(gyro_dps=AS_FLOWN.gyro_dps), EKF3)
+        most_deg = 0.0
+        for step in range(1, 1001):
+            north_m = MPS * step / 10
+            estimate.update(Pose(0.0, north_m, 0.0, MPS, north_m), step / 10, None)
+            most_deg = max(most_deg, math.degrees(estimate.steering_error_rad))
+            if step % 10 == 0 and step // 10 in resets_s:
+                estimate.reset(estimate.east_m, estimate.north_m, step / 10)
+        assert most_deg == pytest.approx(1.6, abs=0.2), "a reset of the position leaves the heading as it is"
+        ends_m.append(estimate.error_m)
+    assert ends_m == pytest.approx([1.3, 4.8, 17.1], abs=0.3)

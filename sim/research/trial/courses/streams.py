@@ -51,7 +51,7 @@ it was 1.6 degrees off (median), 5.1 at most, 2.3 rms, and its autocorrelation 0
 
 
 def _turn(draft: CourseDraft, turns_deg: float) -> None:
-    draft.errors = replace(draft.errors, turns_deg=turns_deg, turns_within_m=TURNS_WITHIN_M)
+    draft.errors = replace(draft.errors, gyro_dps=0.0, turns_deg=turns_deg, turns_within_m=TURNS_WITHIN_M)
 
 
 SEEN_S = 25.0
