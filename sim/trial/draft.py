@@ -42,7 +42,7 @@ class Draft:
         self.errors = OdometryErrors(
             scale=1.0 + 0.03 * self.rng.choice((-1.0, 1.0)),
             heading_deg=self.rng.uniform(0.1, 0.5) * sign,
-            gyro_dps=self.rng.uniform(0.02, 0.2) * sign,
+            gyro_dps=self.rng.uniform(0.02, 0.12) * sign,
         )
 
     def drive(self, way: Way, *legs: Leg) -> None:
