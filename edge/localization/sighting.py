@@ -24,7 +24,7 @@ from edge.localization.place_fix import (
 )
 from edge.localization.route_estimate import WANDER, MatchErrors, Passed, left_of
 from edge.reference_map import Position, Route
-from edge.sequence import PlaceMatch
+from edge.sequence import Direction, PlaceMatch
 
 SHARP = 0.15
 """Sharpness of a line below which it may be wrong by more, inversely, since a vehicle that leaves its lane sees less of
@@ -144,11 +144,17 @@ class Sightings:
         )
 
     def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
-        """What one picture says; None where it says nothing, or the map does not know where the row is and heads."""
+        """What one picture says; None where it says nothing, or the map does not know where the row is and heads.
+
+        It is of its own drive of the map, which may be another than that of the match, also the other way.
+        """
         seen = match.seen
         if seen is None:
             return None
         route, drive, rig = self.route, self.route.drive(seen.place_index), self.rig
+        goes_back = route.looks_back(seen.place_index) != self._looks_back
+        direction: Direction = "reverse" if goes_back else "forward"
+        match = replace(match, place_index=seen.place_index, direction=direction, order="same")
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:
             return None

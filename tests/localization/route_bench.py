@@ -44,6 +44,8 @@ from edge.telemetry.acknowledgements import Sent
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
+REVERSE_AHEAD_M = 3.0
+"""Of the camera on a drive that the map has the other way: its own mounting and the map's."""
 CORRELATED_M, GPS_M, LANE_M = 60.0, 72.0, 0.7
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
@@ -117,7 +119,12 @@ class Bench:
             replace(s, east_m=s.east_m + shift[0], north_m=s.north_m + shift[1]) for s in course.stretches
         )
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
-        rig = RigConfig(sigma_along_m=course.match_sigma_m, sigma_across_m=2.5, look_sigma_m=0.05)
+        rig = RigConfig(
+            sigma_along_m=course.match_sigma_m,
+            sigma_across_m=2.5,
+            look_sigma_m=0.05,
+            look_ahead_reverse_m=REVERSE_AHEAD_M,
+        )
         camera = CameraConfig(view="rear" if course.looks else "front")
         tracking, sequence = TrackingConfig(), SequenceConfig(length=LENGTH)
         self.config = Config(camera=camera, rig=rig, tracking=tracking, sequence=sequence)
@@ -336,10 +343,14 @@ class Bench:
         if shown is None or self.unlooked < LOOKS_EVERY:
             return None
         self.unlooked, (number, along_m) = 0, shown
-        first, _, _, places = self.segments[number]
-        begins_m = self.segments[number][1]
-        row = min(round((along_m - begins_m) / SPACING_M), places - 1)
-        right_m, ahead_m = self.rng.normal((-self.right_m, begins_m + row * SPACING_M - along_m), LOOK_SIGMAS[0])
+        s = self.segments[number][1] + along_m
+        if self.course.looks_at != (0,):
+            number = int(self.rng.choice(self.course.looks_at))
+        first, begins_m, last_m, places = self.segments[number]
+        row = min(round(abs(s - begins_m) / SPACING_M), places - 1)
+        row_m = begins_m + math.copysign(row * SPACING_M, last_m - begins_m)
+        back_m = row_m - s - (REVERSE_AHEAD_M if last_m < begins_m else 0.0)
+        right_m, ahead_m = self.rng.normal((-self.right_m, back_m), LOOK_SIGMAS[0])
         covariance = np.diag(np.square(LOOK_SIGMAS))
         turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
         return Seen(first + row, right_m, ahead_m, turn_rad, covariance, 40, 0.9)

@@ -27,7 +27,7 @@ class Stretch:
     continues: it is no segment of its own, but of one with the stretch before, which ends where it begins. recording:
     that it comes from, by default one of its own. has_odometer: whether its meters were measured. whole_sigma_m: see
     `Segment`. late_m: by how much its positions, and the heading of a log with an odometer, are further
-    along the road than its pictures.
+    along the road than its pictures. backward: it was driven the other way, its camera looked ahead, so the same way.
     """
 
     begins_m: float
@@ -40,6 +40,7 @@ class Stretch:
     has_odometer: bool = False
     whole_sigma_m: float | None = 0.0
     late_m: float = 0.0
+    backward: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Course:
     map_off_m: east and north, of the whole map; lane_m: right of the map's drive. None draws them by seed as well.
     off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
     looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
+    looks_at: the segments that looks show, by chance one of them; lines are of the first that is there.
     """
 
     road_m: float = 1200.0
@@ -68,6 +70,7 @@ class Course:
     match_sigma_m: float = 2.5
     laps: int = 1
     looks: bool = False
+    looks_at: tuple[int, ...] = (0,)
 
 
 def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:
@@ -100,18 +103,28 @@ def build_maps(
             before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
             if not stretch.continues:
                 recording = stretch.recording or f"stretch {number}"
-                whole_m = stretch.whole_sigma_m
-                builder.begin_segment(recording, "rear", has_odometer=stretch.has_odometer, whole_sigma_m=whole_m)
-            at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)
+                whole_m, view = stretch.whole_sigma_m, "front" if stretch.backward else "rear"
+                builder.begin_segment(recording, view, has_odometer=stretch.has_odometer, whole_sigma_m=whole_m)
+            at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)[
+                :: -1 if stretch.backward else 1
+            ]
             for row, s in enumerate(at_m):
                 logged = min(int(s + stretch.late_m), len(line) - 1)
                 looks = heading[logged if stretch.has_odometer else int(s)]  # wheels, heading, positions: of one log
                 east_m, north_m = line[logged] + [stretch.east_m, stretch.north_m]
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
-                known = index + row, lat_deg, lon_deg, 0.0, math.degrees(looks) % 360, route_m
+                known = (
+                    index + row,
+                    lat_deg,
+                    lon_deg,
+                    0.0,
+                    math.degrees(looks + math.pi * stretch.backward) % 360,
+                    route_m,
+                )
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
-            found.append((before[0], before[1], float(at_m[-1]), before[3] + len(at_m)))
+            begins_m = before[1] if stretch.continues else float(at_m[0])
+            found.append((before[0], begins_m, float(at_m[-1]), before[3] + len(at_m)))
             index += len(at_m)
         builder.finish()
     return MapSet.of(open_map(path)), found

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -205,3 +206,24 @@ def test_positions_of_a_stream_are_as_good_as_they_say(name: str, tmp_path: Path
     """As PX4 follows them."""
     drawn = (Bench(RIGHT[name](np.random.default_rng([seed, 9])), seed, tmp_path, is_stream=True) for seed in range(3))
     check_right([one.run() for one in drawn])
+
+
+@pytest.mark.parametrize(
+    ("others", "looks_at"),
+    [((False,), (1,)), ((True,), (1,)), ((True,), (0, 1)), ((False, True, True), (0, 1, 2, 3))],
+    ids=["of the other drive", "of one the other way", "of both", "of four"],
+)
+def test_looks_at_any_drive_of_a_road_are_as_good_as_at_the_only_one(
+    others: tuple[bool, ...], looks_at: tuple[int, ...], tmp_path: Path
+) -> None:
+    """Lines are of the first drive. Before, the estimate began anew at each change: 4.6 m off (95 %), and not 1.2."""
+    one = Stretch(0.0, 1200.0)
+    stretches = one, *(replace(one, backward=backward) for backward in others)
+    alone, together = (
+        np.concatenate([Bench(course, seed, tmp_path / name).run().own_m for seed in range(2)])
+        for name, course in (
+            ("alone", Course(looks=True)),
+            ("together", Course(looks=True, stretches=stretches, looks_at=looks_at)),
+        )
+    )
+    assert np.percentile(together, 95) < np.percentile(alone, 95) + 0.3
