@@ -125,7 +125,7 @@ bench-quick: $(VENV)/.dev
 	$(BIN)/lookback dev bench --stages --quick
 
 # Drives on real autopilots once more, before anything that concerns positions is done; RECORDED: folders of them.
-RECORDED := ../shared/flights_386c0d62 ../shared/flights_eca2e43 ../shared/flights_b06f79e
+RECORDED := ../shared/flights_b0903bde ../shared/flights_386c0d62 ../shared/flights_eca2e43 ../shared/flights_b06f79e
 flights: $(VENV)/.dev
 	$(BIN)/lookback dev flights $(RECORDED) --model grid --keypoints -o .flights --jobs 2 --page docs/flights.md
 	$(BIN)/lookback dev ablate .flights $(RECORDED) --jobs 2 --page docs/integrity.md

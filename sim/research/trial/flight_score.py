@@ -15,6 +15,8 @@ from sim.trial.records import Array
 from sim.trial.run import read_position
 from sim.vehicle.position_inputs import east_north_m
 
+MOVES_M = 1.0
+"""By so much a reset moves the autopilot at least where it counts as nearer to the truth or further from it."""
 FALSE_M = 25.0
 """Of a believed place from the truth: the lines end up to 20 m off where a stretch begins."""
 
@@ -29,7 +31,8 @@ class SentPosition(msgspec.Struct, frozen=True):
 
     message: the number of the command or message, 0 of one that was not sent. time_s: since GPS was lost, driven_m:
     since then. sigma_m, levels, sigma_along_m, keeps: as in the journal, None where it has none for this one (of a
-    stream it has one a second).
+    stream it has one a second). own_m, moves_m: how far the autopilot was from the truth at the moment of a reset, and
+    from the reset; None of a stream. by_look: whether a single picture says it.
     Errors are NaN where nothing says where the vehicle was.
     """
 
@@ -44,6 +47,16 @@ class SentPosition(msgspec.Struct, frozen=True):
     level_across_m: float | None = None
     sigma_along_m: float | None = None
     keeps: str | None = None
+    own_m: float | None = None
+    moves_m: float | None = None
+    by_look: bool = False
+
+    @property
+    def is_further(self) -> bool | None:
+        """Whether this reset is further from the truth than the autopilot was; None where it moves it too little."""
+        if self.own_m is None or self.moves_m is None or self.moves_m < MOVES_M or math.isnan(self.error_m):
+            return None
+        return self.error_m > self.own_m
 
     @property
     def sigmas(self) -> float:
@@ -84,6 +97,7 @@ class Score(msgspec.Struct, frozen=True):
         sigmas = sigmas[~np.isnan(sigmas)]
         median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
         bounded = [one for one in self.positions if one.level_along_m and one.level_across_m]
+        looks, lines = ([one for one in self.positions if one.by_look is by_look] for by_look in (True, False))
         return {
             "sent": len(self.positions),
             "median_m": median_m,
@@ -97,6 +111,11 @@ class Score(msgspec.Struct, frozen=True):
             "levels": len(bounded),
             "over_along": sum(abs(one.along_m) > (one.level_along_m or 0.0) for one in bounded),
             "over_across": sum(abs(one.across_m) > (one.level_across_m or 0.0) for one in bounded),
+            **{
+                f"{way}_by_{kind}": sum(one.is_further is is_further for one in resets)
+                for kind, resets in (("looks", looks), ("lines", lines))
+                for way, is_further in (("nearer", False), ("further", True))
+            },
             "first_m": next((one.driven_m for one in self.positions if one.time_s >= 0), math.nan),
             "silent_s": self.silent_s,
             "used": self.used,
@@ -148,6 +167,13 @@ def _position(
         along_m,
         across_m,
     )
+    if is_command:
+        own_m = drive.own_m(sent_s - age_s)
+        found = msgspec.structs.replace(
+            found,
+            own_m=round(off_truth(drive, own_m.tolist(), sent_s - age_s)[0], 3),
+            moves_m=round(math.dist(here_m, own_m.tolist()), 3),
+        )
     if fix is None:
         return found
     return msgspec.structs.replace(
@@ -157,6 +183,7 @@ def _position(
         level_across_m=fix.level_across_m,
         sigma_along_m=fix.sigma_along_m or None,
         keeps=fix.keeps or None,
+        by_look=bool(fix.points),
     )
 
 

@@ -19,7 +19,7 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixConfirmed, FixSent, FrameUsed
 from sim.journal import records_of
-from sim.research.trial.flight_score import Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
+from sim.research.trial.flight_score import MOVES_M, Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
 from sim.research.trial.listed_drive import ListedDrive
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
@@ -39,6 +39,7 @@ KINDS_HEADER = (
     " | levels, exceeded along, across | dead reckoning's error, median of the drives |\n"
     "|---|---|---|---|---|---|---|"
 )
+RESETS = "nearer_by_looks", "further_by_looks", "nearer_by_lines", "further_by_lines"
 RECORDED_M = ("reckoned_m", "autopilot_m", "lane_m")
 SECTION = "flights"
 WORSE_M = 0.5
@@ -317,10 +318,13 @@ def _together(scores: Sequence[Score]) -> str:
     found = [one.row() for one in scores]
     sums = {key: sum(one[key] for one in found) for key in ("sent", "known", "beyond_3", "beyond_4", "levels")}
     over = sum(one["over_along"] for one in found), sum(one["over_across"] for one in found)
+    resets = [sum(one[key] for one in found) for key in RESETS]
     return (
         "{sent} positions; of {known} whose standard deviation the journal has, {beyond_3} beyond three and {beyond_4}"
-        " beyond four of them; of {levels} with finite levels, {} beyond that along and {} beyond that across"
-    ).format(*over, **sums)
+        " beyond four of them; of {levels} with finite levels, {} beyond that along and {} beyond that across;"
+        f" of resets that move the autopilot by {MOVES_M:.0f} m, by looks {{}} are nearer to the truth than it was"
+        " and {} further, by lines {} and {}"
+    ).format(*over, *resets, **sums)
 
 
 def page(flights: Sequence[Flight | Failed]) -> str:

@@ -25,6 +25,7 @@ from edge.telemetry.boot_clock import JUMP_MS
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.toml_file import read_toml
 from edge_plugins.mapping import MappingConfig
+from sim import ORIGIN_ALT_M, geodetic
 from sim.datasets.flight_logs import tlog_frames
 from sim.journal import UnknownRecord, read_journal
 from sim.trial.records import Array
@@ -82,6 +83,10 @@ class RecordedDrive:
     def true_m(self, time_s: Array | float) -> Array:
         """Meters east and north (2, ...) of the simulation's origin."""
         return np.array([np.interp(time_s, self.truth["mono_s"], self.truth[name]) for name in ("east_m", "north_m")])
+
+    def own_m(self, time_s: float) -> Array:
+        """Meters east and north (2,) of the simulation's origin, as the autopilot had it."""
+        return np.array([np.interp(time_s, self.own["mono_s"], self.own[name]) for name in ("east_m", "north_m")])
 
     def heading_deg(self, time_s: float) -> float:
         """Of the vehicle, clockwise from north."""
@@ -184,11 +189,43 @@ def _read_drive(folder: Path) -> RecordedDrive:
         lane_m=_lane_m(folder / LANE, scenarios[-1][1]),
         truth=truth,
         own=own,
-        link=[LinkFrame(unix_s - epoch_s, data, message) for unix_s, data, message in messages],
+        link=_link([LinkFrame(unix_s - epoch_s, data, message) for unix_s, data, message in messages], own),
         runs=_runs(lines or alone, 1 / config.camera.fps),
         used=[record for _, record in frames],
         sent=[record for _, record in lines if isinstance(record, FixSent)],
         latency_s=float(np.median([at_s - frame.stamp_ns / 1e9 for at_s, frame in frames] or [LATENCY_S])),
+    )
+
+
+def _link(frames: list[LinkFrame], own: Columns) -> list[LinkFrame]:
+    """The frames of the link; where nobody asked for streams, the autopilot's motion as often as its file has it."""
+    if 2 * sum(one.message.get_type() == "GLOBAL_POSITION_INT" for one in frames) > len(own["mono_s"]):
+        return frames
+    codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+    yaws_rad = np.unwrap(np.radians(own["heading_deg"]))
+    yaw_rates = np.gradient(yaws_rad, own["boot_ms"] / 1e3)
+    made = []
+    for row, at_s in enumerate(own["mono_s"].tolist()):
+        one = {name: float(values[row]) for name, values in own.items()}
+        lat_deg, lon_deg = geodetic(one["east_m"], one["north_m"])
+        boot_ms, east_mps, north_mps = round(one["boot_ms"]), one["east_mps"], one["north_mps"]
+        alt_mm, yaw_rad = round(ORIGIN_ALT_M * 1e3), math.remainder(yaws_rad[row], math.tau)
+        speeds = round(100 * north_mps), round(100 * east_mps), 0
+        at = round(lat_deg * 1e7), round(lon_deg * 1e7), alt_mm, 0
+        made += [
+            (at_s, message)
+            for message in (
+                mavlink.MAVLink_global_position_int_message(boot_ms, *at, *speeds, round(100 * one["heading_deg"])),
+                mavlink.MAVLink_local_position_ned_message(
+                    boot_ms, one["north_m"], one["east_m"], 0.0, north_mps, east_mps, 0.0
+                ),
+                mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, yaw_rad, 0.0, 0.0, float(yaw_rates[row])),
+            )
+        ]
+    kinds = {message.get_msgId() for _, message in made}
+    streams = [LinkFrame(at_s, codec.encode(message), message) for at_s, message in made]
+    return sorted(
+        [*(one for one in frames if one.message.get_msgId() not in kinds), *streams], key=lambda one: one.time_s
     )
 
 

@@ -7,6 +7,7 @@ import gzip
 import json
 import math
 import shutil
+import struct
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -20,11 +21,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.journal.records import FixSent
+from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim import geodetic
+from sim.datasets.flight_logs import tlog_frames
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.flight_score import Score, SentPosition, score
-from sim.research.trial.flights_command import Failed, Flight, page, publish, replay_all
+from sim.research.trial.flights_command import RESETS, Failed, Flight, page, publish, replay_all
 from sim.research.trial.recorded_drive import JOURNAL, LINK, RecordedDrive, first_boot, read_drive
 from tests.golden.harness import HERE
 
@@ -69,6 +72,31 @@ def test_positions_are_judged_by_the_truth_at_their_own_moment(drive: RecordedDr
     assert row["silent_s"] == pytest.approx(15.0, abs=0.05)
     driven_m = drive.driven_m(lost_s + 5.0) - drive.driven_m(lost_s)
     assert driven_m > 5.0 and row["first_m"] == pytest.approx(driven_m, abs=0.01)
+
+
+def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counted(drive: RecordedDrive) -> None:
+    at_s = drive.gps_lost_s + 20.0
+    east_m, north_m = drive.own_m(at_s - 0.5) - drive.true_m(at_s - 0.5)
+    own_m = math.hypot(east_m, north_m)
+    assert own_m > 0.1
+    heading_rad = np.radians(drive.heading_deg(at_s - 0.5))
+    ahead_m = east_m * np.sin(heading_rad) + north_m * np.cos(heading_rad)
+    right_m = east_m * np.cos(heading_rad) - north_m * np.sin(heading_rad)
+    share = 2.5 / own_m  # of the autopilot's own error: 2.5 m further, twice by a look and once by a line
+    offsets = [(1.0 + share, 7), (1.0 + share, 7), (1.0 + share, 0), (1.0, 0)]
+    messages = [
+        position(drive, at_s, by * ahead_m, by * right_m + 0.01 * number) for number, (by, _) in enumerate(offsets)
+    ]
+    journal = [
+        msgspec.structs.replace(sent(message, None), points=points)
+        for message, (_, points) in zip(messages, offsets, strict=True)
+    ]
+    row = score(drive, [(at_s, message) for message in messages], journal, drive.used).row()
+    assert [row[key] for key in RESETS] == [0, 2, 0, 1], "the last one moves nothing"
+    flown = Flight(
+        "night", "", score(drive, [], [], []), score(drive, [(at_s, messages[0])], journal, []), [], [], [], 0.0
+    )
+    assert "by looks 0 are nearer to the truth than it was and 1 further, by lines 0 and 0" in page([flown])
 
 
 @pytest.mark.parametrize(("keeps", "sigmas"), [(None, math.sqrt(1.25)), ("across", 2.0), ("along", 0.75)])
@@ -116,6 +144,37 @@ def test_exposures_are_those_of_the_journal_or_of_the_config_without_one(drive: 
     (alone,) = read_drive(folder).runs
     assert (alone.from_s, alone.to_s) == pytest.approx((run.from_s, run.to_s), abs=0.3)
     assert len(alone.exposures_s) == pytest.approx(len(run.exposures_s), abs=4)
+
+
+def test_a_link_on_which_nobody_asked_for_streams_has_the_autopilots_motion(
+    tmp_path: Path, drive: RecordedDrive
+) -> None:
+    """Flown without Lookback, ArduPilot sends one position a second."""
+    folder, kinds = copied(tmp_path / "off", "*.jsonl*"), ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
+    thinned, left = bytearray(), dict.fromkeys(kinds, 0)
+    for stamp_us, _, data in tlog_frames(gzip.decompress((folder / LINK).read_bytes())):
+        message = MavlinkCodec(1, 1).decode(data)
+        kind = message[0].get_type() if message else ""
+        left[kind] = left.get(kind, 0) + 1
+        if kind not in kinds or left[kind] % 10 == 1:
+            thinned += struct.pack(">Q", stamp_us) + data
+    (folder / LINK).write_bytes(gzip.compress(bytes(thinned)))
+    alone = read_drive(folder)
+    assert alone.gps_lost_s == pytest.approx(drive.gps_lost_s, abs=0.1)
+    for kind in kinds:
+        found = [one for one in alone.link if one.message.get_type() == kind]
+        assert len(found) == len(drive.own["mono_s"])
+    one = next(
+        one.message
+        for one in alone.link
+        if one.message.get_type() == "GLOBAL_POSITION_INT" and one.time_s > alone.gps_lost_s
+    )
+    real = min(
+        (one.message for one in drive.link if one.message.get_type() == "GLOBAL_POSITION_INT"),
+        key=lambda other: abs(other.time_boot_ms - one.time_boot_ms),
+    )
+    assert (one.lat, one.lon, one.hdg) == pytest.approx((real.lat, real.lon, real.hdg), abs=120)
+    assert (one.vx, one.vy) == pytest.approx((real.vx, real.vy), abs=15)
 
 
 def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) -> None:
