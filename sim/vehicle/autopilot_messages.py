@@ -190,8 +190,9 @@ def _origin(state: Snapshot) -> Message | None:
     )
 
 
-def _version(state: Snapshot) -> Message:
-    major, minor, patch = state.firmware.version
+def version_of(firmware: Firmware) -> Message:
+    """AUTOPILOT_VERSION."""
+    major, minor, patch = firmware.version
     software = major << 24 | minor << 16 | patch << 8 | 255
     return mavlink.MAVLink_autopilot_version_message(
         CAPABILITIES, software, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
@@ -217,6 +218,6 @@ ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
     ),
     FusionStatus.id: _fusion_status,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _origin,
-    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
+    mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: lambda state: version_of(state.firmware),
 }
 """By message id; ESTIMATOR_STATUS only for firmware that reports its accuracy, EKF_STATUS_REPORT only for the other."""

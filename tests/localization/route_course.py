@@ -14,6 +14,7 @@ from edge.geodesy import moved
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
+from sim.world.scenario import View
 
 HOME = (-27.0, 153.0)
 SPACING_M = 2.0
@@ -103,7 +104,8 @@ def build_maps(
             before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)
             if not stretch.continues:
                 recording = stretch.recording or f"stretch {number}"
-                whole_m, view = stretch.whole_sigma_m, "front" if stretch.backward else "rear"
+                view: View = "front" if stretch.backward else "rear"
+                whole_m = stretch.whole_sigma_m
                 builder.begin_segment(recording, view, has_odometer=stretch.has_odometer, whole_sigma_m=whole_m)
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)[
                 :: -1 if stretch.backward else 1

@@ -30,6 +30,8 @@ from sim.datasets.flight_logs import tlog_frames
 from sim.journal import UnknownRecord, read_journal
 from sim.trial.records import Array
 from sim.trial.way import along
+from sim.vehicle.autopilot_messages import version_of
+from sim.vehicle.firmware import FIRMWARES, parameters_of
 from sim.world.scenario import Scenario, View
 
 Columns = dict[str, NDArray[np.float64]]
@@ -198,7 +200,10 @@ def _read_drive(folder: Path) -> RecordedDrive:
 
 
 def _link(frames: list[LinkFrame], own: Columns) -> list[LinkFrame]:
-    """The frames of the link; where nobody asked for streams, the autopilot's motion as often as its file has it."""
+    """The frames of the link; where nobody asked for anything, the autopilot's motion as often as its file has it.
+
+    Version and parameters then are of the simulated autopilot with wheels, from before the drive.
+    """
     if 2 * sum(one.message.get_type() == "GLOBAL_POSITION_INT" for one in frames) > len(own["mono_s"]):
         return frames
     codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
@@ -222,8 +227,16 @@ def _link(frames: list[LinkFrame], own: Columns) -> list[LinkFrame]:
                 mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, yaw_rad, 0.0, 0.0, float(yaw_rates[row])),
             )
         ]
+    makers = [one.message.autopilot for one in frames if one.message.get_type() == "HEARTBEAT"]
+    firmware = next(one for one in FIRMWARES.values() if one.autopilot in makers)
+    made.append((0.0, version_of(firmware)))
+    made += [
+        (0.0, mavlink.MAVLink_param_value_message(name.encode(), *value, 1, 0))
+        for name, value in parameters_of(firmware, "wheels").items()
+    ]
     kinds = {message.get_msgId() for _, message in made}
-    streams = [LinkFrame(at_s, codec.encode(message), message) for at_s, message in made]
+    sent = [(at_s, codec.encode(message)) for at_s, message in made]
+    streams = [LinkFrame(at_s, data, one) for at_s, data in sent for one in MavlinkCodec(1, WE).decode(data)]
     return sorted(
         [*(one for one in frames if one.message.get_msgId() not in kinds), *streams], key=lambda one: one.time_s
     )
