@@ -15,13 +15,7 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.look import STANDS_M, Look, Vector, camera_seen
-from edge.localization.place_fix import (
-    LineReadings,
-    heads_along,
-    line_middle,
-    map_error_m,
-    position_on_route,
-)
+from edge.localization.place_fix import LineReadings, heads_along, line_middle, map_error_m, position_on_route
 from edge.localization.route_estimate import WANDER, MatchErrors, Passed, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
@@ -144,17 +138,13 @@ class Sightings:
         )
 
     def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
-        """What one picture says; None where it says nothing, or the map does not know where the row is and heads.
-
-        It is of its own drive of the map, which may be another than that of the match, also the other way.
-        """
+        """What one picture says, of its own drive; None where it is nothing, or the map has no heading of the row."""
         seen = match.seen
         if seen is None:
             return None
         route, drive, rig = self.route, self.route.drive(seen.place_index), self.rig
-        goes_back = route.looks_back(seen.place_index) != self._looks_back
-        direction: Direction = "reverse" if goes_back else "forward"
-        match = replace(match, place_index=seen.place_index, direction=direction, order="same")
+        way: Direction = "reverse" if route.looks_back(seen.place_index) != self._looks_back else "forward"
+        match = replace(match, place_index=seen.place_index, direction=way, order="same")
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:
             return None

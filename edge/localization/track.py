@@ -109,14 +109,12 @@ class Track:
 
     def add(self, sighting: Sighting, road_sigma_m: float, stamp_ns: int) -> None:
         """Correct the estimate by a match; road_sigma_m: one standard deviation of the position across the road."""
-        if sighting.look is None and self.estimate.since_looks_m < HOLDS_M:
-            # It only shows that the vehicle is still there; what is known of the drive that was looked at stays.
-            if self._begins_drive(sighting):
-                self._agreed(sighting, stamp_ns)
-            else:
-                self._added(replace(sighting, whole_sigma_m=self.newest.whole_sigma_m), stamp_ns)
+        begins = self._begins_drive(sighting)
+        if sighting.look is None and self.estimate.since_looks_m < HOLDS_M:  # it only shows that the vehicle is there
+            kept = self.newest if begins else replace(sighting, whole_sigma_m=self.newest.whole_sigma_m)
+            self._added(sighting, stamp_ns, kept)
             return
-        if self._begins_drive(sighting):
+        if begins:
             self.estimate.begin_drive(sighting.errors)
         if sighting.look is not None:
             self.estimate.correct_by_look(sighting.look)
@@ -137,15 +135,12 @@ class Track:
         self.estimate.begin_at_look(look)
         self._added(sighting, stamp_ns)
 
-    def _added(self, sighting: Sighting, stamp_ns: int) -> None:
+    def _added(self, sighting: Sighting, stamp_ns: int, kept: Sighting | None = None) -> None:
+        self.points = 0 if sighting.look is None else sighting.look.points
         if sighting.look is not None:
             self.goes_back = sighting.look.goes_back
-        self.newest, self.since_m = sighting, 0.0
-        self._agreed(sighting, stamp_ns)
-
-    def _agreed(self, sighting: Sighting, stamp_ns: int) -> None:
-        self.points = 0 if sighting.look is None else sighting.look.points
-        self.stamp_ns, self.disagreeing = stamp_ns, 0
+        self.since_m = self.since_m if kept is self.newest else 0.0
+        self.newest, self.stamp_ns, self.disagreeing = kept or sighting, stamp_ns, 0
         self.matches += 1
         self.confidence = max(self.confidence, sighting.match.confidence)
 
