@@ -262,7 +262,7 @@ def check_access(where: str, path: str) -> str:
             raise ConfigError(f"{where}: {path}: this user may not enter {folder}; {_what_to_do(folder)}")
     if real.exists() and not os.access(real, os.R_OK):
         raise ConfigError(f"{where}: {path}: this user may not read it; {_what_to_do(real)}")
-    is_expected = where == "[telemetry] journal" or (where == "[home] socket" and real.is_socket())
+    is_expected = where == "[telemetry] journal"
     if real.exists() and not (real.is_file() or real.is_dir() or is_expected):
         raise ConfigError(f"{where}: {path}: neither a file nor a folder")
     return path

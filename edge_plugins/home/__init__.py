@@ -4,9 +4,9 @@
 `passes`      which pass of that drive the vehicle is on
 `way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome; and that as items
               of a MAVLink mission, as ArduPilot or PX4 number them
-`checks`      whether a vehicle can drive that way: gaps, jumps, turns, loops, length
+`checks`      whether a vehicle can drive that way: gaps, jumps, turns, length
 
-These are pure. `home_requests` answers requests, which come by MAVLink, by `local_socket` or from the page;
+These are pure. `home_requests` answers requests, which come by MAVLink;
 `mission_transfer` uploads the mission, and `replaced_mission` keeps the one before. `plugin` is for the daemon.
 """
 
@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
-from edge.config import Config, FilePath, Section
+from edge.config import Config, Section
 
 
 class HomeConfig(Section, frozen=True):
@@ -24,7 +24,6 @@ class HomeConfig(Section, frozen=True):
 
     plugin: ClassVar[str] = "edge_plugins.home.plugin:Home"
     enabled: bool = False
-    socket: FilePath = ""
     turning_radius_m: Annotated[float, Meta(ge=0, le=1000)] = 6.0
     tolerance_m: Annotated[float, Meta(ge=0.05, le=10)] = 0.5
     speed_mps: Annotated[float, Meta(ge=0, le=50)] = 0.0

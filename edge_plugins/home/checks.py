@@ -17,10 +17,6 @@ from edge.reference_map.gps_motion import disagreements
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.drive_line import DriveLine
 
-MEETS_M = 8.0
-"""A way that comes so near to itself meets itself: about the width of a road."""
-MEETS_AGAIN_M = 40.0
-"""Along the way between two points that meet; less is a bend."""
 SHARPEST_RAD = math.radians(95)
 """Of a single corner: an arc that joins its legs would cut too far across it."""
 SLACK = 4.0
@@ -146,38 +142,6 @@ def start_check(away_m: float, sigma_m: float | None, turn_rad: float | None, co
         " or turn it first",
         f"home is {degrees:.0f} degrees off, turn first",
     )
-
-
-def loop_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> Iterator[Finding]:
-    """Stretches after which the way (N, 2) is back where it was: loops, and turns in the middle of the drive."""
-    for start_m, end_m in _loops(points_m, way_m):
-        yield Finding(
-            False,
-            f"{_stretch(start_m, end_m)}: a loop or a turn, driven the other way round: check that no road in it is"
-            " one-way",
-            f"one-way roads {_stretch(start_m, end_m)}?",
-        )
-
-
-def _loops(points_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> Iterator[tuple[float, float]]:
-    """Each stretch between two meetings of the way with itself once, at its first point."""
-    at_m = np.arange(0.0, way_m[-1], MEETS_M / 2)
-    sampled_m = np.column_stack([np.interp(at_m, way_m, points_m[:, column]) for column in (0, 1)])
-    seen: dict[tuple[int, int], list[int]] = {}
-    last_row = -1
-    for row, cell in enumerate(map(tuple, np.floor(sampled_m / MEETS_M).astype(int))):
-        near = [
-            other
-            for east in (-1, 0, 1)
-            for north in (-1, 0, 1)
-            for other in seen.get((cell[0] + east, cell[1] + north), ())
-            if at_m[row] - at_m[other] > MEETS_AGAIN_M and math.dist(sampled_m[row], sampled_m[other]) < MEETS_M
-        ]
-        if near:
-            if row != last_row + 1:  # the first of a run: driving on beside the same stretch is no other loop
-                yield float(at_m[max(near)]), float(at_m[row])
-            last_row = row
-        seen.setdefault(cell, []).append(row)
 
 
 def _runs(is_bad: NDArray[np.bool_]) -> list[NDArray[np.int64]]:

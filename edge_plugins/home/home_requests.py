@@ -1,4 +1,4 @@
-"""Requests for the way home: a command addressed to us, or a local program's, until the mission is verified.
+"""Requests for the way home: a command addressed to us, until the mission is verified.
 
 A request only uploads a mission: nothing in here arms a vehicle, starts a mission or changes a mode. It is rejected
 unless the vehicle is known, in a mode in which it does not drive by itself, and its position is known; and unless every
@@ -35,7 +35,6 @@ REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
 CHECK_AGAIN_NS = 30_000_000_000
 """From a check of a mission that may be cut off to the next, where the first came to no end."""
-GIVEN_BACK = "; `lookback home --restore` uploads the one before"
 Plan = Callable[[Start], WayHome]
 Sender = tuple[int, int]
 """System and component of a command."""
@@ -120,12 +119,9 @@ class HomeRequests:
         is_known = own is not None and self._drive.known.own_sigma_m is not None
         return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
 
-    def ask(self, reply: Callable[[Answer], object], *, restore: bool = False) -> None:
-        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last.
-
-        restore: the mission that it has replaced instead.
-        """
-        self._link.send(self._request(reply, self._link.clock_ns(), restore=restore))
+    def ask(self, reply: Callable[[Answer], object]) -> None:
+        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
+        self._link.send(self._request(reply, self._link.clock_ns()))
 
     def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
         """Read a message of any component on the autopilot's link; the messages that are due because of it.
@@ -170,15 +166,14 @@ class HomeRequests:
             return self._reply(sender, denied, now_ns)
         return self._request(sender, now_ns)
 
-    def _request(self, asker: Asker, now_ns: int, *, restore: bool = False) -> list[Message]:
-        """Request the way home, or the mission that it replaced: the first answer, and the first of the transfer."""
-        words = ("restored", "not restored") if restore else ("uploaded", "no way home")
+    def _request(self, asker: Asker, now_ns: int) -> list[Message]:
+        """Request the way home: the first answer, and the first of the transfer."""
         home_first = self._vehicle.session.firmware.home_is_item_0
         try:
             self._check_request()
-            items, what = self._kept_items() if restore else self._way_items(now_ns, home_first=home_first)
+            items, what = self._way_items(now_ns, home_first=home_first)
         except Rejected as error:
-            return self._reply(asker, self._answered(Answer(error.result, f"{words[1]}: {error}")), now_ns)
+            return self._reply(asker, self._answered(Answer(error.result, f"no way home: {error}")), now_ns)
         system_id = self._vehicle.target_id
 
         def keep(present: list[MissionItem]) -> Next:
@@ -187,8 +182,7 @@ class HomeRequests:
             return "upload"
 
         transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
-        done = f"{words[0]} and verified: {what}"
-        self._upload = Upload(transfer, len(items), done, words[1], asker)
+        self._upload = Upload(transfer, len(items), f"uploaded and verified: {what}", "no way home", asker)
         log.info("uploading %s", what)
         begun = Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
         return [*self._reply(asker, begun, now_ns), *transfer.start(now_ns)]
@@ -203,12 +197,6 @@ class HomeRequests:
         if self._vehicle.session.autopilot not in FIRMWARES:
             names = " nor ".join(one.name for one in FIRMWARES.values())
             raise Rejected(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
-
-    def _kept_items(self) -> tuple[Sequence[MissionItem], str]:
-        items = self._replaced.items(self._vehicle.target_id)
-        if len(items) <= self._replaced.kept.first:
-            raise Rejected(mavlink.MAV_RESULT_FAILED, "no mission is known that was replaced")
-        return items, f"the mission that was replaced, {len(items)} items"
 
     def _way_items(self, now_ns: int, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
         way, config = self._planned(now_ns), self._config
@@ -273,9 +261,10 @@ class HomeRequests:
         if outcome.is_settled:
             self._replaced.settle()
         if outcome.verified:
-            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, upload.done, upload.items))
+            done = f"{upload.done}{self._replaced.where}"
+            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, done, upload.items))
         else:
-            more = GIVEN_BACK if outcome.is_settled and upload.asker is None and self._replaced.kept.replaced else ""
+            more = self._replaced.where if outcome.is_settled and upload.asker is None else ""
             answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
         return [] if upload.asker is None else self._reply(upload.asker, answer, now_ns)
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edge.plugin import Parts, Plugin
 from edge.reference_map import MapSet
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
-from edge_plugins.home.local_socket import LocalSocket
 from edge_plugins.home.way_home import Start, WayHome, plan_way_home
 
 if TYPE_CHECKING:
@@ -21,24 +19,12 @@ class Home(Plugin):
     """[home]: requests of all kinds, and the plan by the maps that are searched."""
 
     def __init__(self, config: HomeConfig, parts: Parts) -> None:
-        """ConfigError where the socket cannot be made."""
         self._config, self._parts = config, parts
         self.service = self.requests = HomeRequests(config, parts.autopilot)
-        self._socket = LocalSocket(Path(config.socket)) if config.socket else None
 
     def start(self) -> None:
         """From now on there are maps to plan by."""
         self.requests.plan = self._plan
-
-    def turn(self, spare_s: float | None) -> None:
-        """Answer `lookback home`."""
-        if self._socket is not None and (request := self._socket.requested()) is not None:
-            self.requests.ask(self._socket.reply, restore=request == "restore")
-
-    def close(self) -> None:
-        """Remove the socket."""
-        if self._socket is not None:
-            self._socket.close()
 
     def _plan(self, start: Start) -> WayHome:
         """With the map of this drive up to the vehicle, if there is one."""

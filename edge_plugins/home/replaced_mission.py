@@ -1,7 +1,8 @@
 """A mission as MAVLink has it; a copy of what an upload replaces, and a mark while that may be cut off, in a file.
 
 Both are on the disk before the autopilot is asked to change anything. So the start after a kill or a power cut knows
-that the autopilot may have a mixture, by which items to recognize it, and what to give back.
+that the autopilot may have a mixture, and by which items to recognize it. Beside it is what was replaced as a file of
+waypoints, which a ground station uploads again.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import msgspec
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.files import KeptFile
+from edge.errors import reason
+from edge.files import KeptFile, replacing
 from edge.telemetry.codec import Message
 from edge_plugins.home.way_home import MissionItem
 
@@ -43,19 +45,31 @@ class ReplacedMission:
     """What is kept of the newest upload."""
 
     def __init__(self, path: Path | None) -> None:
-        """path: None keeps it in memory only."""
-        self._file = KeptFile(path, Kept, "the mission that was replaced is not known")
+        """path: None keeps it in memory only, and writes no file of waypoints beside it."""
+        self._waypoints = path and path.with_suffix(".waypoints")
+        self._file = KeptFile(path, Kept, "a mission that was cut off is not known")
         self.kept = self._file.read() or Kept()
 
-    def items(self, system_id: int) -> tuple[MissionItem, ...]:
-        """The mission that was replaced in this vehicle; empty where there was none."""
-        return self.kept.replaced if self.kept.system_id == system_id else ()
+    @property
+    def where(self) -> str:
+        """The file of the mission that was replaced, as the end of a sentence; "" where there was none."""
+        is_kept = self._waypoints is not None and len(self.kept.replaced) > self.kept.first
+        return f"; the mission before it: {self._waypoints}" if is_kept else ""
 
     def begin(self, system_id: int, first: int, present: Sequence[MissionItem], uploaded: Sequence[MissionItem]) -> str:
         """Keep the present mission, unless it is what earlier uploads have left; returns why that failed, or ""."""
         is_known = self.kept.system_id == system_id and self._explains(present)
         replaced = self.kept.replaced if is_known else tuple(present)
-        return self._store(Kept(system_id, first, replaced, tuple(uploaded), is_settled=False))
+        why = self._store(Kept(system_id, first, replaced, tuple(uploaded), is_settled=False))
+        if not self.where or self._waypoints is None:
+            return why
+        try:
+            with replacing(self._waypoints) as stream:
+                # The format's item 0 is the home position.
+                stream.write(as_waypoints(replaced if first else (replaced[0], *replaced)))
+        except OSError as error:
+            return reason(error)
+        return why
 
     def settle(self) -> None:
         """The autopilot has all of the upload, or nothing of it."""
@@ -81,6 +95,19 @@ class ReplacedMission:
     def _store(self, kept: Kept) -> str:
         self.kept = kept
         return self._file.write(kept)
+
+
+def as_waypoints(items: Sequence[MissionItem]) -> bytes:
+    """QGC WPL 110, which Mission Planner, MAVProxy and QGroundControl read; item 0 is the home position."""
+    rows = ["QGC WPL 110", *(_row(number, item) for number, item in enumerate(items))]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _row(number: int, item: MissionItem) -> str:
+    params = (f"{param or 0.0:.8f}" for param in item.params)
+    position = f"{item.lat_deg:.8f}\t{item.lon_deg:.8f}\t{item.altitude_m or 0.0:.6f}"
+    fields = [number, int(number == 0), item.frame, item.command, *params, position, item.goes_on]
+    return "\t".join(map(str, fields))
 
 
 def mission_item(item: Message) -> MissionItem:

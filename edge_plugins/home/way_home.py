@@ -107,7 +107,6 @@ def plan_way_home(
         *checks.motion_check(line, row + 1, float(way_m[-1])),
         *checks.accuracy_check(way_m, sigma_m, config),
         *checks.turn_check(waypoints_m, way_m[kept], config),
-        *checks.loop_check(points_m, way_m),
     )
     positions_deg = tuple(_degrees(line, point) for point in waypoints_m)
     return WayHome(line.name, positions_deg, tuple(way_m[kept].tolist()), len(points_m), findings)

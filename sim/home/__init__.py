@@ -1,1 +1,1 @@
-"""`lookback home`: print the way home, write it to a file, upload it, or have the running daemon do so."""
+"""`lookback home`: print the way home, write it to a file, or upload it."""

@@ -7,16 +7,14 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from edge.config import RigConfig, TelemetryConfig, checked_option, load_config
+from edge.config import RigConfig, TelemetryConfig, checked_option
 from edge.errors import ConfigError, LinkLost
 from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import parse_connection
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import Answer, HomeRequests, Plan
-from edge_plugins.home.local_socket import Request
 from edge_plugins.home.way_home import Start, WayHome, plan_way_home
-from sim.home.client import ask_for_home
 from sim.home.files import encoder_of, write_way_home
 
 TURN_S = 0.02
@@ -38,14 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback home`."""
     parser.description = (
         "Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
-        " Nothing else happens without -o, --upload, --ask or --restore. Nothing starts a mission or changes a mode."
+        " Nothing else happens without -o or --upload. Nothing starts a mission or changes a mode."
     )
-    parser.add_argument("map", type=Path, nargs="?", metavar="MAP", help="a map, or a folder of maps")
+    parser.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints, .plan or .geojson")
     where.add_argument("--upload", metavar="CONNECTION", help="upload it while the daemon is not running")
-    where.add_argument("--ask", type=Path, metavar="CONFIG", help="have the running daemon of this config upload it")
-    where.add_argument("--restore", type=Path, metavar="CONFIG", help="have it upload the mission that it replaced")
     parser.add_argument("--from", dest="start", metavar="LAT,LON", help="where it is (default: end of the drive)")
     parser.add_argument("--drive", type=int, metavar="N", help="number of the drive, from 1 (default: the newest)")
     parser.add_argument("--left-m", type=float, default=0.0, metavar="M", help="how far left of the drive to go home")
@@ -56,12 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(args: argparse.Namespace) -> int:
-    if args.ask is not None:
-        return _ask(args.ask, "home")
-    if args.restore is not None:
-        return _ask(args.restore, "restore")
-    if args.map is None:
-        raise ConfigError("home: name a map, or ask the daemon with --ask CONFIG")
     config = HomeConfig(enabled=True)
     for key in LIMITS:
         if getattr(args, key) is not None:
@@ -132,11 +122,3 @@ def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
 def _turn(link: AutopilotConnection) -> None:
     link.poll()
     time.sleep(TURN_S)
-
-
-def _ask(path: Path, request: Request) -> int:
-    """Have the running daemon do it, which has the map, the position and the link."""
-    home = load_config(path).of(HomeConfig)
-    if not (home.enabled and home.socket):
-        raise ConfigError(f"{path}: [home] enabled and socket must be set for the daemon to be asked")
-    return 0 if ask_for_home(Path(home.socket), print, request) else 1

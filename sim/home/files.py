@@ -11,6 +11,7 @@ import msgspec
 from edge.errors import ConfigError
 from edge.files import replacing
 from edge_plugins.home import HomeConfig
+from edge_plugins.home.replaced_mission import as_waypoints
 from edge_plugins.home.way_home import FRAME_RELATIVE_ALT, MissionItem, WayHome, mission_items
 from sim.ground_files import GroundLine, as_geojson
 from sim.output import refusing
@@ -34,17 +35,7 @@ def encoder_of(path: Path) -> Callable[[WayHome, HomeConfig], bytes]:
 
 
 def _waypoints(way: WayHome, config: HomeConfig) -> bytes:
-    """QGC WPL 110, which Mission Planner, MAVProxy and QGroundControl read; item 0 is the home position."""
-    items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m)
-    rows = ["QGC WPL 110", *(_row(number, item) for number, item in enumerate(items))]
-    return ("\n".join(rows) + "\n").encode()
-
-
-def _row(number: int, item: MissionItem) -> str:
-    params = (f"{param or 0.0:.8f}" for param in item.params)
-    position = f"{item.lat_deg:.8f}\t{item.lon_deg:.8f}\t{item.altitude_m:.6f}"
-    fields = [number, int(number == 0), item.frame, item.command, *params, position, 1]
-    return "\t".join(map(str, fields))
+    return as_waypoints(mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m))
 
 
 def _plan(way: WayHome, config: HomeConfig) -> bytes:

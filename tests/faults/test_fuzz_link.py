@@ -141,7 +141,7 @@ STEPS: Any = st.one_of(
     st.tuples(st.just("send"), sent),
     st.tuples(st.just("send"), sent),
     st.tuples(st.just("wait"), st.sampled_from([0.02, 0.3, 1.0, 4.0, 60.0])),
-    st.tuples(st.just("home"), st.booleans()),
+    st.tuples(st.just("home"), st.none()),
     st.tuples(st.just("gone"), st.none()),
 )
 
@@ -239,7 +239,7 @@ class Turns:
             self._ahead_ns += round(value * 1e9)
         elif what == "home":
             with self._timed():
-                self.home.ask(lambda answer: None, restore=value)
+                self.home.ask(lambda answer: None)
         else:
             self.stranger.go()
         self.turn()

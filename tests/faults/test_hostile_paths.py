@@ -246,7 +246,6 @@ SPEAKS = {
     "edge/telemetry/link.py": {"socket", "serial"},  # to [telemetry] connection and links
     "edge/telemetry/port.py": {"socket"},  # the names of their hosts
     "edge_plugins/doctor/computer.py": {"serial"},  # which ports there are
-    "edge_plugins/home/local_socket.py": {"socket"},  # a Unix socket, where [home] socket says
     "edge_plugins/nmea/outlets.py": {"socket"},  # on [nmea] bind and port
     "edge_plugins/page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
 }

@@ -157,8 +157,6 @@ def test_no_command_says_a_secret(
         ["eval", feed, *of_map, "--config", str(config)],
         ["calibrate", *of_map, "--config", str(config)],
         ["map", "build", feed, "--config", str(config), "--no-keypoints", *to],
-        ["home", "--ask", str(config)],
-        ["home", "--restore", str(config)],
     ):
         status = main(words)
         out, err = capfd.readouterr()

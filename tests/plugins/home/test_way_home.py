@@ -20,7 +20,6 @@ from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.checks import BRIEF
 from edge_plugins.home.drive_line import simplified
 from edge_plugins.home.way_home import Start, WayHome, mission_items, plan_way_home
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
@@ -235,15 +234,6 @@ def test_a_spike_and_a_turn_on_the_spot_are_refused(map_along: MapAlong) -> None
 def test_a_vehicle_that_turns_on_the_spot_needs_no_radius(map_along: MapAlong) -> None:
     drive = joined(straight(50.0), straight(50.0, 90.0))
     assert not plan(map_along(drive), turning_radius_m=0.0).refusals
-
-
-def test_a_loop_is_named(map_along: MapAlong) -> None:
-    drive = joined(straight(100.0), arc(25.0, 360), straight(100.0))
-    text = the_finding(plan(map_along(drive)), refuses=False)
-    assert all(len(brief) <= BRIEF for brief in plan(map_along(drive + 30_000.0, name="far")).briefs)
-    match = re.fullmatch(r"from (\d+) m to (\d+) m: a loop or a turn, .*one-way", text)
-    assert match is not None
-    assert (int(match[1]), int(match[2])) == pytest.approx((100, 257), abs=25)
 
 
 def test_a_start_too_far_from_the_drive_is_refused(map_along: MapAlong) -> None:
