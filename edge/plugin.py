@@ -46,7 +46,7 @@ class Recognized:
     def __init__(self, recognizer: PlaceRecognizer) -> None:
         self._recognizer = recognizer
         self.config, self.model_name = recognizer.config, recognizer.model_name
-        self.raw_of, self.describe, self.cost_view = recognizer.raw_of, recognizer.describe, recognizer.cost_view
+        self.raw_of, self.describe = recognizer.raw_of, recognizer.describe
 
     @property
     def agreeing(self) -> Agreeing | None:

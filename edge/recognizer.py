@@ -29,7 +29,7 @@ from edge.descriptor.open_network import open_network
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import MapSet, MapSoFar, ModelKey, maps_in, open_map_set, read_header
-from edge.sequence import NOTHING_KNOWN, CostView, PlaceMatch, Travel
+from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
 from edge.sequence.evidence import HoldOff
 from edge.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
 
@@ -219,10 +219,6 @@ class PlaceRecognizer:
     def model_name(self) -> str:
         """Name of the network."""
         return self._network.info.name
-
-    def cost_view(self, match: PlaceMatch | None) -> CostView:
-        """The costs that the newest match, if there is one, was found in; for people."""
-        return self.matcher.search.cost_view(match)
 
     def use_maps(self, map_set: MapSet) -> None:
         """Search these maps from now on, beginning a new sequence."""

@@ -118,21 +118,6 @@ class PlaceMatch:
 
 
 @dataclass(frozen=True)
-class CostView:
-    """What the newest match was found in, for people; costs are in units of COST_ONE.
-
-    costs: (orders, n) int32 of the newest frame against the places `place_index` (n,), the part of the maps that is
-    searched. window: (L, W) int32, the rows of the line of the newest match, oldest first, of the places from
-    `window_start` on; empty while there is none. None of these arrays is written again.
-    """
-
-    costs: NDArray[np.int32]
-    place_index: NDArray[np.intp]
-    window: NDArray[np.int32]
-    window_start: int
-
-
-@dataclass(frozen=True)
 class Near:
     """Where the vehicle may be: degrees, and how many meters the position may be wrong."""
 

@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.reference_map import Drives, MapSet, Ranges
-from edge.sequence import NOTHING_KNOWN, CostView, Direction, Near, PlaceMatch, Travel
+from edge.sequence import NOTHING_KNOWN, Direction, Near, PlaceMatch, Travel
 from edge.sequence.lane import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
 
 SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""
 
-WINDOW_PLACES = 60
 """Places on either side of the match that people are shown of the cost matrix."""
 
 MEASURED_SLOPE_RAD = 0.05
@@ -196,18 +195,6 @@ class PlaceSearch:
         self._unbelieved = 0 if place_index is not None else self._unbelieved + 1
         if place_index is not None and (self._beside is not None or not self._is_position_known):
             self._follow(place_index)
-
-    def cost_view(self, match: PlaceMatch | None) -> CostView:
-        """The costs that the newest match, if there is one, was found in."""
-        part, nothing = self.part, np.zeros((0, 0), np.int32)
-        if part is None or not part.newest.size:
-            return CostView(nothing, np.zeros(0, np.intp), nothing, 0)
-        if match is None:
-            return CostView(part.newest, part.places, nothing, 0)
-        at = int(np.searchsorted(part.places, match.place_index))
-        first = max(0, at - WINDOW_PLACES)
-        window = part.recent_costs(match.direction, match.order, slice(first, at + WINDOW_PLACES + 1))
-        return CostView(part.newest, part.places, window, int(part.places[min(first, len(part.places) - 1)]))
 
     @property
     def _is_doubtful(self) -> bool:

@@ -251,10 +251,10 @@ class SequenceSearch:
         """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
         return _rounded(slope, self._driven[-1]) - _rounded(slope, self._driven[-1 - age])
 
-    def recent(self, plane: Alignment, places: slice = slice(None)) -> NDArray[np.int32]:
+    def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
         slots = np.arange(self._newest - self._rows + 1, self._newest + 1) % self.length
-        at = self._mirror(plane, np.arange(self._places))[self._at[places]]
+        at = self._mirror(plane, np.arange(self._places))[self._at]
         rows: NDArray[np.int32] = self._ring[slots[:, np.newaxis], self.planes.index(plane), at]
         return rows
 

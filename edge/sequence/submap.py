@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.geodesy import east_north_of
 from edge.reference_map import COST_ONE, MapSet, Ranges
-from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, Order, PlaceMatch
+from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, PlaceMatch
 from edge.sequence.evidence import Neighborhood, Roads, match_at
 from edge.sequence.lane import Lanes, lane_costs
 from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
@@ -96,10 +96,6 @@ class RowMatcher:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
         return replace(match, order=ORDERS[int(self.newest[:, place].argmin())])
-
-    def recent_costs(self, direction: Direction, order: Order, places: slice) -> NDArray[np.int32]:
-        """The cost rows in the ring at some places, (n, places) oldest first, as a line of that kind sees them."""
-        return self._search.recent((direction, "same" if self._per_frame_order else order), places)
 
     def clear(self) -> None:
         """Remove all rows."""

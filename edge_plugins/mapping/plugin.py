@@ -95,7 +95,6 @@ class Mapping(Plugin):
         self._driven: OwnDriven | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
         self._newest = self.live.searched.so_far()
-        self.paused = ""
         """Why a person has mapping pause; "" where nobody has."""
         self._told: tuple[str, str] = (self.status.state, self.status.why)
 
@@ -192,7 +191,7 @@ class Mapping(Plugin):
             self.live.own.compare(counted, position)
         for (frame, raw, distance_m, missed), position in self._awaiting.known(all_of_them=at_the_end):
             self._notice_gap()
-            self.live.add(raw, frame.image, position, distance_m, self.paused or autopilot.gps_fault, missed)
+            self.live.add(raw, frame.image, position, distance_m, autopilot.gps_fault, missed)
         status = self.status
         if (status.state, status.why) != self._told:
             self._told = status.state, status.why

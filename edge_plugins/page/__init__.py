@@ -13,13 +13,12 @@ from edge.config import Config, Section
 
 
 class PageConfig(Section, frozen=True):
-    """[page]: the live page; read-only without a token."""
+    """[page]: the live page, which is read-only."""
 
     plugin: ClassVar[str] = "edge_plugins.page.plugin:Page"
     bind: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65535)] = 8642
     hosts: tuple[str, ...] = ()
-    token: Annotated[str, Meta(pattern="^$|^[!-~]{12,200}$")] = ""
 
     def asks(self, config: Config) -> bool:
         """Where it has a port."""

@@ -1,4 +1,4 @@
-"""[page] in the daemon: what the live page shows, and what is requested on it."""
+"""[page] in the daemon: what the live page shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from edge_plugins.page import PageConfig
 from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, MapView, map_view
 
 if TYPE_CHECKING:
-    from edge_plugins.home.plugin import Home
     from edge_plugins.mapping.plugin import Mapping
     from edge_plugins.mapping.status import MappingView
     from edge_plugins.page.server import StatusPage
@@ -47,15 +46,13 @@ class Page(Plugin):
         self._live.add(used.frame, used.match, used.record, vehicle, self._parts.recognizer.agreeing)
 
     def turn(self, spare_s: float | None) -> None:
-        """Answer what was requested, and hand over what somebody waits for; maps as they are searched now."""
+        """Hand over what somebody waits for; maps as they are searched now."""
         server, maps = self.server, self._parts.recognizer.map_set
         if server is None:
             return
         if maps is not self._maps:
             self._maps = maps
             server.show_map(map_view(maps, self._parts.config.camera.view))
-        if (wanted := server.requested()) is not None:
-            self._request(server, wanted)
         if server.wanted:
             self._show(server)
 
@@ -64,27 +61,8 @@ class Page(Plugin):
         if self.server is not None:
             self.server.close()
 
-    def _request(self, server: StatusPage, wanted: str) -> None:
-        plugins = self._parts.plugins
-
-        def reply(text: str) -> None:
-            plugins.ask("page", lambda page: server.reply(text))  # it may come later, from the way home
-
-        def ask(home: Home) -> bool:
-            home.requests.ask(lambda answer: reply(answer.text), restore=wanted == "restore")
-            return True
-
-        def pause(mapping: Mapping) -> str:
-            mapping.paused = "paused on the page" if wanted == "pause" else ""
-            return f"mapping {mapping.paused or 'goes on'}"
-
-        if wanted not in ("home", "restore"):
-            reply(plugins.ask("mapping", pause) or "nothing is mapped: [mapping] folder is empty")
-        elif not plugins.ask("home", ask):
-            reply("no way home: [home] enabled is false, or it has failed: see the log")
-
     def _show(self, server: StatusPage) -> None:
-        parts, live, health = self._parts, self._live, self._parts.health()
+        parts, health = self._parts, self._parts.health()
 
         def mapped(mapping: Mapping) -> MappingView:
             return mapping.view()
@@ -100,7 +78,7 @@ class Page(Plugin):
             link=parts.autopilot.status(),
             mapping=parts.plugins.ask("mapping", mapped),
         )
-        server.show(live.snapshot(status, parts.recognizer.cost_view(live.match)))
+        server.show(self._live.snapshot(status))
 
 
 def open_page(config: PageConfig, maps: MapView) -> StatusPage | None:

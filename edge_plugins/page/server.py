@@ -1,12 +1,11 @@
-"""The live page: a web server in a thread of its own, read-only without [page] token. This file is that thread.
+"""The live page: a web server in a thread of its own, read-only. This file is that thread.
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
 requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A look of the page's
 takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
 
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
-so that no foreign web site can read the page by a name that it points here. What changes something is POST with [page]
-token in a header of its own, which a browser sends to the page's own site only.
+so that no foreign web site can read the page by a name that it points here.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import asyncio
 import base64
 import contextlib
 import hashlib
-import hmac
 import ipaddress
 import logging
 import re
@@ -23,11 +21,8 @@ import signal
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Awaitable, Callable
-from functools import partial
 from pathlib import Path
-from typing import Literal, TypeAlias, get_args
 
 import cv2
 import uvicorn
@@ -61,13 +56,8 @@ SERVICE = {
     "avoid_iframes": True,  # no other site may show this page in a frame
 }
 """What BlueOS, a companion computer's system, asks of an extension's web server at /register_service."""
-PageRequest: TypeAlias = Literal["home", "restore", "pause", "map"]
-"""The way home, the mission before it, and live mapping that pauses or goes on."""
 NOT_READY = ("starting", "degraded", "failed")
 """States in which no place can be recognized. A daemon that does not answer is not even live."""
-TOKEN_HEADER, WRONG_TOKEN_S = "X-Lookback-Token", 0.5
-"""One guess at a time of an address, answered after so long: at 12 letters nobody guesses right, and another address,
-the owner's, does not wait."""
 log = logging.getLogger(__name__)
 
 
@@ -81,10 +71,6 @@ class StatusPage:
         self.wanted = False
         """Whether somebody waits for a snapshot."""
         self._map = map_view
-        self._token = config.token
-        self._guessing: set[str] = set()  # addresses that are being kept waiting
-        self._requests: deque[PageRequest] = deque(maxlen=1)
-        self._said = ""  # the newest answer to a request
         self._answer_s = answer_s
         self._snapshot: Snapshot | None = None
         self._shown_s = 0.0
@@ -107,14 +93,6 @@ class StatusPage:
     def show_map(self, map_view: MapView) -> None:
         """Show other maps from now on, after one was excluded."""
         self._map = map_view
-
-    def requested(self) -> PageRequest | None:
-        """What somebody with the token has just requested; called by the daemon's loop, and answered by `reply`."""
-        return self._requests.popleft() if self._requests else None
-
-    def reply(self, text: str) -> None:
-        """Show an answer to what was requested."""
-        self._said = text
 
     def close(self) -> None:
         """Stop serving, at once; more than once is harmless."""
@@ -166,8 +144,7 @@ class StatusPage:
                     return PlainTextResponse(f"{name}: not a stamp\n", 400)
             asked = "shown" in request.query_params and _stamp_ns(snapshot) != int(stamps["shown"])
             picture = self._picture(snapshot) if asked else b""
-            writing = {"may_write": bool(self._token), "said": self._said}
-            return Response(snapshot.as_json(int(stamps["since"]), picture, writing), media_type="application/json")
+            return Response(snapshot.as_json(int(stamps["since"]), picture), media_type="application/json")
 
         async def metrics(request: Request, snapshot: Snapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
@@ -194,22 +171,6 @@ class StatusPage:
         async def route(request: Request) -> Response:
             return Response(self._map.as_json(), media_type="application/json")
 
-        async def write(what: PageRequest, request: Request) -> Response:
-            if _is_foreign(request) or not self._token:
-                return PlainTextResponse("only for this page itself, with [page] token\n", 403)
-            address = request.client.host if request.client else ""
-            if address in self._guessing:
-                return PlainTextResponse("a wrong token was sent from this address; wait a second\n", 429)
-            given = request.headers.get(TOKEN_HEADER, "")
-            if not hmac.compare_digest(given.encode(), self._token.encode()):
-                self._guessing.add(address)
-                await asyncio.sleep(WRONG_TOKEN_S)
-                self._guessing.discard(address)
-                return PlainTextResponse("this is not [page] token\n", 401)
-            self._said = "requested"
-            self._requests.append(what)
-            return PlainTextResponse("requested\n", 202)
-
         async def service(request: Request) -> Response:
             return JSONResponse(SERVICE)
 
@@ -222,7 +183,6 @@ class StatusPage:
                 Route("/frame.jpg", self._with_snapshot(frame)),
                 Route("/thumbnail/{place_index}.jpg", thumbnail),
                 Route("/route.json", route),
-                *(Route(f"/{what}", partial(write, what), methods=["POST"]) for what in get_args(PageRequest)),
                 Route("/register_service", service),
             ]
         )
@@ -252,11 +212,6 @@ class StatusPage:
                 image = cv2.resize(image[: size[1] * parts, : size[0] * parts], size, interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
             self._jpeg = stamp_ns, cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes()
         return self._jpeg[1]
-
-
-def _is_foreign(request: Request) -> bool:
-    """Whether another site asks: browsers name the kind of site; other programs do not, and need not."""
-    return request.headers.get("Sec-Fetch-Site", "none") not in ("same-origin", "none")
 
 
 def _stamp_ns(snapshot: Snapshot) -> int | None:

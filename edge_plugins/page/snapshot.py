@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,8 +18,8 @@ import edge
 from edge.camera import CameraHealth, Frame
 from edge.config import FEWEST_FRAMES, SamplingConfig
 from edge.journal.records import FrameUsed
-from edge.reference_map import COST_ONE, Bounds, MapSet
-from edge.sequence import Agreeing, CostView, PlaceMatch
+from edge.reference_map import Bounds, MapSet
+from edge.sequence import Agreeing, PlaceMatch
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingView
 
@@ -28,8 +27,6 @@ HISTORY = 2400
 RATE_FRAMES = 20
 LOOK_SHOWN_NS = 1_000_000_000
 """A frame is shown with its points for so long, since most frames are not looked at."""
-ROW_POINTS = 300
-"""A cost row of a large map is drawn as the lowest of so many stretches."""
 
 
 class HistoryFrame(msgspec.Struct, frozen=True):
@@ -60,16 +57,15 @@ class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
 class Status(DaemonStatus, frozen=True, kw_only=True):
     """Everything about it that is words and numbers.
 
-    started_unix_s identifies the run of the daemon. newest: the newest used frame, with its match where there is one;
-    slope: places that match passes per frame. searched: how far the vehicle has gone since a place was recognized, how
-    far that takes on this map, and the unit. fps: used frames per second over the recent ones. history: oldest first.
+    started_unix_s identifies the run of the daemon. newest: the newest used frame, with its match where there is one.
+    searched: how far the vehicle has gone since a place was recognized, how far that takes on this map, and the unit.
+    fps: used frames per second over the recent ones. history: oldest first.
     """
 
     started_unix_s: float
     version: str
     model: str
     newest: FrameUsed | None
-    slope: float | None
     searched: tuple[float, float, str]
     frames_used: int
     events: int
@@ -80,27 +76,24 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A status with the newest used frame (H, W, 3) uint8 BGR, and the costs behind its match.
+    """A status with the newest used frame (H, W, 3) uint8 BGR.
 
     agreeing: points of that frame and of a place, by which it shows the place; None: no look, or nothing that agrees.
     """
 
     status: Status
     image: NDArray[np.uint8] | None
-    costs: CostView
     agreeing: Agreeing | None = None
 
-    def as_json(self, since_ns: int, picture: bytes = b"", others: Mapping[str, object] = {}) -> bytes:
-        """The status, its history after `since_ns`, the cost row, and the cost matrix window; as cosine distances.
+    def as_json(self, since_ns: int, picture: bytes = b"") -> bytes:
+        """The status, and its history after `since_ns`.
 
-        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already. others:
-        further fields.
+        picture: JPEG of the newest frame, in base64 within, which saves a request; b"" for who has it already.
         """
         history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
         fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
-        row, window = _cost_row(self.costs), _cost_window(self.costs)
         look = self.agreeing and {"place": self.agreeing.place_index, "points": self.agreeing.shares.round(3).tolist()}
-        return msgspec.json.encode({**fields, "row": row, "window": window, "look": look, "picture": picture, **others})
+        return msgspec.json.encode({**fields, "look": look, "picture": picture})
 
 
 class LiveStatus:
@@ -155,15 +148,14 @@ class LiveStatus:
         self._unrecognized = 0 if used.accepted else self._unrecognized + 1
         self._history.append(HistoryFrame(used, vehicle, round(self._unrecognized * self._step, 1)))
 
-    def snapshot(self, daemon: DaemonStatus, costs: CostView) -> Snapshot:
-        """What is to be shown now. costs: of `match`."""
+    def snapshot(self, daemon: DaemonStatus) -> Snapshot:
+        """What is to be shown now."""
         status = Status(
             **msgspec.structs.asdict(daemon),
             started_unix_s=self._started_unix_s,
             version=edge.__version__,
             model=self._model,
             newest=self._history[-1].used if self._history else None,
-            slope=round(self.match.slope, 4) if self.match else None,
             searched=(round(self._unrecognized * self._step, 1), self._sequence, self._unit),
             frames_used=self.frames_used,
             events=self.events,
@@ -172,11 +164,11 @@ class LiveStatus:
             history=tuple(self._history),
         )
         if self._frame is None:
-            return Snapshot(status, None, costs)
+            return Snapshot(status, None)
         if self._looked and self.match and self._frame.stamp_ns - self._looked[0].stamp_ns <= LOOK_SHOWN_NS:
             frame, agreeing = self._looked
-            return Snapshot(status, frame.image, costs, agreeing)
-        return Snapshot(status, self._frame.image, costs)
+            return Snapshot(status, frame.image, agreeing)
+        return Snapshot(status, self._frame.image)
 
     def _fps(self, now_ns: int) -> float:
         stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]
@@ -184,22 +176,6 @@ class LiveStatus:
             return 0.0
         # A camera that stopped shows as a rate that falls.
         return round((len(stamps_ns) - 1) * 1e9 / max(max(stamps_ns[-1], now_ns - 1e9) - stamps_ns[0], 1), 2)
-
-
-def _cost_row(view: CostView) -> dict[str, Any]:
-    """The lowest cost of each stretch of the map, for each region order, and the place that it is at."""
-    places = view.costs.shape[1]
-    if places == 0:
-        return {"places": [], "orders": []}
-    starts = np.unique(np.linspace(0, places, min(places, ROW_POINTS), endpoint=False).astype(int))
-    lowest = np.minimum.reduceat(view.costs, starts, axis=1) / COST_ONE
-    return {"places": view.place_index[starts].tolist(), "orders": lowest.round(3).tolist()}
-
-
-def _cost_window(view: CostView) -> dict[str, Any]:
-    """Rows of the cost matrix, oldest first, as whole thousandths."""
-    rows = np.rint(view.window * (1000 / COST_ONE)).astype(int)
-    return {"start": view.window_start, "rows": rows.tolist()}
 
 
 DRIVE_POINTS = 2000

@@ -176,7 +176,6 @@ def test_a_hole_of_3_km_costs_no_memory_and_the_place_is_known_again(road: NDArr
             for here_m in way_m:
                 raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
                 match = matcher.push(raw.astype(np.float32), Travel(float(hole_m + here_m)))
-                matcher.search.cost_view(match)
                 if hole_m:
                     off_m.append(abs(match.place - here_m) if match is not None and match.accepted else np.nan)
             peaks.append(tracemalloc.get_traced_memory()[1])

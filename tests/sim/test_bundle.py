@@ -16,7 +16,7 @@ from edge.localization.drive_file import DriveFile
 from edge_plugins.mapping.place_log import SUFFIX
 from sim.bundle import LIST
 
-TOKEN, PASSWORD = "a-token-of-the-page", "pass-of-the-camera"
+TOKEN, PASSWORD = "credential:a-key-of-the-link", "pass-of-the-camera"
 CONFIG = f"""
 [camera]
 kind = "stream"
@@ -25,9 +25,8 @@ device = "rtsp://admin:{PASSWORD}@10.0.0.2/main?auth_token=abcdef"
 model = "grid"
 [map]
 path = "street/map"
-[page]
-token = "{TOKEN}"  # not {TOKEN}
 [telemetry]
+signing_key = "{TOKEN}"  # not {TOKEN}
 connection = "serial:/dev/ttyAMA0:921600"
 journal = "events.jsonl"
 drive = "newest.drive"

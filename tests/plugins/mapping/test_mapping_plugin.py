@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import http.client
 import math
 import os
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -176,8 +174,7 @@ def drive(
     kind: Literal["sim", "stream"] = "sim",
     gps_out_only: bool = True,
     killed_at_m: float = math.inf,
-    page: PageConfig = PageConfig(port=0),  # noqa: B008  # frozen
-    recording: RecordingConfig = RecordingConfig(),  # noqa: B008
+    recording: RecordingConfig = RecordingConfig(),  # noqa: B008  # frozen
     keep_pictures: bool = True,
     each_turn: Callable[[float], object] = lambda driven_m: None,
 ) -> None:
@@ -191,7 +188,7 @@ def drive(
         descriptor=DescriptorConfig(keep_statistics_min=0.0),
         sampling=SamplingConfig(spacing_m=SPACING_M),
         map=MapConfig(path=mapping.folder),
-        plugins={"mapping": mapping, "page": page, "recording": recording},
+        plugins={"mapping": mapping, "page": PageConfig(port=0), "recording": recording},
         telemetry=msgspec.structs.replace(
             TelemetryConfig(),
             connection=f"serial:{link.device}:921600",
@@ -320,38 +317,6 @@ def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
     kind: Literal["sim", "stream"] = "sim" if second_camera else "stream"
     drive(world, tmp_path, parts, mapping, camera=camera, kind=kind, gps_out_only=False, each_turn=watch)
     assert min(mapped_m, default=math.inf) == pytest.approx(from_m, abs=10)
-
-
-def test_mapping_pauses_and_goes_on_by_the_page(
-    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
-) -> None:
-    pytest.importorskip("starlette")
-    page, token = PageConfig(port=free_port(socket.SOCK_STREAM), token="twelve-letters"), "twelve-letters"
-    wanted = [(100.0, "pause"), (200.0, "map")]
-
-    def ask(driven_m: float) -> None:
-        if wanted and driven_m >= wanted[0][0]:
-            connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=60.0)
-            with closing(connection):
-                connection.request("POST", f"/{wanted.pop(0)[1]}", headers={"X-Lookback-Token": token})
-                assert connection.getresponse().status == 202
-
-    drive(
-        World(placed_network, home=False),
-        tmp_path,
-        parts,
-        mapping_to(tmp_path / "maps", second_camera=True),
-        page=page,
-        each_turn=ask,
-    )
-    changes = list(records_of(tmp_path / "events.jsonl", MappingChanged))
-    assert [(one.state, one.why) for one in changes][-3:] == [
-        ("mapping", ""),
-        ("waiting", "paused on the page"),
-        ("mapping", ""),
-    ]
-    assert changes[-2].places == pytest.approx(100 / SPACING_M, abs=5)
-    assert changes[-1].places <= changes[-2].places + 1
 
 
 def test_a_daemon_that_was_killed_on_the_way_out_comes_home_on_one_map(

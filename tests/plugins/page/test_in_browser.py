@@ -27,7 +27,6 @@ from msgspec.structs import replace
 pytest.importorskip("starlette")
 pytest.importorskip("selenium")
 
-from selenium.webdriver.support import expected_conditions
 from selenium.webdriver.support.wait import WebDriverWait
 
 from edge.config import DescriptorConfig, SamplingConfig
@@ -42,7 +41,7 @@ from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import Snapshot, map_view
 from sim.maps.command import build_map
 from tests.chromium import NEEDS_CHROMIUM, browser
-from tests.plugins.page.test_server import THUMBNAIL, TOKEN, Loop, snapshot
+from tests.plugins.page.test_server import THUMBNAIL, Loop, snapshot
 from tests.sim.coverage.roads import road, walk
 from tests.udp_port import free_port
 
@@ -312,21 +311,15 @@ def click(driver: Any, name: str) -> None:
     button.click()
 
 
-def answer_prompt(driver: Any, given: str) -> None:
-    prompt = WebDriverWait(driver, PATIENCE_S).until(expected_conditions.alert_is_present())
-    prompt.send_keys(given)
-    prompt.accept()
-
-
 def test_every_button_does_what_it_says(tmp_path: Path) -> None:
     maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     with (
-        contextlib.closing(StatusPage(PageConfig(port=0, token=TOKEN), map_view(maps))) as page,
+        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps))) as page,
         contextlib.closing(Loop(page, on_the_road)),
         browser(390, 844) as driver,
     ):
         driver.get(f"http://127.0.0.1:{page.port}/")
-        until(driver, "status !== null && status.may_write")
+        until(driver, "status !== null")
         until(driver, "!document.getElementById('place').hasAttribute('src')")  # this map has no pictures
         near = driver.execute_script("return document.getElementById('route').toDataURL()")
         click(driver, "#fit")
@@ -334,22 +327,6 @@ def test_every_button_does_what_it_says(tmp_path: Path) -> None:
         assert driver.execute_script("return document.getElementById('route').toDataURL()") != near
         click(driver, "#fit")
         assert text(driver, "fit") == "whole map"
-
-        click(driver, "[data-ask=home]")
-        answer_prompt(driver, "not the token")
-        until(driver, "document.getElementById('said').textContent === 'this is not [page] token\\n'")
-        driver.execute_script("past.length = 0")
-        until(driver, "past.length > 0")  # a status later it is still there
-        assert text(driver, "said") == "this is not [page] token"
-        assert page.requested() is None
-        click(driver, "[data-ask=home]")
-        answer_prompt(driver, TOKEN)
-        wait = WebDriverWait[Any](None, PATIENCE_S, poll_frequency=0.05)
-        assert wait.until(lambda _: page.requested()) == "home"
-        for button, request in (("[data-ask=restore]", "restore"), ("#mapping-ask", "pause")):
-            click(driver, button)  # without another question for the token
-            assert wait.until(lambda _: page.requested()) == request
-        until(driver, "document.getElementById('said').textContent.startsWith('requested')")
 
         click(driver, "#details summary")
         assert until(driver, DRAWN)

@@ -28,11 +28,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from edge.camera import CameraHealth
 from edge.journal.records import FrameUsed
-from edge.sequence import CostView
 from edge.telemetry import LinkStatus
 from edge_plugins.page import PageConfig
 from edge_plugins.page.metrics import STATES, as_metrics
-from edge_plugins.page.server import TOKEN_HEADER, StatusPage
+from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
 
 CUT_OFF_S = 20.0
@@ -62,7 +61,6 @@ def snapshot(number: int) -> Snapshot:
         state="on the map",
         why="",
         newest=FrameUsed(4, 3000 + number, True, place=7, map="south", uniqueness=1.2, confidence=0.9),
-        slope=1.0,
         searched=(0.0, 80.0, "m"),
         frames_used=number,
         events=1,
@@ -74,9 +72,8 @@ def snapshot(number: int) -> Snapshot:
         link=LinkStatus("closed", "serial:/dev/none:57600", "report"),
         history=history,
     )
-    costs = np.arange(2 * 500, dtype=np.int32).reshape(2, 500) % 997
     image = np.full((480, 640, 3), (10, 120, 240), np.uint8)
-    return Snapshot(status, image, CostView(costs, np.arange(500), np.full((3, 5), 8192, np.int32), 4))
+    return Snapshot(status, image)
 
 
 class Loop:
@@ -127,11 +124,6 @@ def test_the_status_has_all_of_the_snapshot(page: StatusPage, loop: Loop) -> Non
     status = json.loads(body)
     assert (code, headers["content-type"], headers["cache-control"]) == (200, "application/json", "no-store")
     assert (status["state"], status["newest"]["place"], status["camera"]["overwritten"]) == ("on the map", 7, 2)
-    assert status["window"] == {"start": 4, "rows": [[500] * 5] * 3}
-    row = status["row"]
-    assert len(row["places"]) == len(row["orders"][0]) == len(row["orders"][1]) == 300
-    assert row["places"][0] == 0
-    assert min(row["orders"][1]) == 0  # the lowest of each stretch, not any of it: 997 % 997 is at place 497
     assert [one["used"]["stamp_ns"] for one in status["history"]] == [1000, 2000, 3000]
 
 
@@ -349,7 +341,7 @@ def ends(connection: socket.socket, trickles: bytes) -> bool:
 def hasty() -> Iterator[StatusPage]:
     """A page with 400,000 points to show, that waits for a second where others wait for five."""
     view = dataclasses.replace(MAP, drives=(((1.23456789, 2.3456789),) * 400_000,))
-    with closing(StatusPage(PageConfig(port=0, token=TOKEN), view, idle_s=1)) as page:
+    with closing(StatusPage(PageConfig(port=0), view, idle_s=1)) as page:
         yield page
 
 
@@ -358,7 +350,7 @@ def hasty() -> Iterator[StatusPage]:
     [
         b"",
         b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ",
-        b"POST /home HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n",
+        b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n",
         b"GET /register_service HTTP/1.1\r\nHost: localhost\r\n\r\nGET / HTTP/1.1\r\nX: ",
     ],
     ids=["nothing", "a head", "a body", "a second head"],
@@ -375,63 +367,6 @@ def test_who_reads_no_answer_is_ended(hasty: StatusPage) -> None:
         while open_files() >= answering and time.monotonic() < give_up_s:
             select.select([], [], [], 0.1)
         assert open_files() < answering
-
-
-TOKEN = "twelve-letters"
-GUESSES = 12
-
-
-@pytest.fixture
-def writable() -> Iterator[StatusPage]:
-    with closing(StatusPage(PageConfig(port=0, token=TOKEN), MAP)) as page:
-        yield page
-
-
-def test_a_request_is_handed_over_and_answered(writable: StatusPage) -> None:
-    assert get(writable, "/home", "POST", **{TOKEN_HEADER: TOKEN})[0] == 202
-    assert [writable.requested(), writable.requested()] == ["home", None]
-    with closing(Loop(writable)):
-        assert json.loads(get(writable, "/status.json")[1])["said"] == "requested"
-        writable.reply("5 items uploaded")
-        status = json.loads(get(writable, "/status.json")[1])
-    assert (status["said"], status["may_write"]) == ("5 items uploaded", True)
-
-
-@pytest.mark.parametrize(
-    ("method", "headers", "code"),
-    [
-        ("POST", {}, 401),
-        ("POST", {TOKEN_HEADER: "another-token"}, 401),
-        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "cross-site"}, 403),
-        ("POST", {TOKEN_HEADER: TOKEN, "Sec-Fetch-Site": "same-site"}, 403),
-        ("POST", {TOKEN_HEADER: TOKEN, "Host": "evil.example"}, 421),
-        ("OPTIONS", {"Origin": "http://evil.example", "Access-Control-Request-Headers": TOKEN_HEADER}, 405),
-        ("GET", {TOKEN_HEADER: TOKEN}, 405),
-    ],
-)
-def test_no_other_request_is_handed_over(writable: StatusPage, method: str, headers: dict[str, str], code: int) -> None:
-    found, _, answered = get(writable, "/pause", method, **headers)
-    assert found == code
-    assert writable.requested() is None
-    assert not [name for name in answered if name.lower().startswith("access-control")]
-
-
-def test_guessers_keep_the_owner_waiting_nowhere_but_at_their_address(writable: StatusPage) -> None:
-    request = f"POST /home HTTP/1.1\r\nHost: localhost\r\n{TOKEN_HEADER}: a-guess\r\nContent-Length: 0\r\n\r\n"
-    guesses = [raw(writable, request.encode(), "127.0.0.2") for _ in range(GUESSES)]
-    owner = get(writable, "/home", "POST", **{TOKEN_HEADER: TOKEN})[0]
-    codes = [connection.recv(64).split()[1] for connection in guesses]
-    for connection in guesses:
-        connection.close()
-    assert sorted(codes) == [b"401"] + [b"429"] * (GUESSES - 1)
-    assert owner == 202
-    assert get(writable, "/home", "POST", address="127.0.0.2", **{TOKEN_HEADER: TOKEN})[0] == 202, "after the wait"
-
-
-def test_without_a_token_nothing_can_be_requested(page: StatusPage, loop: Loop) -> None:
-    assert get(page, "/home", "POST", **{TOKEN_HEADER: ""})[0] == 403
-    assert page.requested() is None
-    assert not json.loads(get(page, "/status.json")[1])["may_write"]
 
 
 def test_what_is_shown_to_a_page_that_has_stopped_is_dropped(page: StatusPage, loop: Loop) -> None:
