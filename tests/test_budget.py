@@ -1,0 +1,101 @@
+"""The budget: lines of code of each room, without blank lines, comments and docstrings."""
+
+from __future__ import annotations
+
+import ast
+import io
+import tokenize
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+ROOMS = {
+    "edge": 2350,
+    "edge/camera": 900,
+    "edge/commands": 300,
+    "edge/descriptor": 500,
+    "edge/feed": 500,
+    "edge/health": 300,
+    "edge/journal": 400,
+    "edge/keypoints": 600,
+    "edge/localization": 3350,
+    "edge/reference_map": 1500,
+    "edge/sequence": 1300,
+    "edge/telemetry": 2900,
+    "edge_plugins": 50,
+    "edge_plugins/cameras": 450,
+    "edge_plugins/doctor": 700,
+    "edge_plugins/home": 950,
+    "edge_plugins/layers": 300,
+    "edge_plugins/mapping": 1650,
+    "edge_plugins/motion": 600,
+    "edge_plugins/nmea": 300,
+    "edge_plugins/page": 600,
+    "edge_plugins/recording": 300,
+    "edge_plugins/ros2": 300,
+    "lookback": 500,
+    "sim": 550,
+    "sim/bench": 350,
+    "sim/calibration": 500,
+    "sim/compare": 1650,
+    "sim/coverage": 800,
+    "sim/datasets": 2450,
+    "sim/demo": 200,
+    "sim/evaluation": 650,
+    "sim/first_try": 650,
+    "sim/home": 200,
+    "sim/maps": 1100,
+    "sim/model_tools": 1050,
+    "sim/research": 4500,
+    "sim/shadow": 600,
+    "sim/trial": 750,
+    "sim/vehicle": 1300,
+    "sim/world": 1750,
+    "tests": 34900,
+}
+"""A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
+
+Whoever goes over a room's budget raises it in the same change, and says in the commit what the lines are worth. Whoever
+makes a room shorter lowers its budget.
+"""
+IGNORED = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING}
+
+
+def code_lines(source: str) -> int:
+    """Lines of Python that have code: those of a docstring, or of any text that is a statement, do not count."""
+    rows = {
+        row
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type not in {*IGNORED, tokenize.ENDMARKER}
+        for row in range(token.start[0], token.end[0] + 1)
+    }
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            rows -= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    return len(rows)
+
+
+def room_of(file: Path) -> str:
+    """The room of a file: `tests`, a package of the packages, or what of these lies in no package of its own."""
+    top, *folders, _ = file.relative_to(ROOT).parts
+    return top if top == "tests" or not folders else f"{top}/{folders[0]}"
+
+
+def lines_by_room() -> dict[str, int]:
+    lines: dict[str, int] = {}
+    for top in ("edge", "edge_plugins", "sim", "lookback", "tests"):
+        for file in sorted((ROOT / top).rglob("*.py")):
+            room = room_of(file)
+            lines[room] = lines.get(room, 0) + code_lines(file.read_text(encoding="utf-8"))
+    return lines
+
+
+def test_what_is_no_code_does_not_count() -> None:
+    source = '"""Of the module."""\n\nA = 1  # why\n"""Of A,\nin two lines."""\n# alone\n\ndef f():\n    """Of f."""\n'
+    assert code_lines(source + '    return """two\nlines"""\n') == 4
+
+
+def test_each_room_keeps_its_budget() -> None:
+    lines = lines_by_room()
+    assert lines.keys() == ROOMS.keys(), "a new room gets a budget, and one that is gone has none"
+    over = {room: f"{lines[room]} lines, {most} at most" for room, most in ROOMS.items() if lines[room] > most}
+    assert not over, "make it shorter, or raise the room's budget in this change, with the reason in the commit"
