@@ -70,11 +70,6 @@ def test_a_wrong_option_is_one_line(
     assert error.count("\n") == 1
 
 
-def test_a_map_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["home"]) == 78
-    assert "name a map" in capsys.readouterr().err
-
-
 @pytest.fixture
 def autopilot() -> Iterator[tuple[str, SimulatedAutopilot]]:
     """A simulated autopilot in a thread, which stands with GPS at the origin, and the connection to it."""
