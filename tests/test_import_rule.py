@@ -199,7 +199,7 @@ def test_the_tests_mirror_the_program() -> None:
     assert folders(ROOT / "tests/sim") <= folders(ROOT / "sim")
     assert folders(ROOT / "tests/plugins") <= folders(ROOT / "edge_plugins")
     modules = {f"test_{file.stem.strip('_')}" for file in (ROOT / "edge").glob("*.py")}
-    whole = {"test_import_rule", "test_one_frame"}
+    whole = {"test_budget", "test_import_rule", "test_one_frame"}
     for file in (ROOT / "tests").glob("test_*.py"):
         assert file.stem in whole or any(file.stem.startswith(module) for module in modules - {"test_init"}), file
 
