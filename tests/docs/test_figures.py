@@ -36,7 +36,7 @@ def test_each_drive_of_readme_is_one_that_was_recorded() -> None:
         if row["median_m"]
     }
     cells = re.findall(r"^\| .* \| (\d+) \| \**([\d. /]+) m\** \| \**([\d. /]+) m\** \|$", README, re.MULTILINE)
-    assert len(cells) > 4
+    assert len(cells) > 2
     for number, *errors_m in cells:
         assert (number, *" / ".join(errors_m).split(" / ")) in drives
 

@@ -24,7 +24,7 @@ BACKED_M, BACKED_AT = (20, 60), (1 / 3, 2 / 3)
 HOME = (*USUAL, arrives, on_its_lane, resumes)
 
 
-@course("G", "home", rules=(*USUAL, sends, resumes), keypoint_rules=(close,))
+@course("G", "home", rules=(*USUAL, resumes), keypoint_rules=(close, sends))
 def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
 
@@ -36,7 +36,7 @@ def _again(draft: CourseDraft) -> None:
     draft.drive(along(draft.home, 0.0, draft.length_m))
 
 
-@course("G", "repeat-{}", *REPEAT_LIGHTS, rules=(*USUAL, sends, resumes), keypoint_rules=(close,))
+@course("G", "repeat-{}", *REPEAT_LIGHTS, rules=(*USUAL, resumes), keypoint_rules=(close, sends))
 def _repeat(draft: CourseDraft, value: str) -> None:
     """The same way by a front camera on a front camera's day map, half a meter beside its lane, in this light."""
     draft.home = draft.road(light=value, direction="forward")
@@ -62,7 +62,7 @@ def _home_knocked(draft: CourseDraft, value: str) -> None:
     draft.drive(along(draft.home, draft.length_m, 0.0))
 
 
-@course("G", "home-dusk", rules=(*USUAL, sends, resumes), keypoint_rules=(close,))
+@course("G", "home-dusk", rules=(*USUAL, resumes), keypoint_rules=(close, sends))
 def _home_at_dusk(draft: CourseDraft) -> None:
     """The main task at dusk."""
     draft.home = draft.road(light="dusk")

@@ -86,8 +86,6 @@ def _render_lanes(folder: Path) -> None:
 
 
 KNOWN = {
-    "home": "across the road it is sent what the autopilot said, which a reset keeps it from taking back: after a"
-    " position its error has a median of 3.5 m, where 3 are wanted",
     "pictures-3-stop": "without keypoints nothing measures how far aside the vehicle is: 8.7 m off its lane, alone 6.4,"
     " and with keypoints 1.1 (`dev sim fixes --course pictures-3-stop --keypoints --length-m 500`)",
 }
