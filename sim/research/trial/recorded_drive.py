@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import math
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ from sim.world.scenario import Scenario, View
 Columns = dict[str, NDArray[np.float64]]
 TRUTH, OWN, LINK, JOURNAL = "truth.csv.gz", "autopilot_position.csv.gz", "telem2.tlog.gz", "journal.jsonl.gz"
 SCENARIO, LANE = "scenario.toml", "lane.csv.gz"
+GONE = "parallax", "socket", "token"
+"""Keys of [rig], [home] and [page] that recorded drives have from earlier versions."""
 LATENCY_S = 0.04
 """From an exposure to when the daemon is done with it, where no journal shows it: as in the other drives."""
 STARTING_MS = 10_000
@@ -160,6 +163,16 @@ def read_messages(path: Path) -> Iterator[tuple[float, bytes, Message]]:
             yield stamp_us / 1e6, data, message
 
 
+def _of_today(config: str) -> str:
+    """A recorded configuration without the keys that only earlier versions had; [motion] fov_deg became [camera]'s."""
+    kept = re.sub(rf"^({'|'.join(GONE)}) = .*\n", "", config, flags=re.MULTILINE)
+    of_motion = re.search(r"^\[motion\]\n(?:[^\[].*\n)*?(fov_deg = .*\n)", kept, flags=re.MULTILINE)
+    if of_motion is None:
+        return kept
+    kept = kept[: of_motion.start(1)] + kept[of_motion.end(1) :]
+    return kept if "\nfov_deg = " in kept else kept.replace("[camera]\n", f"[camera]\n{of_motion[1]}", 1)
+
+
 def read_drive(folder: Path) -> RecordedDrive:
     """FeedError where the folder is no recorded drive; ConfigError for its settings. Without a journal none ran."""
     try:
@@ -179,7 +192,7 @@ def _read_drive(folder: Path) -> RecordedDrive:
     lines = [(unix_s - epoch_s, record) for unix_s, record in _journal(folder / JOURNAL)]
     frames = [(at_s, record) for at_s, record in lines if isinstance(record, FrameUsed)]
     config_path = folder / "lookback.toml"
-    config = parse_config(config_path.read_text(encoding="utf-8"), config_path)
+    config = parse_config(_of_today(config_path.read_text(encoding="utf-8")), config_path)
     scenarios = read_scenarios(folder)
     first_s, last_s = float(truth["mono_s"][0]), float(truth["mono_s"][-1])
     alone: list[tuple[float, object]] = [(first_s, JournalOpened(SCHEMA, "")), (last_s, None)]

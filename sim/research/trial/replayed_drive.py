@@ -175,7 +175,7 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path, events
     """As recorded, but for the places of files and devices. events: gets the list of the run."""
     replaced, port = msgspec.structs.replace, f"serial:{link.device}:921600"
     telemetry = replaced(config.telemetry, connection=port, journal=str(journal), signing_clock="", drive=str(events))
-    plugins = {**config.plugins, "page": PageConfig(port=0), "home": replaced(config.of(HomeConfig), socket="")}
+    plugins = {**config.plugins, "page": PageConfig(port=0), "home": config.of(HomeConfig)}
     if config.of(MappingConfig).folder:
         plugins["mapping"] = replaced(config.of(MappingConfig), folder=str(map_path))
     return replaced(config, map=replaced(config.map, path=str(map_path)), plugins=plugins, telemetry=telemetry)
