@@ -24,11 +24,8 @@ STEPS, SAME = 20, 1e-4
 
 
 def per_network_pixel(width: float, height: float) -> float:
-    """Pixels of a picture of some size in one of the network's, at least one: a smaller picture shows nothing finer.
-
-    Of 157 frames of 160 x 120, 139 are believed with that, and 121 without.
-    """
-    return max(1.0, math.sqrt(width * height / NETWORK_PIXELS))
+    """Pixels of a picture of some size in one of the network's."""
+    return math.sqrt(width * height / NETWORK_PIXELS)
 
 
 class Camera(NamedTuple):
@@ -46,8 +43,11 @@ class Camera(NamedTuple):
 
     @property
     def network_focal_px(self) -> float:
-        """The same in pixels of the network's picture."""
-        return self.focal_px / per_network_pixel(self.width, self.height)
+        """The same in pixels of the network's picture, or its own of a smaller one, which shows nothing finer.
+
+        Of 157 frames of 160 x 120, 139 are believed with that, and 121 without.
+        """
+        return self.focal_px / max(1.0, per_network_pixel(self.width, self.height))
 
     def directions(self, xy: NDArray[np.floating]) -> NDArray[np.float64]:
         """Of pixels (..., 2), the middles of which are whole numbers: (x / z, y / z). NaN for what is not ahead."""

@@ -247,6 +247,7 @@ SPEAKS = {
     "edge/telemetry/port.py": {"socket"},  # the names of their hosts
     "edge_plugins/doctor/computer.py": {"serial"},  # which ports there are
     "edge_plugins/nmea/outlets.py": {"socket"},  # on [nmea] bind and port
+    "edge_plugins/page/connections.py": {"asyncio", "uvicorn"},  # limits on what the server accepts
     "edge_plugins/page/server.py": {"asyncio", "socket", "uvicorn"},  # on [page] host and port
 }
 

@@ -93,9 +93,9 @@ class Witness:
         """The steps, in frames of the drive, at which a reason was told."""
         return [number - 20 for number, state in enumerate(self.states) if words in state.why]
 
-    def _send(self, status: int, heartbeat: Callable[[int], Any] = encoders.heartbeat) -> Any:
+    def _send(self, status: int, kind: int, *, heartbeat: Callable[[int, int], Any] = encoders.heartbeat) -> Any:
         self._beats.append(status)
-        return heartbeat(status)
+        return heartbeat(status, kind)
 
     def _heard(self, kind: str) -> list[Any]:
         return [item.message for item in self._bench.autopilot.received if item.message.get_type() == kind]
@@ -123,7 +123,8 @@ def make_witness(manager: socket.socket, tmp_path: Path, monkeypatch: pytest.Mon
 def fixing(write_config: Callable[..., Path]) -> Path:
     """A configuration that sends positions five times a second."""
     return write_config(
-        telemetry={"emit": "external_position"}, gates={"min_interval_s": 0.2, "risk": 1.0, "max_move_m": 100_000.0}
+        telemetry={"emit": "external_position"},
+        gates={"min_interval_s": 0.2, "risk": 1.0, "max_move_m": 100_000.0, "min_move_m": 0.0},
     )
 
 

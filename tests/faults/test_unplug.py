@@ -117,7 +117,7 @@ def test_a_udp_peer_that_goes_and_comes(figures: Callable[[str], None]) -> None:
     def clock_ns() -> int:
         return now_ns
 
-    connection = AutopilotConnection(TelemetryConfig(connection=f"udp:{address}"), clock_ns)
+    connection = AutopilotConnection(TelemetryConfig(connection=f"udp:{address}", journal=""), clock_ns)
 
     def state() -> str:
         return connection.state
