@@ -31,9 +31,9 @@ class Estimate:
     """What is known when a position is asked for.
 
     place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. own: what
-    the autopilot reports, without what is known to be wrong of it. bound: what bounds its position. claims: what places
-    have shown so far. aside: see `ReckonedTrack`. is_blurred: whether the newest frame's place is recognized, and no
-    line shows where exactly.
+    the autopilot reports, without what is known to be wrong of it, which is_led says that there is. bound: what bounds
+    its position. claims: what places have shown so far. aside: see `ReckonedTrack`. is_blurred: whether the newest
+    frame's place is recognized, and no line shows where exactly.
     """
 
     place: PlaceFix | None
@@ -43,6 +43,7 @@ class Estimate:
     claims: Claims
     aside: tuple[float, float] | None
     is_blurred: bool
+    is_led: bool = False
 
 
 def decide(
@@ -85,6 +86,7 @@ def decide(
         is_needed=not limits.is_reset
         or limits.again is not None
         or axes_m is None
+        or known.is_led
         or is_correction(sent, own, gates.min_move_m),
     )
     bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)

@@ -268,4 +268,5 @@ class PositionEstimator:
     def _estimate(self, place: PlaceFix | None, motion: Displacement | None) -> Estimate:
         is_blurred = self._is_recognized and self._filter is not None and self._filter.at_exposure() is None
         own, aside = self._gps.believed(self._own), None if self._filter is None else self._filter.aside
-        return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred)
+        is_led = own.position != self._own.position
+        return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred, is_led)

@@ -87,7 +87,7 @@ def test_sigmas_are_judged_as_the_truth_has_them(library: RoadLibrary, tmp_path:
         found, true = all_of(by_gps).factor(axis), all_of(by_truth).factor(axis)
         assert found is not None and true is not None
         assert found.best == pytest.approx(true.best, rel=0.25)
-        for times, is_too_small in ((1.0, False), (1.5, True)):
+        for times, is_too_small in ((1.0, False), (2.0, True)):
             scaled = [replace(one, sigma_m=one.sigma_m * true.best / times) for one in by_gps]
             again = all_of(scaled).factor(axis)
             assert again is not None and again.is_too_small == is_too_small, (axis, times, again)

@@ -85,16 +85,8 @@ def _render_lanes(folder: Path) -> None:
     found.close()
 
 
-KNOWN = {
-    "pictures-3-stop": "without keypoints nothing measures how far aside the vehicle is: 8.7 m off its lane, alone 6.4,"
-    " and with keypoints 1.1 (`dev sim fixes --course pictures-3-stop --keypoints --length-m 500`)",
-}
-"""Courses that fail on maps without keypoints, and why."""
-
-
 def _marked(name: str) -> Any:
-    known = [pytest.mark.xfail(reason=KNOWN[name])] if name in KNOWN else []
-    return pytest.param(name, marks=[*known, *([] if name == SMALL[0] else [pytest.mark.long])])
+    return pytest.param(name, marks=[] if name == SMALL[0] else [pytest.mark.long])
 
 
 @pytest.mark.parametrize("name", [_marked(name) for name in SMALL])
