@@ -50,7 +50,8 @@ test-kernels: $(KERNELS:%=kernel-%)
 kernel-%: $(VENV)/.dev
 	@set -- $(subst ., ,$*); grep -qw "$$3" /proc/cpuinfo || { echo "$$1: NOT RUN, this processor has no $$3"; exit 0; }; \
 		echo "OpenBLAS for $$1, threads: $$2"; OPENBLAS_CORETYPE=$$1 OPENBLAS_NUM_THREADS=$$2 $(BIN)/python -m pytest -n 2 --dist worksteal \
-		$(ROUNDED:%=tests/localization/test_%.py) tests/sequence tests/keypoints tests/golden -k 'not replay or keypoints'
+		$(ROUNDED:%=tests/localization/test_%.py) tests/sequence tests/keypoints tests/golden \
+		--ignore tests/keypoints/test_photographs.py -k 'not replay or keypoints'
 
 # What may differ from one Python to another: imports, config, files, sockets, threads, subprocesses, the page, and the
 # daemon with a camera and an autopilot.
