@@ -68,17 +68,22 @@ def without_secrets(text: str) -> str:
     return ADDRESS.sub(r"\1\2", COMMAND.sub(r"\1", text))
 
 
+NO_DISTORTION: tuple[float, ...] = ()
+
+
 class Lens(Struct, frozen=True, kw_only=True):
     """How a camera bends what it sees, by OpenCV's models: pinhole k1, k2, p1, p2, k3; fisheye k1, k2, k3, k4."""
 
     lens: Literal["pinhole", "fisheye"] = "pinhole"
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[float, ...] = NO_DISTORTION
 
     def __post_init__(self) -> None:
         counts = (0, 4, 5) if self.lens == "pinhole" else (4,)
         if len(self.distortion) not in counts or not all(map(math.isfinite, self.distortion)):
             names = {"pinhole": "k1, k2, p1, p2 and perhaps k3", "fisheye": "k1, k2, k3, k4"}[self.lens]
             raise ValueError(f"distortion: a {self.lens} lens has {names} (OpenCV), not {list(self.distortion)}")
+        if not self.distortion:  # a default is omitted where it is the same object, which Python 3.10 does not see to
+            msgspec.structs.force_setattr(self, "distortion", NO_DISTORTION)
 
     @property
     def bends(self) -> bool:
