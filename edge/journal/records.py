@@ -38,6 +38,12 @@ Latitude = Annotated[float | None, unit("deg", "latitude (WGS 84), null where th
 Longitude = Annotated[float | None, unit("deg", "longitude (WGS 84), null where the map has no positions", 9)]
 Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from north, null where not known", 2)]
 Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none", 3)]
+Points = Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")]
+SigmaAlong = Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)]
+Keeps = Annotated[
+    Literal["along", "across"] | UnsetType,
+    unit("", "the direction in which the position is the autopilot's own; absent: in none"),
+]
 
 
 class Record(msgspec.Struct, frozen=True, tag_field="event"):
@@ -209,12 +215,9 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
         float | None, unit("m", "protection level along the route, null where nothing bounds the position", 2)
     ] = None
     level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
-    points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
-    sigma_along_m: Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)] = UNSET
-    keeps: Annotated[
-        Literal["along", "across"] | UnsetType,
-        unit("", "the direction in which the position is the autopilot's own; absent: in none"),
-    ] = UNSET
+    points: Points = UNSET
+    sigma_along_m: SigmaAlong = UNSET
+    keeps: Keeps = UNSET
 
 
 class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
@@ -229,12 +232,9 @@ class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
     map: MapName = UNSET
     level_along_m: Annotated[float | None, unit("m", "protection level along the route, as in `fix_sent`", 2)] = None
     level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
-    points: Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")] = UNSET
-    sigma_along_m: Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)] = UNSET
-    keeps: Annotated[
-        Literal["along", "across"] | UnsetType,
-        unit("", "the direction in which the position is the autopilot's own; absent: in none"),
-    ] = UNSET
+    points: Points = UNSET
+    sigma_along_m: SigmaAlong = UNSET
+    keeps: Keeps = UNSET
 
 
 class FixAnswered(Record, frozen=True, tag="fix_answered"):

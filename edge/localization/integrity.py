@@ -58,7 +58,7 @@ deviations of it, in a direction in which the position is measured. A reset cost
 heading error has moved it, which it would take back once its compass finds that error (EKF3's `setLatLng` clears those
 covariances). On real ArduPilot 4.6.3, home at night by lines, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median,
 95 %), and at dusk 39 resets 11.9 / 17.3 m of 2.4 / 2.8 m; with this rule none was sent. Wheels that are 3 % wrong,
-12.5 / 23.9 m alone, became 4.2 / 8.0 m by five resets. By lines alone AGREE_SIGMAS count, since their error is alike
+12.5 / 23.9 m alone, became 3.1 / 7.5 m by eight resets. By lines alone AGREE_SIGMAS count, since their error is alike
 for 150 m: home at night, with OFF_SIGMAS two resets made 4.0 / 7.3 m of 1.4 / 2.2 m."""
 
 
