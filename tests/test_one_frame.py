@@ -25,12 +25,12 @@ from edge.config import TelemetryConfig as Telemetry
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
+from edge.journal.journal import QueuedJournal
 from edge.journal.records import FixSent, FrameUsed, PlaceFix
 from edge.opened_parts import OpenedParts
 from edge.telemetry import open_link
 from edge_plugins.page import PageConfig
 from sim import Pose
-from sim.journal import read_journal
 from sim.vehicle.autopilot import SimulatedAutopilot
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.udp_port import free_port
@@ -68,7 +68,6 @@ class Drive:
         link = open_link(f"udp:127.0.0.1:{port}")
         parts.callback(link.close)
         self.autopilot = SimulatedAutopilot(link, self._pose, self.clock_ns, gps=False)
-        self.journal = folder / "journal.jsonl"
         config = Config(
             sampling=SamplingConfig(by="frames"),
             map=MapConfig(path=str(street / "map")),
@@ -76,7 +75,7 @@ class Drive:
             acceptance=AcceptanceConfig(uniqueness_min=1.02, window_m=10.0, hold_off_s=0.0),
             gates=GatesConfig(risk=1.0, max_move_m=100_000.0),
             telemetry=Telemetry(
-                connection=f"udpin:127.0.0.1:{port}", emit="external_position", journal=str(self.journal)
+                connection=f"udpin:127.0.0.1:{port}", emit="external_position", journal=str(folder / "journal.jsonl")
             ),
             plugins={"page": PageConfig(port=0)},
         )
@@ -97,10 +96,6 @@ class Drive:
             self.autopilot.step()
             self.daemon.turn()
 
-    def journaled(self) -> Counter[type]:
-        """How many records of each kind the journal has."""
-        return Counter(type(line.record) for line in read_journal(self.journal))
-
     def show(self, image: NDArray[np.uint8], index: int) -> None:
         """Put a frame before the camera; the next turn uses it."""
         self.now_ns += STEP_NS
@@ -115,6 +110,8 @@ class Files:
         self.turn: Counter[str] = Counter()
         self.idle_turn: Counter[str] = Counter()  # of the next turn, without a frame
         self.used_frame: Counter[str] = Counter()
+        self.journaled: set[type] = set()
+        """The kinds of records of the turn, as they are queued: the file gets them later, by another thread."""
         self._carriers = {function.__code__ for function in FRAME_FUNCTIONS}
         self._on_path = self._in_telemetry = 0
 
@@ -127,6 +124,8 @@ class Files:
         self._on_path += step * (frame.f_code in self._carriers)
         if event == "call":
             self.turn[name] += 1
+            if frame.f_code is QueuedJournal.write.__code__:
+                self.journaled.add(type(frame.f_locals["record"]))
             if self._on_path and not self._in_telemetry:
                 self.used_frame[name] += 1
         self._in_telemetry += step * name.startswith("telemetry/")
@@ -155,10 +154,9 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
         for index in range(FRAMES):
             # Not quite the map's own picture, or the network that remembers it would have nothing to do.
             drive.show(images.read(index) ^ np.uint8(1), index)
-            before = drive.journaled()
             files = profiled(drive.daemon.turn)
             has_read = "telemetry/position_history.py" in files.turn
-            if has_read and drive.journaled() - before >= Counter((FrameUsed, PlaceFix, FixSent)):
+            if has_read and files.journaled >= {FrameUsed, PlaceFix, FixSent}:
                 files.idle_turn = profiled(drive.daemon.turn).turn
                 return files
             drive.wait()

@@ -398,9 +398,12 @@ def test_a_command_that_gives_nothing_is_ended_by_the_thread_that_closes(tmp_pat
 
 
 def test_a_command_ends_with_a_process_that_is_killed() -> None:
+    """Once it has started: what is killed before setpriv has asked for the signal leaves its command running."""
     program = (
-        "from edge_plugins.cameras.command_output import CommandOutput\n"
-        "print(CommandOutput(['sleep', '3600'])._process.pid, flush=True)\nimport os; os.kill(os.getpid(), 9)"
+        "import os, time\nfrom edge_plugins.cameras.command_output import CommandOutput\n"
+        "command = CommandOutput(['sh', '-c', 'echo started; exec sleep 3600'])\n"
+        f"command.expires_ns = time.monotonic_ns() + {PATIENCE_S} * 10**9\nassert command.read(99) == b'started\\n'\n"
+        "print(command._process.pid, flush=True)\nos.kill(os.getpid(), 9)"
     )
     result = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False)
     assert result.returncode == -9
