@@ -33,7 +33,7 @@ from edge.errors import ConfigError, FeedError
 from edge.reference_map.store import THUMBNAILS
 from edge.toml_file import toml_values
 from edge_plugins.doctor.command import examine
-from edge_plugins.mapping.place_log import logs_in
+from edge_plugins.mapping.place_log import files_of, logs_in
 from sim.output import refusing
 
 LIST = "drive.list"
@@ -130,7 +130,7 @@ def _service_log() -> str:
 def _map_files(folder: Path, *, pictures: bool) -> Iterator[Path]:
     files = (file for file in sorted(folder.rglob("*")) if file.is_file()) if folder.is_dir() else iter(())
     # The file of a map that is still driven has its pictures among its places.
-    kept = set() if pictures or not folder.is_dir() else set(logs_in(folder))
+    kept = set() if pictures or not folder.is_dir() else {one for file in logs_in(folder) for one in files_of(file)}
     yield from (file for file in files if pictures or (file.name != THUMBNAILS and file not in kept))
 
 

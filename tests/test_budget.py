@@ -26,7 +26,7 @@ ROOMS = {
     "edge_plugins/doctor": 700,
     "edge_plugins/home": 950,
     "edge_plugins/layers": 300,
-    "edge_plugins/mapping": 1650,
+    "edge_plugins/mapping": 1600,
     "edge_plugins/motion": 600,
     "edge_plugins/nmea": 300,
     "edge_plugins/page": 600,

@@ -1,7 +1,7 @@
 """How maps are made, and live mapping: a drive is searched while it is driven, a fixed distance behind the vehicle.
 
 `builder`    adds place after place, then normalizes and writes the whole set, atomically
-`place_log`  the file that a drive's places are appended to, of `place_log_records`: after any crash, all that is whole
+`place_log`  the file that takes a drive's places, of `place_log_records`: after any crash, all that is whole
 `earlier_drives`  the files of earlier drives become ordinary maps
 `live_keypoints`  the keypoints of each place, by a thread of their own
 `drive_store`  the file and the map in memory (`growing_map`) together; what of it is searched

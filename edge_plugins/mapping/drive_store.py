@@ -24,7 +24,7 @@ from edge_plugins.mapping.earlier_drives import finish_earlier
 from edge_plugins.mapping.growing_map import GrowingMap
 from edge_plugins.mapping.live_keypoints import LiveKeypoints
 from edge_plugins.mapping.place_log import RETRY_S, OpenLog, PlaceLog, create_log, log_of, map_of
-from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader, MappedPlace
+from edge_plugins.mapping.place_log_records import LogHeader, MappedPlace, View
 from edge_plugins.mapping.status import MappingStatus, MappingView
 
 STEP_PLACES = 16
@@ -41,7 +41,7 @@ class DriveStore:
         self,
         config: MappingConfig,
         header: LogHeader,
-        view: Literal["front", "rear"],
+        view: View,
         unix_time_s: Callable[[], float] = time.time,
         before_long: Callable[[float], object] = lambda seconds: None,
         retry_s: float = RETRY_S,
@@ -54,7 +54,7 @@ class DriveStore:
         reading or finishing a drive may take here. retry_s: see `PlaceLog`. fov_deg: horizontal, of the pictures; None
         where they get no keypoints.
         """
-        self.header, self._drive, self._unix_time_s = header, DriveBegun(view), unix_time_s
+        self.header, self._view, self._unix_time_s = header, view, unix_time_s
         self._writer = partial(PlaceLog, min_free_bytes=config.min_free_mb * 1e6, retry_s=retry_s)
         self.keypoints = LiveKeypoints(fov_deg, lens, looks_back=view == "rear")
         self._log: PlaceLog | None = None
@@ -96,10 +96,10 @@ class DriveStore:
         if self._log is None:
             self._use(create_log(log_of(self.growing.path), self.keypoints.header_of(self.header)))
         assert self._log is not None
-        if not self._log.begin_drive(self._drive):
+        if not self._log.begin_drive(self._view):
             return False
         self.keypoints.begin_drive(self.growing.count)
-        self._begin_segment(self._drive)
+        self._begin_segment(self._view)
         return True
 
     def add(self, new: MappedPlace, *, is_vouched: bool) -> None:
@@ -158,29 +158,30 @@ class DriveStore:
         self.keypoints.write_to(self._log)
         self.growing.keep_keypoints(file.header.keypoints)
 
-    def _begin_segment(self, drive: DriveBegun) -> None:
-        self.growing.begin_segment(source_of(self.growing.path), drive.view, has_odometer=True, whole_sigma_m=0.0)
+    def _begin_segment(self, view: View) -> None:
+        self.growing.begin_segment(source_of(self.growing.path), view, has_odometer=True, whole_sigma_m=0.0)
 
     def _resume(self, found: OpenLog, younger_than_s: float) -> bool:
         """Whether the drive goes on in this file of an earlier run. OSError."""
         made, now = found.header, self.header
         is_alike = (made.model, made.regions, made.sampling) == (now.model, now.regions, now.sampling)
         # Without a battery the computer's clock may have fallen behind the file: then it was just now.
-        is_recent = younger_than_s > 0 and self._unix_time_s() - found.written_unix_s < younger_than_s
+        newest_s = found.newest.unix_s if found.newest else -np.inf
+        is_recent = younger_than_s > 0 and self._unix_time_s() - newest_s < younger_than_s
         is_of_this_drive = is_alike and is_recent and self.keypoints.is_alike(made.keypoints)
-        if self._log is not None or not found.places_at or not is_of_this_drive:
+        if self._log is not None or not found.is_sound or not is_of_this_drive:
             return False
         self.growing = self._new_map(map_of(found.path))
         self._use(found)
-        for first, end, drive in found.segments():
-            self._begin_segment(drive)
+        for first, end, view in found.segments():
+            self._begin_segment(view)
             for row in range(first, end, RESUMED_AT_ONCE):
                 records = [found.place(one) for one in range(row, min(row + RESUMED_AT_ONCE, end))]
                 self.growing.add_all(np.stack([found.raw_of(one) for one in records]), [one.place for one in records])
                 if not all(one.is_vouched for one in records):
                     self.growing.doubt()
         self.growing.renew()
-        if drive.view == self._drive.view:
+        if view == self._view:
             self.last = MappedPlace(found.raw_of(records[-1]), records[-1].place)
         log.info("%s: mapping goes on with %d places", self.growing.path, self.growing.count)
         return True

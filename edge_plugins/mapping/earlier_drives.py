@@ -15,7 +15,7 @@ from edge_plugins.layers.stored import delete_oldest, source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder
 from edge_plugins.mapping.keypoint_rows import NONE
-from edge_plugins.mapping.place_log import OpenLog, logs_in, map_of
+from edge_plugins.mapping.place_log import OpenLog, files_of, logs_in, map_of
 
 SLOWEST_S = 0.01
 """For a place of an earlier drive, on a small computer with a slow card; it took 0.0003 s on a desk's."""
@@ -37,7 +37,7 @@ def finish_earlier(
     for file in reversed(logs_in(folder)):
         try:
             found = OpenLog(file)
-            before_long(SLOWEST_S * len(found.places_at))
+            before_long(SLOWEST_S * len(found.rows))
             if not resumes(found):
                 with closing(found):
                     complete(found)
@@ -56,21 +56,23 @@ def complete(file: OpenLog) -> None:
 
     A crash leaves the file, the map, or both; the next start goes on. MapError if the map cannot be written.
     """
-    path, places = map_of(file.path), len(file.places_at)
+    path, places = map_of(file.path), len(file.rows)
     if places < FEWEST_PLACES:
         log.info("%s: %d places are too few for a map; removed", file.path, places)
     elif not path.exists():
         _build(file, path)
         log.info("%s: a map of %d places was made of the drive", path, places)
-    file.path.unlink(missing_ok=True)
+    file.close()
+    for one in files_of(file.path):
+        one.unlink(missing_ok=True)
 
 
 def _build(file: OpenLog, path: Path) -> None:
     header, key = file.header, file.header.keypoints
     key_of = None if key is None else lambda height, width: key
     with MapBuilder(path, header.model, header.regions, header.sampling, keypoints=key_of) as builder:
-        for first, end, drive in file.segments():
-            builder.begin_segment(source_of(path), drive.view, has_odometer=True, whole_sigma_m=0.0)
+        for first, end, view in file.segments():
+            builder.begin_segment(source_of(path), view, has_odometer=True, whole_sigma_m=0.0)
             for row in range(first, end):
                 try:
                     passed = file.place(row)

@@ -68,7 +68,9 @@ class LiveKeypoints:
     def header_of(self, header: LogHeader) -> LogHeader:
         """The header of a new file, whose first picture is the newest one."""
         made = self._made
-        return header if made is None else header.with_keypoints(keypoints_key(*self._size, made.fov_deg, made.alone))
+        if made is None:
+            return header
+        return replace(header, keypoints=keypoints_key(*self._size, made.fov_deg, made.alone))
 
     def write_to(self, file: PlaceLog) -> None:
         """Write to a file, going on with its last drive if there is one."""

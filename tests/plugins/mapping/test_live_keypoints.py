@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import threading
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -26,8 +28,9 @@ from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from edge_plugins.mapping.live_keypoints import MOST_PICTURES
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, PlaceLog, create_log, logs_in
-from edge_plugins.mapping.place_log_records import DriveBegun, LogHeader
+from edge_plugins.mapping.place_log_records import LogHeader
 from tests.plugins.mapping.test_live_map import MODEL, REGIONS, START_S, raw_of
+from tests.plugins.mapping.test_place_log import damage
 
 FOV_DEG, PLACES = 80.0, 30
 FEED = read_feed(Path(__file__).parents[2] / "golden/recordings/out_first")
@@ -122,17 +125,7 @@ def test_points_that_are_damaged_cost_their_place_its_keypoints_and_no_place(tmp
     mapped = live(tmp_path)
     drive(mapped, range(PLACES))
     mapped.store.close()
-    (file,) = logs_in(tmp_path)
-    log = OpenLog(file)
-    at, count = log.points_at[3], len(log.places_at)
-    log.close()
-    with file.open("r+b") as stream:
-        stream.seek(at + 500)
-        stream.write(bytes(8))
-    log = OpenLog(file)
-    assert len(log.places_at) == count
-    assert [first for first, _ in log.drives] == [0, 10], "a place, or the beginning of a drive, may have been there"
-    log.close()
+    damage(logs_in(tmp_path)[0], "points", 3)
     found = known_of(finished(tmp_path))
     assert [row for row, points in enumerate(found) if not points] == [3]
 
@@ -142,35 +135,31 @@ def test_a_place_that_is_lost_with_its_points_behind_it_begins_a_new_drive(tmp_p
     drive(mapped, range(PLACES))
     mapped.store.close()
     (file,) = logs_in(tmp_path)
-    log = OpenLog(file)
-    at, follows = log.places_at[20], sorted(one for one in log.points_at.values() if one > log.places_at[20])[0]
-    log.close()
-    assert follows < log.places_at[21]
-    with file.open("r+b") as stream:
-        stream.seek(at + 100)
-        stream.write(bytes(8))
+    damage(file, "places", 20)
     log = OpenLog(file)
     assert [first for first, _ in log.drives] == [0, 20]
     log.close()
 
 
 def test_the_points_of_a_place_that_a_full_disk_has_not_taken_at_the_end_are_not_written(tmp_path: Path) -> None:
-    header = LogHeader(MODEL, REGIONS, SamplingConfig()).with_keypoints(keypoints_key(120, 160, FOV_DEG))
+    header = LogHeader(MODEL, REGIONS, SamplingConfig(), keypoints=keypoints_key(120, 160, FOV_DEG))
     log = PlaceLog(create_log(tmp_path / "log", header))
-    log.begin_drive(DriveBegun("rear"))
+    log.begin_drive("rear")
     points = np.zeros(MOST, KEYPOINT)
     for row in range(3):
-        assert log.add(raw_of(row), Place(row))
+        assert log.add(raw_of(row), Place(row), START_S)
         log.add_points(row, points, unknown(1.0))
     while log.waiting:
         pass
     log.min_free_bytes = np.inf
-    assert log.add(raw_of(3), Place(3))
+    assert log.add(raw_of(3), Place(3), START_S)
     log.add_points(3, points, unknown(1.0))
     log.close(timeout_s=30)
     left = OpenLog(tmp_path / "log")
-    assert len(left.places_at) == len(left.points_at) == 3
+    assert len(left.rows) == 3 and all(left.points(row) for row in range(3))
     left.close()
+    with closing(sqlite3.connect(tmp_path / "log")) as db:
+        assert db.execute("SELECT count(*) FROM points").fetchone() == (3,)
 
 
 def test_a_drive_goes_on_only_with_the_keypoints_that_it_has(tmp_path: Path) -> None:
@@ -204,7 +193,7 @@ def test_where_the_computer_is_too_slow_the_map_has_all_places_and_says_once_tha
         "keypoints of the map of this drive: the computer is too slow for those of all places"
     ]
     log = OpenLog(logs_in(tmp_path)[0])
-    assert len(log.places_at) == 12 and len(log.points_at) == MOST_PICTURES
+    assert len(log.rows) == 12 and sum(log.points(row) is not None for row in range(12)) == MOST_PICTURES
     log.close()
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
+import sqlite3
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from edge_plugins.mapping.own_motion import OwnDriven
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.files_written import full_disk
+from tests.plugins.mapping.test_place_log import damage
 
 MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
 HEADER = LogHeader(MODEL, REGIONS, SamplingConfig())
@@ -136,7 +138,7 @@ def test_places_without_a_frame_get_the_nearest_one(tmp_path: Path) -> None:
     mapped.store.close()
     (log,) = logs_in(tmp_path)
     file = OpenLog(log)
-    seen = [file.raw(row).tolist() for row in range(7)]
+    seen = [file.raw_of(file.place(row)).tolist() for row in range(7)]
     file.close()
     assert [row for row in range(7) if seen[row] == seen[1]] == [1, 2, 3]
     assert [row for row in range(7) if seen[row] == seen[5]] == [4, 5]
@@ -171,7 +173,7 @@ def test_a_restart_on_the_way_goes_on_with_the_same_map(tmp_path: Path) -> None:
     drive(first, range(60))
     first.store.close()
     (file,) = logs_in(tmp_path)
-    os.truncate(file, file.stat().st_size - 1)  # as a power cut would leave it
+    damage(file, "places", 59)
     again = live(tmp_path, START_S + 600)
     assert again.status.places == again.searched.count == 59
     drive(again, range(30))
@@ -302,7 +304,7 @@ def test_a_full_disk_holds_mapping_up_until_there_is_room_again(tmp_path: Path) 
     mapped = LiveMap(config, DriveStore(config, HEADER, "rear", lambda: START_S, retry_s=0.01))
     drive(mapped, range(40))
     hold_up(mapped, tmp_path)
-    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "disk I/O error")
     newest = mapped.newly_searchable(1000.0)
     assert newest is not None and newest.header.places >= 40, "what is mapped is still searched"
     while mapped.status.why:
@@ -321,12 +323,24 @@ def test_a_full_disk_at_the_first_place_is_tried_again(tmp_path: Path) -> None:
     mapped = live(tmp_path)
     with full_disk():
         drive(mapped, range(5))
-    assert (mapped.status.state, mapped.status.why) == ("waiting", "File too large")
+    assert (mapped.status.state, mapped.status.why) == ("waiting", "disk I/O error")
     drive(mapped, range(5, 30))
     assert (mapped.status.state, mapped.status.places) == ("mapping", 25)
     mapped.store.close()
 
 
+FULL = """
+import os, subprocess, sys
+from pathlib import Path
+from tests.plugins.mapping.test_live_map import drive, live
+subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k", "disk", sys.argv[1]], check=True)
+mapped = live(Path(sys.argv[1]), min_free_mb=0.0)
+with open(sys.argv[1] + "/other", "wb", buffering=0) as other:
+    while other.write(bytes(4096)) == 4096 and os.statvfs(sys.argv[1]).f_bavail:
+        pass
+drive(mapped, range(1))
+print(mapped.status.state, mapped.status.why)
+"""
 READ_ONLY = """
 import subprocess, sys
 from pathlib import Path
@@ -338,16 +352,44 @@ print(mapped.searched.count, mapped.status.state, mapped.status.why)
 """
 
 
-def test_a_drive_on_a_disk_that_became_read_only_is_searched(tmp_path: Path) -> None:
+def in_own_mounts(code: str, folder: Path) -> str:
+    """What code prints that mounts something at a folder."""
     if subprocess.run(["unshare", "-rm", "true"], check=False, capture_output=True).returncode:
         pytest.skip("this user may not make a mount namespace")
-    first = live(tmp_path)
-    drive(first, range(30))
-    first.store.close()
-    command = ["unshare", "-rm", sys.executable, "-c", READ_ONLY, str(tmp_path)]
+    command = ["unshare", "-rm", sys.executable, "-c", code, str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
-    assert done.stdout == "30 waiting Read-only file system\n", done.stderr
-    assert "Errno" not in done.stderr
+    assert "Errno" not in done.stderr and "Traceback" not in done.stderr, done.stderr
+    return done.stdout
+
+
+def test_a_disk_that_is_full_is_said_in_the_words_of_the_system(tmp_path: Path) -> None:
+    assert in_own_mounts(FULL, tmp_path) == "waiting No space left on device\n"
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_drive_on_a_disk_that_became_read_only_is_searched(tmp_path: Path, is_killed: bool) -> None:
+    first = live(tmp_path / "maps")
+    drive(first, range(30))
+    while first.store.waiting:
+        os.sched_yield()
+    shutil.copytree(tmp_path / "maps", tmp_path / "killed")
+    first.store.close()
+    folder = tmp_path / ("killed" if is_killed else "maps")
+    assert len(list(folder.iterdir())) == (3 if is_killed else 1), "what SQLite keeps beside it"
+    assert in_own_mounts(READ_ONLY, folder) == "30 waiting Read-only file system\n"
+
+
+def test_the_drive_of_an_earlier_version_is_left_for_that_with_a_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    older = tmp_path / ".20260101T000000Z.growing"
+    older.write_bytes(b"LBPL" + bytes(100))
+    mapped = live(tmp_path)
+    drive(mapped, range(30))
+    mapped.store.close()
+    why = "cannot open it: an earlier version began this drive: start that version once, or remove it"
+    assert [one.message for one in caplog.records] == [f"{older}: {why}"]
+    assert older.stat().st_size == 104 and mapped.status.places == 30
 
 
 def test_of_two_daemons_only_one_maps_in_a_folder(tmp_path: Path) -> None:
@@ -412,16 +454,11 @@ def test_a_drive_that_was_mapped_while_the_clock_was_not_set_is_deleted_last(tmp
     assert without.is_dir()
 
 
-def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mapped, row, disk = live(tmp_path), 20, threading.Lock()
-
-    def pwrite(descriptor: int, data: bytes, at: int, write: Callable[..., int] = os.pwrite) -> int:
-        with disk:
-            return write(descriptor, data, at)
-
-    monkeypatch.setattr(os, "pwrite", pwrite)
+def test_mapping_waits_for_a_slow_disk_and_goes_on(tmp_path: Path) -> None:
+    mapped, row = live(tmp_path), 20
     drive(mapped, range(row))
-    with disk:
+    with closing(sqlite3.connect(logs_in(tmp_path)[0], isolation_level=None)) as disk:
+        disk.execute("BEGIN IMMEDIATE")  # nothing else is written meanwhile
         while mapped.status.state == "mapping" and row < 5000:
             mapped.add(raw_of(row), IMAGE, replace(GPS, lat_deg=GPS.lat_deg + row * 2 / 110_800), row * 2.0)
             row += 1
