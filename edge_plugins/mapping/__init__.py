@@ -35,7 +35,6 @@ class MappingConfig(Section, frozen=True):
     without_gps: Literal["stop", "continue"] = "stop"
     behind_m: Annotated[float, Meta(ge=10, le=10_000)] = 60.0
     resume_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
-    layers: Annotated[int, Meta(ge=0, le=100)] = 4
     keypoints: bool = True
     quota_mb: Positive = 20_000.0
     min_free_mb: NotNegative = 500.0

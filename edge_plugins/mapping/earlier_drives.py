@@ -8,9 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from edge.errors import MapError
-from edge.reference_map import maps_in
 from edge.reference_map.keypoint_records import record_of
-from edge_plugins.layers.newest import choose
 from edge_plugins.layers.stored import delete_oldest, source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder
@@ -29,8 +27,7 @@ def finish_earlier(
 ) -> None:
     """Make maps of the drives of a folder, the newest first, but of one that `resumes` goes on with. OSError.
 
-    The disk's share is kept, and the newest drives of each road are searched from the next start on, not all that were
-    ever made.
+    The disk's share is kept.
     """
     folder, quota_bytes = Path(config.folder), config.quota_mb * 1e6
     delete_oldest(folder, quota_bytes)
@@ -44,11 +41,6 @@ def finish_earlier(
         except MapError as error:
             log.warning("%s", error)
     delete_oldest(folder, quota_bytes)
-    try:
-        if 0 < config.layers < len(maps_in(folder)):
-            choose(folder, config.layers, anew=False).mark()
-    except MapError as error:
-        log.warning("%s; no map is retired", error)
 
 
 def complete(file: OpenLog) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from edge.errors import ConfigError
 from edge.reference_map.map_set import name_of
-from edge_plugins.layers.newest import LAYERS, Choice, choose
 from sim.maps.files import light
+from sim.maps.newest import LAYERS, Choice, choose
 
 
 def add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -14,10 +14,10 @@ from edge.descriptor.network import Network
 from edge.keypoints.network import KeypointNetwork
 from edge.recognizer import model_key
 from edge.reference_map.store import RegionsKey
-from edge_plugins.layers.newest import choose
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
+from sim.maps.newest import choose
 from sim.research.trial.course import CourseDraft, Stretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.records import Array

@@ -439,11 +439,12 @@ def test_the_quota_deletes_retired_drives_and_then_the_oldest(tmp_path: Path) ->
     assert {path for path in tmp_path.iterdir() if (path / "map.json").exists()} == {paths[0], paths[1], own}
 
 
-def test_of_the_drives_of_a_road_the_newest_are_searched_from_the_next_start_on(tmp_path: Path) -> None:
+def test_of_the_drives_of_a_road_those_are_searched_that_map_learn_has_chosen(tmp_path: Path) -> None:
     paths = [make_drive(tmp_path, START_S + 1000 * number) for number in range(3)]
-    live(tmp_path, START_S + 9000, layers=0).store.close()
+    live(tmp_path, START_S + 9000).store.close()
     assert len(open_map_set(tmp_path).names) == 3
-    live(tmp_path, START_S + 9000, layers=1).store.close()
+    assert main(["map", "learn", str(tmp_path), "--layers", "1"]) == 0
+    live(tmp_path, START_S + 9000).store.close()
     assert open_map_set(tmp_path).names == (paths[2].name,)
 
 

@@ -13,8 +13,8 @@ from edge.__main__ import main
 from edge.errors import MapError
 from edge.reference_map import open_map_set
 from edge.reference_map.map_folder import RETIRED
-from edge_plugins.layers.newest import choose
 from sim.maps.keys import make_key, sign_map
+from sim.maps.newest import choose
 from tests.plugins.layers.drives import MADE_S, Driven, build
 
 
@@ -97,14 +97,6 @@ def test_drives_that_are_kept_or_signed_or_have_no_positions_stay(folder: Path, 
     for name in ("3", "4"):
         (folder / name / RETIRED).touch()
     assert {"3", "4"} <= searched(folder), "a mark alone does not retire them"
-
-
-def test_one_that_is_chosen_while_some_are_retired_needs_those_no_more(folder: Path) -> None:
-    choose(folder).mark()
-    build(folder / "new", Driven(made_s=MADE_S + 9))
-    choose(folder, anew=False).mark()
-    assert searched(folder) == {"1", "6", "7", "new"}
-    assert chosen(folder, 4) == searched(folder), "as if all had been considered"
 
 
 def test_wherever_it_is_interrupted_too_much_is_searched_and_never_too_little(

@@ -27,7 +27,7 @@ drive without GPS recognizes the first place; not half a drive."""
 LEAST_SHARE = 0.25
 """Of its stretches a drive is wanted on, or it is not searched at all: drives end some meters apart, nothing more."""
 ROWS_APART = 5
-"""Rows of a drive that are looked at, 10 m apart: a stretch is 25 m, and the daemon's start waits for this."""
+"""Rows of a drive that are looked at, 10 m apart: a stretch is 25 m."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,12 @@ class Choice:
             raise MapError(f"{file}: cannot mark the map: {reason(error)}") from None
 
 
-def choose(folder: Path, layers: int = LAYERS, *, anew: bool = True) -> Choice:
+def choose(folder: Path, layers: int = LAYERS) -> Choice:
     """What to search of a folder of maps; nothing is changed. MapError.
 
-    layers: at most so many of one road, unless a view would have none. anew: whether retired drives are considered;
-    they are not needed as long as none that is searched is deleted.
+    layers: at most so many of one road, unless a view would have none.
     """
-    maps = open_map_set(folder, with_retired=anew)
+    maps = open_map_set(folder, with_retired=True)
     if not maps.is_folder:
         raise MapError(f"{folder}: one map; name the folder that it lies in")
     if maps.excluded:
