@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 ROOMS = {
     "edge": 2350,
-    "edge/camera": 900,
+    "edge/camera": 800,
     "edge/commands": 300,
     "edge/descriptor": 500,
     "edge/feed": 500,

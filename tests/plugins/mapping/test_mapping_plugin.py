@@ -30,6 +30,7 @@ from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.camera.test_picture_age import ahead
 from tests.udp_port import free_port
 
 ROAD_M, SPEED_MPS, SPACING_M = 300.0, 10.0, 2.0
@@ -132,14 +133,27 @@ class Camera:
         pass
 
 
-class StartShown(Camera):
-    """Its pictures hardly change before the vehicle drives."""
+class Bends(World):
+    """The road in bends."""
+
+    def pose(self, time_s: float) -> Pose:
+        moves = SPEED_MPS if self.driven_m else 0.0
+        headings = np.radians([bend_deg(float(at_m)) for at_m in np.arange(0.5, max(1.0, self.driven_m), 1.0)])
+        over_m = self.driven_m - len(headings) + 1  # the last one
+        steps = np.append(np.ones(len(headings) - 1), over_m)
+        at_m = float(steps @ np.sin(headings)), float(steps @ np.cos(headings))
+        return Pose(*at_m, bend_deg(self.driven_m) % 360, moves, self.driven_m)
+
+
+def bend_deg(driven_m: float) -> float:
+    return 90 + 40 * math.sin(driven_m / 40) + 15 * math.sin(driven_m / 15 + 1)
+
+
+class Turning(Camera):
+    """Its pictures turn with the vehicle."""
 
     def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        if self._world.driven_m:
-            return super().picture(rng)
-        still = super().picture(np.random.default_rng(0)) & np.uint8(0xFE)
-        return np.asarray(still + rng.integers(0, 2, (32, 32, 3), np.uint8))
+        return ahead(0.0, int(rng.integers(1000)), faces_deg=bend_deg(self._world.driven_m))
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +308,7 @@ def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
 
 
 @pytest.mark.parametrize("second_camera", [True, False])
-@pytest.mark.parametrize(("camera", "from_m"), [(StartShown, 100.0), (Camera, math.inf)])
+@pytest.mark.parametrize(("camera", "from_m"), [(Turning, 220.0), (Camera, math.inf)])
 def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
     placed_network: PlacedNetwork,
     tmp_path: Path,
@@ -303,8 +317,8 @@ def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
     from_m: float,
     second_camera: bool,
 ) -> None:
-    """A start shows it ten seconds later; those of a camera that never shows one may be of another place."""
-    world, maps = World(placed_network, home=False, stands_s=8.0), tmp_path / "maps"
+    """Half a minute with bends shows it; those of a camera that never shows one may be of another place."""
+    world, maps = Bends(placed_network, home=False, stands_s=8.0), tmp_path / "maps"
     mapping = mapping_to(maps, second_camera=second_camera)
     if second_camera:
         mapping = msgspec.structs.replace(mapping, camera=CameraConfig(kind="stream", view="rear"))

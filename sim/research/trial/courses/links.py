@@ -13,7 +13,6 @@ from sim.research.trial.course_rules import (
     warns_of_another,
 )
 from sim.research.trial.courses.registry import course
-from sim.trial.driver import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 
@@ -87,14 +86,6 @@ def _clock(draft: CourseDraft) -> None:
 def _pictures(draft: CourseDraft, value: float) -> None:
     """Pictures are so many seconds older than they say, as behind the buffer of a network stream."""
     draft.late_s = value
-
-
-@course("E", "pictures-3-stop", rules=(*USUAL, resumes))
-def _pictures_stop(draft: CourseDraft) -> None:
-    """The same, and the vehicle stops for 8 s after 40 m, with GPS: the stamps are corrected."""
-    draft.late_s = 3.0
-    draft.drive(draft.way, Leg(40.0, then_wait_s=8.0), Leg(draft.way.length_m - 2))
-    draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S + 12.0 else NO_FIX
 
 
 @course("E", "gps-returns", rules=(*HONEST, not_with_gps))

@@ -55,7 +55,6 @@ SMALL = (
     "gps-spoofed-jump",
     "gps-spoofed-drag-2-left",
     "wheels-spin",
-    "pictures-3-stop",
     "gps-steered-aside",
     "daemon-killed",
     "px4-failsafe",
