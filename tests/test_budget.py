@@ -20,7 +20,7 @@ ROOMS = {
     "edge/localization": 3350,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
-    "edge/telemetry": 2900,
+    "edge/telemetry": 2800,
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
     "edge_plugins/doctor": 700,
@@ -50,7 +50,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 34900,
+    "tests": 34500,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -3,8 +3,7 @@
 healthy      a receiver has reported a 3-D fix of good accuracy for RETURN_NS, and the filter uses it
 not healthy  no receiver has reported one for LOST_NS, after a short return for RETURN_NS, and all that were heard
              still report
-unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use,
-             reports of two senders in turns
+unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use
 
 Only "not healthy" permits positions. GPS that comes and goes within RETURN_NS is unknown throughout: the filter follows
 it, and is better at that alone.
@@ -19,7 +18,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.geodesy import PositionSource, VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, GpsFix, GpsState
 from edge.telemetry.codec import Message
-from edge.telemetry.position_history import Alternation
 
 FRESH_NS = 3_000_000_000
 LOST_NS = 1_000_000_000
@@ -42,7 +40,6 @@ SOURCES: dict[int, PositionSource] = {
     mavlink.GPS_FIX_TYPE_PPP: "ppp",
 }
 UNSTEADY = "its fix has just come or gone"
-TAKES_TURNS = "two senders report in turns"
 
 
 class _Fix:
@@ -91,8 +88,6 @@ class Receiver:
         self.at = (0.0, 0.0)
         """Latitude and longitude in degrees (WGS 84)."""
         self._fix = _Fix()
-        self._fix_ns: int | None = None  # of the newest good one
-        self.alternation = Alternation(APART_M, LOST_NS)
 
     @property
     def sigma_m(self) -> float:
@@ -110,21 +105,9 @@ class Receiver:
         is_good = message.fix_type in FIXES and (accuracy_m or by_hdop_m) <= (BAD_M if self._fix.is_healthy else GOOD_M)
         is_good = is_good and bool(message.lat or message.lon)
         if is_good:
-            self._notice_turn(message, now_ns)
             self.at = message.lat / 1e7, message.lon / 1e7
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
         self._fix.report(now_ns, is_good=is_good)
-
-    def _notice_turn(self, message: Message, now_ns: int) -> None:
-        """Fixes in two places, or a fix and none, in turns: a stranger forges some of them."""
-        is_known = UNREPORTED not in (message.vel, message.cog)
-        speed_mps, course_rad = (message.vel / 100, math.radians(message.cog / 100)) if is_known else (0.0, 0.0)
-        velocity = speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad)  # north, east
-        at = message.lat / 1e7, message.lon / 1e7
-        self.alternation.add(VehiclePosition(now_ns, *at, 0.0, None, speed_mps, *velocity), now_ns)
-        if self._fix.good_ns is None and self._fix_ns is not None and now_ns - self._fix_ns <= LOST_NS:
-            self.alternation.notice(now_ns)
-        self._fix_ns = now_ns
 
     @property
     def is_good(self) -> bool:
@@ -146,8 +129,6 @@ class Gps:
     def __init__(self) -> None:
         self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
         self.is_fusion_on: bool | None = None  # whether PX4 is set to fuse them; None where it does not report it
-        self._alternation = Alternation()  # of the filter's flags
-        self._used_ns: int | None = None
         self._flags_ns: int | None = None
         self._unused_ns: int | None = None  # since when the filter has not used it
         self._absent: tuple[int, int] | None = None  # since when SYS_STATUS says so, and when it did last
@@ -161,9 +142,6 @@ class Gps:
         is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & glitch
         is_used = is_absolute and self.is_fusion_on is not False  # PX4's position is absolute by ours as well
         self._flags_ns = now_ns
-        if is_used and self._unused_ns and self._used_ns and now_ns - self._used_ns <= LOST_NS:
-            self._alternation.notice(now_ns)
-        self._used_ns = now_ns if is_used else self._used_ns
         self._unused_ns = None if is_used else self._unused_ns or now_ns
 
     def read_sensors(self, present: int, now_ns: int) -> None:
@@ -173,17 +151,11 @@ class Gps:
         else:
             self._absent = (self._absent or (now_ns, now_ns))[0], now_ns
 
-    def takes_turns(self, now_ns: int) -> bool:
-        """Whether two senders report in turns, of whom one may be a stranger: then nothing says where GPS is."""
-        first, second = self.receivers
-        found = self._alternation.is_found(now_ns) or first.alternation.is_found(now_ns)  # quick: asked in each turn
-        return found or second.alternation.is_found(now_ns)
-
     def receiver_state(self, now_ns: int) -> GpsState:
         """By the receivers alone, whether or not the filter uses them."""
         first, second = self.receivers[0].state(now_ns), self.receivers[1].state(now_ns)
         if "healthy" in (first, second):
-            return "unknown" if self.takes_turns(now_ns) else "healthy"
+            return "healthy"
         if self.receivers[0].heard_ns is None and self._is_absent(now_ns):
             first = "not healthy"
         if self.receivers[1].heard_ns is None:
@@ -202,8 +174,6 @@ class Gps:
             return ""
         if self.receiver_state(now_ns) == "healthy":
             return "unused by the autopilot"
-        if self.takes_turns(now_ns):
-            return TAKES_TURNS
         silent = [one.name for one in self.receivers if one.state(now_ns) == "unknown" and one.is_silent(now_ns)]
         return f"no {silent[0]}" if silent else UNSTEADY
 
@@ -217,7 +187,7 @@ class Gps:
 
         Nor where the filter reports that it does not use GPS.
         """
-        if own is None or self.takes_turns(now_ns) or (self._unused_ns and self._hears_filter(now_ns)):
+        if own is None or (self._unused_ns and self._hears_filter(now_ns)):
             return None
         near = [one for one in self.receivers if one.state(now_ns) == "healthy" and _is_near(one, own)]
         return max(near, key=lambda one: one.sigma_m, default=None)
@@ -227,7 +197,7 @@ class Gps:
 
         None without a healthy receiver, and without the autopilot's velocity.
         """
-        if own is None or self.takes_turns(now_ns):
+        if own is None:
             return None
         sigma_m, at, at_ns = self.bound_m(own, now_ns), (own.lat_deg, own.lon_deg), own.stamp_ns
         if sigma_m is None:

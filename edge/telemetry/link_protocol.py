@@ -151,7 +151,7 @@ class Requests:
         if session.version is None and self._version.is_due(now_ns):
             self._version.ask(now_ns)
             messages.append(encoders.message_request(system_id, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
-        if session.origins.known is None and self._known_origin.is_due(now_ns):
+        if session.origin is None and self._known_origin.is_due(now_ns):
             # Set ours only where the autopilot reports none: an origin cannot be moved in flight.
             if self._known_origin.times and self._origin is not None and not self.needs_place:
                 messages.append(encoders.set_origin(system_id, self._origin))
@@ -163,12 +163,12 @@ class Requests:
         """The vehicle is at a place: an autopilot that takes its origin for where it is gets that which is right."""
         if self.needs_place and self._origin is not None and place.lat_deg is not None and place.lon_deg is not None:
             self.needs_place = False
-            self._origin = self.session.origins.of_place(place.lat_deg, place.lon_deg, self._origin.alt_m)
+            self._origin = self.session.origin_of_place(place.lat_deg, place.lon_deg, self._origin.alt_m)
 
     @property
     def waits_for_place(self) -> bool:
         """Whether an origin would have been set by now."""
-        return self.needs_place and self.session.origins.known is None and self._known_origin.times > 1
+        return self.needs_place and self.session.origin is None and self._known_origin.times > 1
 
     def answer(self, message: Message, now_ns: int) -> list[Message]:
         """The answers to a message of the autopilot that is for us."""

@@ -1,4 +1,4 @@
-"""The autopilot's position at the exposure of a frame, with its accuracy and what it rests on; and whose it is. No I/O.
+"""The autopilot's position at the exposure of a frame, with its accuracy and what it rests on. No I/O.
 
 A position comes 0.1 s before or after a frame, in which a car drives 3 m. So it is interpolated between the one before
 and the one after, which a frame has to wait for.
@@ -10,7 +10,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Generic, TypeVar
 
 from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
@@ -22,11 +21,6 @@ AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocit
 AWAITED_NS = 1_000_000_000  # how long a frame waits for the position after it
 JUMP_M, JUMP_SHARE = 3.0, 0.5
 """Two positions that differ by so many meters and that share of the distance more than by velocity: a reset."""
-TURNS, TURNS_NS, BACK_NS = 3, 10_000_000_000, 500_000_000
-"""How often within TURNS_NS one is back after at most BACK_NS, before two autopilots are found: a single one reboots
-once in that time, its filters (EKF lanes) take turns less often, and resets are sent a second apart."""
-JUMP_MPS, STRONGEST_MPS2 = 3.0, 9.8
-"""Two velocities that differ by more, beyond what friction or leaning can do (`DeadReckoning`), are of two senders."""
 
 
 class PositionHistory:
@@ -120,49 +114,7 @@ def _heading_between(before_deg: float | None, after_deg: float | None, share: f
     return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360
 
 
-class Alternation:
-    """Whether two senders have the same ids: what they report comes in turns, or their clocks seem to go back.
-
-    The other one is a second autopilot, or a stranger who forges messages.
-    """
-
-    def __init__(self, jump_m: float = JUMP_M, back_ns: int = BACK_NS) -> None:
-        self._back_ns = back_ns
-        self._differences = partial(jumped, jump_m=jump_m), turned
-        self._newest: VehiclePosition | None = None
-        # By what jumps, position or velocity: the newest before the last jump.
-        self._left: dict[Callable[[VehiclePosition, VehiclePosition], bool], VehiclePosition] = {}
-        self._noticed_ns: deque[int] = deque(maxlen=TURNS)
-
-    def add(self, position: VehiclePosition, now_ns: int) -> None:
-        """A position; a reset moves it once, and it is back soon only where another one sent those between."""
-        before, self._newest = self._newest, position
-        for differ in self._differences:
-            if before is None or not differ(before, position):
-                continue
-            left, self._left[differ] = self._left.get(differ), before
-            if left and position.stamp_ns - left.stamp_ns <= self._back_ns and not differ(left, position):
-                self.notice(now_ns)
-
-    def notice(self, now_ns: int) -> None:
-        """The positions came back to where they were, or the clock went back."""
-        self._noticed_ns.append(now_ns)
-
-    def is_found(self, now_ns: int) -> bool:
-        """Whether that was so often within TURNS_NS, until it has not been so for TURNS_NS."""
-        noticed_ns = self._noticed_ns
-        if len(noticed_ns) < TURNS:
-            return False
-        return noticed_ns[-1] - noticed_ns[0] <= TURNS_NS and now_ns - noticed_ns[-1] <= TURNS_NS
-
-
-def turned(first: VehiclePosition, second: VehiclePosition) -> bool:
-    """Whether two velocities cannot be of one vehicle."""
-    changed_mps = math.hypot(second.east_mps - first.east_mps, second.north_mps - first.north_mps)
-    return changed_mps > JUMP_MPS + STRONGEST_MPS2 * (second.stamp_ns - first.stamp_ns) / 1e9
-
-
-def jumped(before: VehiclePosition, after: VehiclePosition, jump_m: float = JUMP_M) -> bool:
+def jumped(before: VehiclePosition, after: VehiclePosition) -> bool:
     """Whether two positions cannot be of one vehicle that moves by its velocity."""
     gap_s = (after.stamp_ns - before.stamp_ns) / 1e9
     east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (before.lat_deg, before.lon_deg))
@@ -170,5 +122,5 @@ def jumped(before: VehiclePosition, after: VehiclePosition, jump_m: float = JUMP
         (first + second) / 2 * gap_s
         for first, second in ((before.east_mps, after.east_mps), (before.north_mps, after.north_mps))
     ]
-    allowed_m = jump_m + JUMP_SHARE * math.hypot(*by_velocity_m)
+    allowed_m = JUMP_M + JUMP_SHARE * math.hypot(*by_velocity_m)
     return math.hypot(east_m - by_velocity_m[0], north_m - by_velocity_m[1]) > allowed_m

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import struct
+from collections import deque
 from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -15,7 +16,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.geodesy import VehiclePosition
 from edge.localization import DeadReckoning, GpsFix, Own
 from edge.telemetry.codec import FusionStatus, Message
-from edge.telemetry.position_history import Alternation
 from edge.telemetry.session import Modes, Origin, Session
 from edge.telemetry.vehicle_velocity import LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
 
@@ -27,9 +27,9 @@ so long a silence, both to an autopilot that was rebooting."""
 ACCURACY_FRESH_NS = 3_000_000_000
 POSITIONS = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
 HEADING_UNKNOWN = 65535
-NORTH_M, EAST_M = 110_574.3, 111_319.5
-"""Of a degree at latitude and longitude 0, where local positions are compared with each other: their origin may not be
-known. Within a millimeter of a conversion, which takes a thousand times as long."""
+TURNS, TURNS_NS = 3, 10_000_000_000
+"""How often within TURNS_NS stamps of two clocks come in turns, before two autopilots are found: a single one reboots
+once in that time."""
 FIRST_SYSTEM_ID = 1
 INTEGERS = {mavlink.MAV_PARAM_TYPE_INT32: "<i", mavlink.MAV_PARAM_TYPE_UINT32: "<I"}
 
@@ -57,9 +57,10 @@ class Vehicle:
         """The distance driven and the displacement, of all sessions."""
         self.velocity = VehicleVelocity(self.motion)
         self.is_doubled = False
-        """Whether another autopilot sends with the same ids: then nothing is known of either."""
+        """Whether another autopilot sends with the same ids, by its clock: what has its stamps is ignored. Nor is any
+        position sent, which both would take."""
         self._has_warned = False
-        self._alternations = {message: Alternation() for message in POSITIONS}
+        self._turns_ns: deque[int] = deque(maxlen=TURNS)
         self._heard_ns = self._read_ns = 0
         self._beats_ns: dict[int, int] = {}  # heartbeats, by system
         self._modes = Modes()
@@ -82,7 +83,7 @@ class Vehicle:
             return False
         self.session.heard_ns[message.get_msgId()] = now_ns
         kind = message.get_msgId()
-        if kind in READERS and (not self.is_doubled or kind in POSITIONS):
+        if kind in READERS:
             stamp_ns = self._stamp_ns(message, now_ns) if kind in STAMPS else now_ns
             if stamp_ns is not None:
                 READERS[kind](self, message, stamp_ns, now_ns)
@@ -90,10 +91,11 @@ class Vehicle:
         return True
 
     def _notice_double(self, now_ns: int) -> None:
-        if any(one.is_found(now_ns) for one in self._alternations.values()) != self.is_doubled:
-            self.is_doubled = not self.is_doubled
-            log.error("system %s is %s", self.system_id, "two autopilots" if self.is_doubled else "one autopilot again")
-            self._start_session(is_same_vehicle=False)
+        turns_ns = self._turns_ns
+        is_found = len(turns_ns) == TURNS and turns_ns[-1] - turns_ns[0] <= TURNS_NS >= now_ns - turns_ns[-1]
+        if is_found != self.is_doubled:
+            self.is_doubled = is_found
+            log.error("system %s is %s", self.system_id, "two autopilots" if is_found else "one autopilot again")
 
     @property
     def target_id(self) -> int:
@@ -205,12 +207,11 @@ class Vehicle:
         has_position = message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
         stamp_ns = clock.read_stamp(boot_ms, now_ns, has_position=has_position)
         if stamp_ns is not None and clock.took_turns:
-            self._alternations[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT].notice(now_ns)
+            self._turns_ns.append(now_ns)
         if stamp_ns is not None or not clock.has_ended(now_ns):
             return stamp_ns
-        if not self.is_doubled:
-            log.warning("the autopilot has rebooted: its clock jumped to %d ms", boot_ms)
-        self._start_session(is_same_vehicle=not self.is_doubled)
+        log.warning("the autopilot has rebooted: its clock jumped to %d ms", boot_ms)
+        self._start_session(is_same_vehicle=True)
         return self.session.clock.read_stamp(boot_ms, now_ns)
 
     def _read_global_position(self, message: Message, stamp_ns: int, now_ns: int) -> None:
@@ -228,18 +229,11 @@ class Vehicle:
             message.vx / 100,
             message.vy / 100,
         )
-        self._alternations[message.get_msgId()].add(now, now_ns)
-        if self.is_doubled:
-            return
         before, self.session.position = self.session.position, now
         self.velocity.move(before, now)
 
     def _read_local_position(self, message: Message, stamp_ns: int, now_ns: int) -> None:
-        at = stamp_ns, message.x / NORTH_M, message.y / EAST_M, 0.0, None
-        self._alternations[message.get_msgId()].add(VehiclePosition(*at, 0.0, message.vx, message.vy), now_ns)
-        if self.is_doubled:
-            return
-        self.session.origins.add_local(stamp_ns, message.y, message.x)
+        self.session.local_m = message.y, message.x
         own = self.position(now_ns)
         heading_deg = own.heading_deg if own else None
         self.velocity.add_speed(stamp_ns, signed_speed(message.vy, message.vx, heading_deg), LOCAL)
@@ -255,7 +249,7 @@ class Vehicle:
                 self._has_warned = True
                 log.warning("ODOMETRY of %d:%d is ignored: [telemetry] odometry_from names who sends it", *sender)
             return
-        if not (self.connected and not self.is_doubled and message.quality >= 0):
+        if not (self.connected and message.quality >= 0):
             return
         if message.child_frame_id == mavlink.MAV_FRAME_BODY_FRD and math.isfinite(message.vx + message.vy):
             self.velocity.use_odometry(now_ns, message.vx, -message.vy, None)
@@ -278,8 +272,7 @@ class Vehicle:
 
     def _read_origin(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         if message.latitude or message.longitude:
-            origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
-            self.session.origins.add(origin, self.position(now_ns), now_ns)
+            self.session.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000)
 
     def _read_version(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         self.session.version = message.flight_sw_version >> 24, message.flight_sw_version >> 16 & 0xFF

@@ -280,7 +280,7 @@ def position_sent(setting: Setting, name: str) -> list[dict[str, Any]]:
     ours, foreigner = setting.ours, setting.foreigner
     setting.until(lambda: foreigner.subscribed() and ours.state == "up")
     foreigner.say("GPS_GLOBAL_ORIGIN", latitude=-274780000, longitude=1530280000, altitude=20000, time_usec=0)
-    setting.until(lambda: ours.vehicle.session.origins.known is not None)
+    setting.until(lambda: ours.vehicle.session.origin is not None)
     tell_time_and_speed(setting)
     assert setting.send_position(place_fix(time.monotonic_ns()))
     setting.until(lambda: foreigner.read(name))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, LinkConfig
 from edge.errors import ConfigError
+from edge.geodesy import east_north_of
 from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -159,17 +161,20 @@ class Overheard:
 
 
 def test_two_autopilots_with_the_same_ids_get_no_position(open_rig: OpenRig) -> None:
-    """Another vehicle 22 m ahead on the same radio."""
+    """Another vehicle 22 m ahead on the same radio, which was switched on earlier: where it is does not count."""
     rig = open_rig(emit="external_position", gates=GatesConfig(risk=1.0, min_move_m=0.0), gps=False)
     pose_at = straight_line(8.0, 60.0, rig.now_ns / 1e9 - 22 / 8)
-    ahead = SimulatedAutopilot(Overheard(rig), pose_at, lambda: rig.now_ns, gps=False)
+    ahead = SimulatedAutopilot(Overheard(rig), pose_at, lambda: rig.now_ns, gps=False, booted_before_s=30.0)
 
     def step() -> bool:
         ahead.step()
         return False
 
     rig.run(6.0, step)
-    assert rig.connection.vehicle.position(rig.now_ns) is None
+    own = rig.connection.vehicle.position(rig.now_ns)
+    assert own is not None
+    apart_m = east_north_of(own.lat_deg, own.lon_deg, pose_at(rig.now_ns / 1e9).geodetic())
+    assert math.hypot(*apart_m) == pytest.approx(22.0, abs=3.0)
     assert not rig.send_position(rig.fix())
     assert rig.connection.why_no_position == "two autopilots have the same ids"
     assert [one.text for one in rig.received("STATUSTEXT")].count("Lookback: two autopilots have the same ids") == 1

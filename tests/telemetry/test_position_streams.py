@@ -103,11 +103,11 @@ def test_without_an_origin_ours_is_set_once_and_fixes_are_then_taken(open_rig: O
     rig = open_rig(emit="external_position", gps=False, has_origin=False, config={"origin": origin})
     rig.run(4.0)
     assert rig.connection.vehicle.position(rig.now_ns) is None, "zeros are nowhere"
-    assert rig.connection.vehicle.session.origins.known is None
+    assert rig.connection.vehicle.session.origin is None
     rig.run(8.0)
     (message,) = rig.received("SET_GPS_GLOBAL_ORIGIN")
     assert (message.latitude, message.longitude, message.altitude) == (-274772000, 1530283000, 20000)
-    assert rig.connection.vehicle.session.origins.known is not None
+    assert rig.connection.vehicle.session.origin is not None
     assert rig.send_position(rig.fix())
     rig.run(1.0)
     assert rig.journalled(FixAnswered)[-1].result == "ACCEPTED"
@@ -133,6 +133,6 @@ def test_px4_gets_no_origin_before_a_place_is_believed_and_then_the_one_by_which
 def test_an_origin_that_is_there_is_left_alone(open_rig: OpenRig) -> None:
     rig = open_rig(config={"origin": (1.0, 2.0, 3.0)})
     rig.run(12.0)
-    assert rig.connection.vehicle.session.origins.known is not None
-    assert rig.connection.vehicle.session.origins.known.lat_deg == pytest.approx(-27.4772)
+    assert rig.connection.vehicle.session.origin is not None
+    assert rig.connection.vehicle.session.origin.lat_deg == pytest.approx(-27.4772)
     assert not rig.received("SET_GPS_GLOBAL_ORIGIN")

@@ -256,7 +256,7 @@ def test_the_recorded_rover_tells_its_origin_and_px4_its_accuracy(read_tlog: Rea
     rover, px4, accuracies_m = Vehicle(), Vehicle(), []
     for _ in replay(read_tlog("ardurover-4.6.3-nogps"), rover):
         pass
-    origin = rover.session.origins.known
+    origin = rover.session.origin
     assert origin is not None
     assert (origin.lat_deg, origin.lon_deg) == pytest.approx((-35.363262, 149.165237))
     assert origin.alt_m == pytest.approx(584.0)
@@ -311,13 +311,13 @@ def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them()
     vehicle.handle(speaker.say(mavlink.MAVLink_gps_global_origin_message(10, 20, 30_000)), 2 * S)
     vehicle.handle(speaker.say(mavlink.MAVLink_estimator_status_message(0, 0, 0, 0, 0, 0, 0, 0, 4.5, 1)), 2 * S)
     assert vehicle.session.version == (1, 18)
-    assert vehicle.session.origins.known == Origin(1e-6, 2e-6, 30.0)
+    assert vehicle.session.origin == Origin(1e-6, 2e-6, 30.0)
     assert vehicle.accuracy_m(5 * S) == 4.5
     assert vehicle.accuracy_m(5 * S + 1) is None, "stale"
     vehicle.handle(speaker.position(500_000), 3 * S)
     for now_ns in (3 * S, 3 * S + S // 2):
         vehicle.handle(speaker.position(now_ns // 1_000_000), now_ns)
-    assert vehicle.session.origins.known is None and vehicle.session.version is None
+    assert vehicle.session.origin is None and vehicle.session.version is None
     assert vehicle.accuracy_m(3 * S) is None
 
 

@@ -39,7 +39,7 @@ from sim.world.scenario import Scenario
 from sim.world.sensor import CAMERA_HIGH_M
 
 COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each direction, and as they say
-DOUBLE_AHEAD_M, DOUBLE_MPS = 60.0, 5.0
+DOUBLE_AHEAD_M, DOUBLE_MPS, DOUBLE_BOOTED_S = 60.0, 5.0, 90.0
 
 
 def drive(
@@ -87,7 +87,7 @@ class CourseSimulation(Simulation):
         if draft.has_double:
             legs, rng = [Leg(draft.way.length_m - 2, DOUBLE_MPS)], np.random.default_rng([seed, 16])
             ahead = Driver(draft.way, legs, rng, starts_m=DOUBLE_AHEAD_M)
-            self._double = ahead, self._autopilot(links[1], lambda: ahead.pose)
+            self._double = ahead, self._autopilot(links[1], lambda: ahead.pose, booted_before_s=DOUBLE_BOOTED_S)
 
     def _autopilot(self, link: Link, pose: Callable[[], Pose], **others: Any) -> SimulatedAutopilot:
         draft = self._draft
@@ -97,8 +97,7 @@ class CourseSimulation(Simulation):
             firmware=draft.firmware,
             gps=draft.has_gps,
             has_origin=draft.has_gps,
-            booted_before_s=draft.booted_before_s,
-            **others,
+            **{"booted_before_s": draft.booted_before_s, **others},
         )
 
     def step(self) -> None:
