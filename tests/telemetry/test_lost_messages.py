@@ -49,7 +49,7 @@ def lost_gps(open_rig: OpenRig) -> Rig:
 @pytest.mark.parametrize("since", ["GPS is back", "it is stale", "the vehicle is off the map"])
 def test_a_fix_without_an_answer_is_not_sent_again_since(since: str, lost_gps: Rig) -> None:
     lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.send_position(lost_gps.fix(age_s=4.5 if since == "it is stale" else 0.5))
+    assert lost_gps.send_position(lost_gps.fix(age_s=1.5 if since == "it is stale" else 0.5))
     lost_gps.autopilot.gps = since == "GPS is back"
     lost_gps.unable = "off the map" if "map" in since else ""
     lost_gps.run(4.0)

@@ -338,6 +338,15 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
     assert len(fixes_received(rig)) == 1
 
 
+@pytest.mark.parametrize("age_s", [1.9, 2.1])
+def test_a_reset_is_of_a_picture_of_the_last_two_seconds(open_rig: OpenRig, age_s: float) -> None:
+    """The autopilot goes on by its present velocity over a position's age, also in a bend."""
+    rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
+    rig.run(10.0)
+    assert rig.send_position(rig.fix(age_s=age_s)) == (age_s < 2)
+    assert [one.reason for one in rig.journalled(FixWithheld)] == (["too old"] if age_s > 2 else [])
+
+
 @pytest.mark.parametrize("claimed_off_m", [0.0, 300.0])
 def test_without_gps_from_boot_the_first_fix_waits_for_another_place(open_rig: OpenRig, claimed_off_m: float) -> None:
     """A recording near the start, then none, then another one 150 m on; the first may claim to be elsewhere."""
