@@ -29,7 +29,7 @@ from edge.localization import (
     distance_from,
 )
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import PositionUse, Sent
+from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, PositionUse, Sent
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import Sending
 from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
@@ -64,6 +64,8 @@ class PositionSender:
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
         self.use = PositionUse(vehicle, drive, publisher)
+        self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
+        self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
         self._confirmed: tuple[int, Fix] | None = None  # when a position confirmed the autopilot's own last
         self._refused = Refusal(NO_PLACES)
@@ -205,7 +207,27 @@ class PositionSender:
             values = encoders.protection_values(fix.level, round(1000 * boot_s))
         if not (message.acknowledged or vehicle.velocity.aid.is_any):
             place = self._one_of_many(place, now_ns, self._period_s(message))
-        return [message.encode(place, sending), *values]
+        resets = [] if message.acknowledged else self._reset_from_gps(sent, sending)
+        return [*resets, message.encode(place, sending), *values]
+
+    def _reset_from_gps(self, sent: Sent, sending: Sending) -> list[Message]:
+        """A reset beside a stream once GPS is taken away, and again while the autopilot is far from the stream.
+
+        PX4 1.18 fuses the first of a stream where it is less certain, hardly moves, and takes none of the rest for 7 s:
+        15 m off became 20. The first reset corrects its heading as well, from 7.8 degrees off to 2.2 (it is fused with
+        nearly no variance); the next one, while the stream is in use, is a hard one.
+        """
+        if not self.sources.is_gps_off:
+            self._reset_ns, self._is_led = 0, True
+            return []
+        is_first, since_ns = self._reset_ns == 0, sent.at_ns - self._reset_ns
+        if not is_first and since_ns >= MOVED_NS:
+            self._is_led &= sent.distance_m > FAR_SIGMAS * sent.place.sigma_m
+        if not (is_first or (self._is_led and since_ns >= MOVED_NS)):
+            return []
+        self._reset_ns, message = sent.at_ns, POSITION_MESSAGES["external_position"]
+        self._record(sent, message, sending)
+        return [message.encode(sent.place, sending)]
 
     def _record(self, sent: Sent, message: PositionMessage, sending: Sending) -> None:
         fix, own = sent.place, sent.own

@@ -52,6 +52,11 @@ class SourceSelection:
         """Whether GPS itself is switched, which the autopilot reports."""
         return self._vehicle.session.firmware.gps_switch == "fusion"
 
+    @property
+    def is_gps_off(self) -> bool:
+        """Whether GPS itself was taken away, and that was reported."""
+        return self._is_reported and self._selected == SET_WITHOUT_GPS
+
     def due(self, now_ns: int) -> list[Message]:
         """The command, if the wanted set is not selected yet and none is waiting for its answer."""
         if self._command.is_overdue(now_ns):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, FixWithheld, GpsJudged, SourceSetAnswered
@@ -12,7 +14,7 @@ from edge.localization import GpsVerdict
 from edge.telemetry.encoders import SENSOR_ENABLE
 from edge.telemetry.firmware import GPS_SET
 from sim.vehicle.estimator import OdometryErrors
-from tests.telemetry.positions import AGREES, OFF_M, WRONG, offer_for, spoofed
+from tests.telemetry.positions import AGREES, OFF_M, WRONG, fixes_received, offer_for, spoofed
 from tests.telemetry.rig import OpenRig, Rig
 
 
@@ -149,6 +151,27 @@ def test_px4_fuses_no_gps_until_it_agrees_and_positions_move_it_back(open_rig: O
         "Lookback: GPS fusion off ACCEPTED",
         "Lookback: GPS fusion on ACCEPTED",
     ]
+
+
+@pytest.mark.parametrize(("result", "resets"), [(None, (1,)), (mavlink.MAV_RESULT_FAILED, range(6, 9))])
+def test_px4_is_reset_beside_a_stream_that_it_ignores(
+    open_rig: OpenRig, result: int | None, resets: Sequence[int]
+) -> None:
+    """The real one ignores it for 7 s and more; this one always. Again while it is far, and when GPS is wrong anew."""
+    aid = OdometryErrors("velocity sensor")
+    rig = spoofed(open_rig, "switch", firmware="px4", emit="auto", errors=aid, gates={"risk": 1.0})
+    rig.autopilot.loses = lambda message, outgoing: message.get_type() == "GLOBAL_POSITION_SENSOR"
+    rig.autopilot.reject_fixes_with = result
+    rig.judge_gps(WRONG)
+    assert offer_for(rig, 12.0) > 40
+    assert len(fixes_received(rig)) in resets
+    assert (rig.autopilot.estimate.error_m < 6.0) == (result is None)
+    assert [one.way for one in rig.journalled(FixSent)].count("external_position") == len(fixes_received(rig))
+    for verdict, off_m in ((AGREES, 0.0), (WRONG, OFF_M)):
+        rig.off_m, count = off_m, len(fixes_received(rig))
+        rig.judge_gps(verdict)
+        offer_for(rig, 5.0)
+    assert len(fixes_received(rig)) > count
 
 
 def test_a_px4_that_cannot_leave_its_gps_is_asked_once_and_the_pilot_warned(open_rig: OpenRig) -> None:
