@@ -1,6 +1,7 @@
 """Raw descriptors in, matches out: online normalization, costs, sequence search, and the place belief.
 
 raw descriptor (R, D) -> online NSD -> cost row -> best line -> vote -> PlaceConsensus -> belief
+                                       also of half a sequence, where GPS reckoned on the map
 picture, of a map with keypoints ----> ten places --------------------> PlaceLooks -----> belief
 
     matcher = SequenceMatcher(map_set, config)
@@ -101,6 +102,7 @@ class SequenceMatcher:
     def _begin_consensus(self) -> None:
         settings = ConsensusSettings.of(self._config, self._drives, self._usual_step)
         self._consensus = PlaceConsensus(settings, self._positions_m)
+        self._of_halves = PlaceConsensus(settings.of_halves(), self._positions_m)
 
     def _begin_statistics(self) -> None:
         """Start with the statistics of the map, with the weight of some frames.
@@ -164,16 +166,22 @@ class SequenceMatcher:
             self.reset()
         match = self.best = self._best_line(raw, travel, step, usual, is_measured=odometer_m is not None)
         some_excluded = self.search.part is not None and self.search.part.excludes
-        self._consensus.settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
-        vote = PlaceVote.of(match, self._drives, self._config.rig) if match else None
+        settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
+        self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
         prior = self._prior(travel.reckoned)
-        belief = self._consensus.update(vote, odometer_m, step, *(prior or ()))
+        belief = self._consensus.update(self._vote(match), odometer_m, step, *(prior or ()))
+        of_halves = self._of_halves.update(self._vote(self.search.shorter), odometer_m, step, *(prior or ()))
+        if prior and of_halves and (belief is None or of_halves.confidence > belief.confidence):
+            belief = of_halves
         if image is not None and self._looks is not None and self._looks.is_due():
             self._look(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
         return believed
+
+    def _vote(self, line: PlaceMatch | None) -> PlaceVote | None:
+        return PlaceVote.of(line, self._drives, self._config.rig) if line else None
 
     def look_again(self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
         """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone.
@@ -311,6 +319,7 @@ class SequenceMatcher:
         if self._looks is not None:
             self._looks.reset()
         self._consensus.reset()
+        self._of_halves.reset()
         self._unmeasured = 0
 
 

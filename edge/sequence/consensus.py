@@ -24,6 +24,9 @@ Confidence is the probability that the place is right, for a vehicle that is as 
 reckoned without any place (`prior`), each place has odds of its own: they multiply those of its votes, and what speaks
 for another place counts by that place's odds. Votes count less if the vehicle was less likely on the map's roads over
 their line than it is now: those from before it came onto the map do not speak against a place.
+Lines of half a sequence vote among themselves in the same way. Their belief counts where it is the more certain one,
+and only with a reckoning: it comes sooner after the map begins, but by their votes alone a car park was believed (18 of
+2,904 frames, at most .942; none with a reckoning).
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
 are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
@@ -34,7 +37,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -119,6 +122,10 @@ class ConsensusSettings:
         prior = cls.prior * (FEWER_LINES if some_excluded else 1.0)
         confidence_from = config.acceptance.confidence_from
         return cls(length, spacing_m, step, slopes, slack_m=slack_m, prior=prior, confidence_from=confidence_from)
+
+    def of_halves(self) -> ConsensusSettings:
+        """For lines of half as many frames; their places scatter as much."""
+        return replace(self, length=max(1, self.length // 2))
 
     @property
     def line_m(self) -> float:

@@ -145,7 +145,7 @@ def match_at(
     segment = neighborhood.segment(place)
     along, at = lines.by_plane[plane][segment], place - segment.start
     of_order = newest[ORDERS.index(order)] if len(newest) > 1 else newest[0]
-    passed, window = search.passed(plane, place), lines.length * max(1.0, search.step)
+    passed, window = search.passed(plane, place, lines.length), lines.length * max(1.0, search.step)
     return PlaceMatch(
         place_index=place,
         place=place,

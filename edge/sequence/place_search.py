@@ -184,6 +184,11 @@ class PlaceSearch:
                 return found
         return match
 
+    @property
+    def shorter(self) -> PlaceMatch | None:
+        """The best line of half a sequence now; None where there is none, or too few frames would be in it."""
+        return self.part.shorter if self.part is not None else None
+
     def best_between(self, first: int, end: int, direction: Direction) -> PlaceMatch | None:
         """The best line that ends at places [first, end) of one drive; None where none of them is searched."""
         return self.part.best_between(first, end, direction) if self.part is not None else None
@@ -278,7 +283,7 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(ranges, self.map_set, self._slopes_config, self._span)
+        return Submap(ranges, self.map_set, self._slopes_config, self._span, halves=True)
 
     @property
     def _slopes_config(self) -> Config:

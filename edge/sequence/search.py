@@ -11,7 +11,7 @@ Costs are integers, so the running sums equal the direct ones to the bit for eve
 same search in mirrored rows. Places before the first count as cost 0 in the sums; lines that would need them, or would
 cross from one map segment into the next, are excluded in the end. That is the paper's search. With `open_ends` lines
 may also begin before their segment does and before the first frame: each place and frame of which nothing is known
-costs COST_ONE, as a place with nothing in common would.
+costs COST_ONE, as a place with nothing in common would. Shorter lines have running sums of their own in the same ring.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from types import MappingProxyType
 from typing import Any
 
@@ -95,7 +96,7 @@ class _Sums:
 
 
 class SequenceSearch:
-    """The ring of the last `length` cost rows, and the running sum of every line through it."""
+    """The ring of the last `length` cost rows, and the running sum of every line through all or `shorter` of them."""
 
     def __init__(
         self,
@@ -108,12 +109,14 @@ class SequenceSearch:
         span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
+        shorter: int | None = None,
     ) -> None:
         """`segments` are the map's [start, end) in order; a line of a plane has its direction and region order.
 
         possible: (planes, N), whether a line of that plane may end at that place; everywhere if None. span: the most
         places that are driven in `length` rows, which open ends must have room for; so many as rows if None. laps: with
-        open ends, after how many places each segment goes on at its first one; None where it does not.
+        open ends, after how many places each segment goes on at its first one; None where it does not. shorter: rows of
+        shorter lines, that are searched as well.
         """
         self.length = length
         self.planes = tuple(planes)
@@ -123,7 +126,7 @@ class SequenceSearch:
         reach = math.ceil(max(self._slopes) * self._span) + 1
         self._margin = reach if open_ends else 0
         self._nothing = COST_ONE if open_ends else 0  # cost of a row before the first
-        self._first_rows = min(length, FIRST_FRAMES) if open_ends else length
+        self._open_ends = open_ends
         self._at = np.arange(segments[-1][1])
         for number, (start, end) in enumerate(segments):
             self._at[start:end] += self._margin * (2 * number + 1)
@@ -138,7 +141,8 @@ class SequenceSearch:
         # Only at these, (planes, near) each, do some slopes have a whole line and others not.
         self._near_start = np.nonzero((self._room < reach) & (not open_ends))
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
-        self._sums = _Sums(len(self._slopes), len(self.planes), self._places)
+        lengths = [length, *([shorter] if shorter else [])]
+        self._sums = {rows: _Sums(len(self._slopes), len(self.planes), self._places) for rows in lengths}
         self._driven = [0.0] * (length + 1)  # places, at each row of the ring and the one before, the oldest first
         self._newest = 0  # slot of the ring
         self.clear()
@@ -149,7 +153,8 @@ class SequenceSearch:
         # All rows before the first are alike everywhere, so that it does not matter where they were.
         self._driven = [self._driven[-1]] * (self.length + 1)
         self._ring[:] = self._nothing
-        self._sums.fill(self._nothing * self.length)
+        for length, sums in self._sums.items():
+            sums.fill(self._nothing * length)
 
     def push(self, costs: NDArray[np.int32], driven: float | None = None) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame.
@@ -158,16 +163,17 @@ class SequenceSearch:
         """
         self._newest = (self._newest + 1) % self.length
         self._driven = [*self._driven[1:], self._driven[-1] + 1 if driven is None else driven]
-        oldest, before, newest = self._driven[0], self._driven[-2], self._driven[-1]
+        before, newest = self._driven[-2], self._driven[-1]
         entering = self._by_plane(costs)
-        leaving = self._ring[self._newest]  # the row of frame T-L, all zero while the ring is filling
-        for k, slope in enumerate(self._slopes):
-            span = _rounded(slope, newest) - _rounded(slope, oldest)
-            sums = self._sums.shift(k, _rounded(slope, newest) - _rounded(slope, before))
+        for (length, of_length), (k, slope) in product(self._sums.items(), enumerate(self._slopes)):
+            # The row of frame T-L, all zero while the ring is filling; that of the longest is replaced below.
+            leaving = self._ring[(self._newest - length) % self.length]
+            span = _rounded(slope, newest) - _rounded(slope, self._driven[-1 - length])
+            sums = of_length.shift(k, _rounded(slope, newest) - _rounded(slope, before))
             sums += entering
             if span < self._places:
                 sums[:, span:] -= leaving[:, : self._places - span]
-        leaving[:] = entering
+        self._ring[self._newest] = entering
         self._rows = min(self._rows + 1, self.length)
 
     def refill(self, rows: NDArray[np.int32], driven: Sequence[float] | None = None) -> None:
@@ -181,10 +187,11 @@ class SequenceSearch:
         self._rows = len(rows)
         passed = np.floor(np.outer(self._slopes, self._driven[:0:-1]) + 0.5).astype(np.intp)  # as `_rounded`
         all_offsets = passed[:, :1] - passed
-        for k, offsets in enumerate(all_offsets):
+        for (length, sums), (k, offsets) in product(self._sums.items(), enumerate(all_offsets)):
             # Lines that end so near to the first place do not reach back to all rows.
-            begins = np.less.outer(np.arange(offsets.max()), offsets).sum(axis=1)
-            self._sums.of(k)[:, : len(begins)] -= (self._nothing * begins[: self._places]).astype(np.int32)
+            reached = offsets[:length]
+            begins = np.less.outer(np.arange(reached.max()), reached).sum(axis=1)
+            sums.of(k)[:, : len(begins)] -= (self._nothing * begins[: self._places]).astype(np.int32)
         for age, (costs, offsets) in enumerate(zip(rows[::-1], all_offsets.T.tolist(), strict=False)):
             self._replace(age, costs, offsets)
 
@@ -198,9 +205,9 @@ class SequenceSearch:
         entering = self._by_plane(costs)
         change = entering - row
         row[:] = entering
-        for k, offset in enumerate(offsets):
-            if offset < self._places:
-                self._sums.of(k)[:, offset:] += change[:, : self._places - offset]
+        for (length, sums), (k, offset) in product(self._sums.items(), enumerate(offsets)):
+            if age < length and offset < self._places:
+                sums.of(k)[:, offset:] += change[:, : self._places - offset]
 
     def take_over(self, before: SequenceSearch, costs: NDArray[np.int32]) -> None:
         """Go on from a search with the same planes, of which these places are the first; its rows become these.
@@ -212,18 +219,22 @@ class SequenceSearch:
             rows[:, ORDERS.index(plane[1])] = before.recent(plane)
         self.refill(np.concatenate([rows, costs], axis=2), before._driven[len(before._driven) - len(costs) :])
 
-    def lines(self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})) -> Lines | None:
-        """The best line that ends at each place (eq. 2); None until the ring is full, or has enough with open ends.
+    def lines(
+        self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({}), length: int | None = None
+    ) -> Lines | None:
+        """The best line that ends at each place (eq. 2); None until there are enough rows: all, or some with open ends.
 
-        against: places (N,) at which none ends in a direction, by direction.
+        against: places (N,) at which none ends in a direction, by direction. length: rows, of the ring if None.
         """
-        if self._rows < self._first_rows:
+        length = length or self.length
+        if self._rows < (min(length, FIRST_FRAMES) if self._open_ends else length):
             return None
-        best = self._sums.of(0).copy()
+        sums = self._sums[length]
+        best = sums.of(0).copy()
         for k in range(1, len(self._slopes)):
-            np.minimum(best, self._sums.of(k), out=best)
+            np.minimum(best, sums.of(k), out=best)
         if self._near_start[0].size:
-            best[self._near_start] = self._whole_near_start()
+            best[self._near_start] = self._whole_near_start(length)
         in_order = (self._mirror(*of) for of in zip(self.planes, best, strict=True))
         by_plane = tuple(row.take(self._at) for row in in_order)
         if self._impossible is not None:
@@ -235,17 +246,17 @@ class SequenceSearch:
         costs = by_plane[0] if len(by_plane) == 1 else np.minimum(*by_plane[:2])
         for other in by_plane[2:]:
             np.minimum(costs, other, out=costs)
-        return Lines(costs, by_plane, self.length)
+        return Lines(costs, by_plane, length)
 
-    def _whole_near_start(self) -> NDArray[np.int32]:
+    def _whole_near_start(self, length: int) -> NDArray[np.int32]:
         """The best of those lines that do not begin before their segment, (near,), NO_LINE where there is none."""
-        is_whole = self._room[self._near_start] >= self._reaches()[:, np.newaxis]
-        best: NDArray[np.int32] = np.where(is_whole, self._sums.at(*self._near_start), NO_LINE).min(axis=0)
+        is_whole = self._room[self._near_start] >= self._reaches(length)[:, np.newaxis]
+        best: NDArray[np.int32] = np.where(is_whole, self._sums[length].at(*self._near_start), NO_LINE).min(axis=0)
         return best
 
-    def _reaches(self) -> NDArray[np.int32]:
-        """How many places the line of each slope has passed within the ring."""
-        return np.array([self._offset(slope, self.length - 1) for slope in self._slopes], dtype=np.int32)
+    def _reaches(self, length: int) -> NDArray[np.int32]:
+        """How many places the line of each slope has passed within so many rows."""
+        return np.array([self._offset(slope, length - 1) for slope in self._slopes], dtype=np.int32)
 
     def _offset(self, slope: float, age: int) -> int:
         """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
@@ -263,16 +274,16 @@ class SequenceSearch:
         """Places driven from one row to the next, on average."""
         return (self._driven[-1] - self._driven[-self._rows]) / max(1, self._rows - 1)
 
-    def passed(self, plane: int, place: int) -> NDArray[np.float64]:
-        """Places that the best line of that plane that ends at that place has passed since each row, the newest first.
+    def passed(self, plane: int, place: int, length: int | None = None) -> NDArray[np.float64]:
+        """Places that the best line of a plane and length that ends there has passed since each row, the newest first.
 
         That is k of eq. 2 times what was driven since.
         """
-        at = int(self._at[place])
+        at, length = int(self._at[place]), length or self.length
         at = at if self.planes[plane][0] == "forward" else self._places - 1 - at
-        sums = self._sums.at(np.array([plane]), np.array([at]))[:, 0]
-        whole = np.where(self._room[plane, at] >= self._reaches(), sums, NO_LINE)
-        driven = np.array(self._driven[: -1 - self._rows : -1])
+        sums = self._sums[length].at(np.array([plane]), np.array([at]))[:, 0]
+        whole = np.where(self._room[plane, at] >= self._reaches(length), sums, NO_LINE)
+        driven = np.array(self._driven[: -1 - min(self._rows, length) : -1])
         passed: NDArray[np.float64] = self._slopes[int(whole.argmin())] * (driven[0] - driven)
         return passed
 

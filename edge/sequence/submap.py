@@ -17,7 +17,7 @@ from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, PlaceMatch
 from edge.sequence.evidence import Neighborhood, Roads, match_at
 from edge.sequence.lane import Lanes, lane_costs
-from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import FIRST_FRAMES, NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
 
@@ -25,10 +25,12 @@ Segments = list[tuple[int, int]]
 class RowMatcher:
     """Matches rows of costs to places that are counted from 0; whatever the costs were made of.
 
-    lines: the best line that ends at each place, after the newest row; None before the ring is full.
+    lines: the best line that ends at each place, after the newest row; None before the ring is full. shorter: the best
+    line of half as many rows, None where none are searched.
     """
 
     lines: Lines | None = None
+    shorter: PlaceMatch | None = None
     _against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})
     """Places (N,) that the vehicle cannot pass in a direction."""
 
@@ -43,18 +45,30 @@ class RowMatcher:
         span: float | None = None,
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
+        halves: bool = False,
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. open_ends: whether lines may begin before their drive does, and
-        span, laps: see `SequenceSearch`.
+        span, laps: see `SequenceSearch`. halves: whether lines of half as many rows are searched as well, where these
+        are enough for an answer.
         """
         self.neighborhood = neighborhood
         self._per_frame_order = config.sequence.region_order == "frame"
         planes, possible = _planes(segments, views, regions, config)
         slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
+        half = config.sequence_frames // 2
+        self._half = half if halves and half >= FIRST_FRAMES else None
         self._search = SequenceSearch(
-            segments, planes, config.sequence_frames, slopes, possible, span=span, open_ends=open_ends, laps=laps
+            segments,
+            planes,
+            config.sequence_frames,
+            slopes,
+            possible,
+            span=span,
+            open_ends=open_ends,
+            laps=laps,
+            shorter=self._half,
         )
         self.newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
         """Costs (orders, N) of the newest row, in units of COST_ONE."""
@@ -81,17 +95,21 @@ class RowMatcher:
 
     def _best(self) -> PlaceMatch | None:
         self.lines = self._search.lines(self._against)
-        if self.lines is None:
-            return None
-        best = int(self.lines.costs.argmin())
-        return self._match(best, self.lines.plane(best))
+        self.shorter = self._best_of(self._search.lines(self._against, self._half)) if self._half else None
+        return self._best_of(self.lines)
 
-    def _match(self, place: int, plane: int) -> PlaceMatch | None:
+    def _best_of(self, lines: Lines | None) -> PlaceMatch | None:
+        if lines is None:
+            return None
+        best = int(lines.costs.argmin())
+        return self._match(best, lines.plane(best), lines)
+
+    def _match(self, place: int, plane: int, lines: Lines) -> PlaceMatch | None:
         """The line of that plane that ends at a place; None where no whole one does."""
-        if self.lines is None or self.lines.by_plane[plane][place] == NO_LINE:
+        if lines.by_plane[plane][place] == NO_LINE:
             return None
         newest = self.newest.min(axis=0, keepdims=True) if self._per_frame_order else self.newest
-        match = match_at(place, plane, self._search, self.lines, newest, self.neighborhood)
+        match = match_at(place, plane, self._search, lines, newest, self.neighborhood)
         if not self._per_frame_order:
             return match
         # Where every frame took its better order, the line is said to have that of the newest.
@@ -100,14 +118,16 @@ class RowMatcher:
     def clear(self) -> None:
         """Remove all rows."""
         self._search.clear()
-        self.lines = None
+        self.lines = self.shorter = None
 
 
 class Submap(RowMatcher):
     """A `RowMatcher` of some ranges, whose answers are in coordinates of the maps."""
 
-    def __init__(self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None) -> None:
-        """span: the most places that may be driven within a line, so many as frames if None."""
+    def __init__(
+        self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None, *, halves: bool = False
+    ) -> None:
+        """span: the most places that may be driven within a line, so many as frames if None. halves: as above."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set, self._origin = map_set, map_set.origin(ranges)
@@ -128,7 +148,7 @@ class Submap(RowMatcher):
         )
         views, regions = [map_set.index.view(number) for number, _, _ in pieces], map_set.headers[0].regions.count
         others = neighborhood, config
-        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps)
+        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, halves=halves)
 
     def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
         """Go on from a part that has the first of these places, so that only the others are matched with the ring.
@@ -170,10 +190,10 @@ class Submap(RowMatcher):
         planes = [number for number, plane in enumerate(self._search.planes) if plane[0] == direction]
         costs = np.stack([self.lines.by_plane[plane][start:stop] for plane in planes])
         number, at = np.unravel_index(int(costs.argmin()), costs.shape)
-        return self._match(start + int(at), planes[number])
+        return self._match(start + int(at), planes[number], self.lines)
 
-    def _match(self, place: int, plane: int) -> PlaceMatch | None:
-        match = super()._match(place, plane)
+    def _match(self, place: int, plane: int, lines: Lines) -> PlaceMatch | None:
+        match = super()._match(place, plane, lines)
         if match is None:
             return None
         place_index = int(self.places[place])

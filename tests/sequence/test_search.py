@@ -47,8 +47,8 @@ def direct_lines(
     return out
 
 
-def searched_lines(search: SequenceSearch) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    lines = search.lines()
+def searched_lines(search: SequenceSearch, length: int | None = None) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    lines = search.lines(length=length)
     assert lines is not None
     return lines.costs, np.array([lines.plane(place) for place in range(len(lines.costs))])
 
@@ -58,6 +58,7 @@ def searched_lines(search: SequenceSearch) -> tuple[NDArray[np.int32], NDArray[n
     seed=st.integers(0, 2**32 - 1),
     lengths=st.lists(st.integers(1, 25), min_size=1, max_size=4),
     length=st.integers(2, 9),
+    shorter=st.integers(1, 8),
     slopes=st.integers(1, 7),
     planes=st.lists(st.sampled_from(ALL_PLANES), min_size=1, max_size=4, unique=True),
     frames=st.integers(0, 30),
@@ -68,6 +69,7 @@ def test_running_sums_are_the_direct_sums(
     seed: int,
     lengths: list[int],
     length: int,
+    shorter: int,
     slopes: int,
     planes: list[Alignment],
     frames: int,
@@ -75,13 +77,13 @@ def test_running_sums_are_the_direct_sums(
     steps: tuple[float, float],
 ) -> None:
     """Also where frames are as far apart as two places, or half a place, or at any distance."""
-    rng = np.random.default_rng(seed)
+    rng, shorter = np.random.default_rng(seed), min(shorter, length - 1)
     driven = np.cumsum(rng.uniform(*steps, length + frames)).tolist()
     ends = np.cumsum(lengths).tolist()
     segments = list(zip([0, *ends[:-1]], ends, strict=True))
     all_slopes = slopes_around_diagonal(0.3, slopes)
     possible = rng.random((len(planes), ends[-1])) < 0.9
-    search = SequenceSearch(segments, planes, length, all_slopes, possible, span=2.7 * length)
+    search = SequenceSearch(segments, planes, length, all_slopes, possible, span=2.7 * length, shorter=shorter)
     rows: list[NDArray[np.int32]] = []
     for frame in range(length + frames):
         rows = [*rows, rng.integers(0, 2**15 + 1, (2, ends[-1]), dtype=np.int32)][-length:]
@@ -95,18 +97,20 @@ def test_running_sums_are_the_direct_sums(
             search.replace(age, rows[-1 - age])
         if len(rows) < length:
             assert search.lines() is None
-    direct = direct_lines(rows, driven, segments, all_slopes, planes)
-    direct[~possible] = NO_LINE
-    costs, which = searched_lines(search)
-    np.testing.assert_array_equal(costs, direct.min(axis=0))
-    np.testing.assert_array_equal(direct[which, np.arange(ends[-1])], costs)
-    for place in np.flatnonzero(costs < NO_LINE):
-        of_plane = planes[which[place]]
-        passed = search.passed(int(which[place]), int(place))
-        of_slope = min(all_slopes, key=lambda slope: abs(slope - passed[-1] / (driven[-1] - driven[-length])))
-        np.testing.assert_allclose(passed, of_slope * (driven[-1] - np.array(driven[-length:][::-1])), atol=1e-9)
-        again = direct_lines(rows, driven, segments, (of_slope,), [of_plane])
-        assert again[0, place] == costs[place]
+    for few in (length, shorter):
+        recent = rows[-few:], driven[-few:], segments
+        direct = direct_lines(*recent, all_slopes, planes)
+        direct[~possible] = NO_LINE
+        costs, which = searched_lines(search, few)
+        np.testing.assert_array_equal(costs, direct.min(axis=0))
+        np.testing.assert_array_equal(direct[which, np.arange(ends[-1])], costs)
+        for place in np.flatnonzero(costs < NO_LINE) if few > 1 else ():
+            of_plane = planes[which[place]]
+            passed = search.passed(int(which[place]), int(place), few)
+            of_slope = min(all_slopes, key=lambda slope: abs(slope - passed[-1] / (driven[-1] - driven[-few])))
+            np.testing.assert_allclose(passed, of_slope * (driven[-1] - np.array(recent[1][::-1])), atol=1e-9)
+            again = direct_lines(*recent, (of_slope,), [of_plane])
+            assert again[0, place] == costs[place]
 
 
 @pytest.mark.parametrize("start", [10**9, 2**31 - 20, 2**32 - 20, 2**40])

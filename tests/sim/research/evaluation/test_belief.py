@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig
-from sim.research.evaluation.roads import Cut, Described, believe, judge, kept
+from sim.research.evaluation.lengths import USED, WAYS, believed_by, lines_of
+from sim.research.evaluation.lines import alikeness, errors_of
+from sim.research.evaluation.roads import Cut, Described, believe, judge, kept, mapped, rig_of
 
 PLACES, SPACING_M = 220, 2.0
 
@@ -40,6 +44,48 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, 
     assert len(judged.first_m) == parts
     assert all(0 < first_m < 140 for first_m in judged.first_m)
     assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_from].all()
+
+
+def on_the_ground() -> tuple[Described, Described]:
+    """A road that leads north, and the way home along it, hard to see."""
+    ground_m = np.column_stack([np.zeros(PLACES), road(1).route_m])
+    to_north = replace(road(1), east_north_m=ground_m)
+    return to_north, replace(way_home(to_north, noise=2.0), east_north_m=ground_m[::-1].copy())
+
+
+def test_lines_of_half_a_sequence_are_believed_sooner_where_gps_reckoned_on_the_map_and_only_there() -> None:
+    of, query = on_the_ground()
+    beliefs, mapped_m = (
+        believe(of, query, "first half", reckoned=query.reckoned(0.0, seed=1)),
+        of.route_m[: PLACES // 2],
+    )
+    assert judge(query, mapped_m, beliefs, ahead_m=0.0).first_m[0] <= 16  # 22 m by whole sequences alone
+    assert judge(query, mapped_m, beliefs.alone, ahead_m=0.0).first_m == [30.0]
+
+
+def test_the_table_of_lengths_has_the_belief_that_is_used() -> None:
+    of, query = on_the_ground()
+    rig = rig_of("reverse", 0.0)
+    used = believe(of, query, "second half", rig=rig, reckoned=query.reckoned(0.0, seed=0))
+    with mapped(of, "second half") as map_set:
+        lines = lines_of(map_set, query, rig)
+        found = believed_by(map_set, query, lines, WAYS[USED], draw=0)
+        other = believed_by(map_set, query, lines, WAYS["80 m"], draw=0)
+    np.testing.assert_allclose(found.confidence, used.confidence, atol=1e-6)
+    assert (other.confidence <= found.confidence).all()
+    assert (other.confidence < found.confidence - 0.1).any()
+
+
+def test_errors_of_lines_are_those_of_the_vehicles_place() -> None:
+    of, query = on_the_ground()
+    late = replace(query, route_m=query.route_m + 6.0)  # so that each line ends 6 m too far on the way home
+    off_m = errors_of(of, late, "reverse").off_m
+    assert np.isfinite(off_m).sum() > PLACES / 3
+    assert abs(np.nanmedian(off_m) - 6.0) <= SPACING_M
+    rng = np.random.default_rng(1)
+    white = rng.normal(size=2000)
+    assert abs(alikeness([white], 10)) < 0.1
+    assert alikeness([np.convolve(white, np.ones(20), "valid")], 10) == pytest.approx(0.75, abs=0.1)
 
 
 def test_another_road_is_not_believed() -> None:

@@ -1,0 +1,149 @@
+"""How far off along the road believed lines are: by direction and light, by sharpness, and over how many meters alike.
+
+    python -m sim.research.evaluation.lines --seeds 9203 12101 --cache FOLDER [--page docs/evaluation.md]
+
+The roads and drives of `sim.research.evaluation.belief`, all of the road mapped. The middle of each line that is
+believed by the votes alone, less where the vehicle was at the mean of its frames, above 0 ahead of it. One offset of
+the rig serves each direction: the median by day, of all roads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.config import Config, RigConfig
+from edge.descriptor.network import Network
+from edge.localization import Displacement
+from edge.localization.dead_reckoning import TurnAround
+from edge.localization.place_fix import line_middle
+from edge.reference_map import Route
+from edge.sequence import Direction, Travel
+from edge.sequence_matcher import SequenceMatcher
+from sim.research.evaluation.roads import (
+    CALIBRATION,
+    DEFAULT_SAMPLING,
+    DIRECTIONS,
+    HOME_LEFT_M,
+    LIGHTS,
+    SPACING_M,
+    TOLERANCE_M,
+    Described,
+    Floats,
+    mapped,
+    worlds,
+)
+from sim.research.evaluation.tables import options, publish
+from sim.world.scenario import LightName
+
+SHARPNESS = (-np.inf, 0.05, 0.1, np.inf)
+LAGS_M = (10, 20, 40, 80)
+FEWEST = 20
+"""Lines of which a deviation says something."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Meters (n,) of each frame's line ahead of the vehicle, and how sharp it is; NaN where none is believed."""
+
+    off_m: Floats
+    sharpness: Floats
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """Which lines are of the right place."""
+        return np.abs(self.off_m) <= TOLERANCE_M
+
+
+def main() -> None:
+    """Print the table, or write it into a page."""
+    args = options(__doc__, 1000.0).parse_args()
+    network = Network.load(Path("grid"))
+    found: dict[tuple[Direction, LightName, int], Errors] = {}
+    for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, network)):
+        for way in DIRECTIONS:
+            for light in (CALIBRATION, *LIGHTS[way]):
+                found[way, light, number] = errors_of(road, drives[light, way], way)
+    publish("lines", rows(found), args.page)
+
+
+def errors_of(road: Described, query: Described, way: Direction) -> Errors:
+    """Of each frame of a drive over a road that is mapped as a whole, without an offset of the rig."""
+    assert query.east_north_m is not None
+    config = Config(rig=RigConfig(left_reverse_m=HOME_LEFT_M), sampling=DEFAULT_SAMPLING)
+    length, sign, turn_around = config.sequence_frames, 1 if way == "forward" else -1, TurnAround()
+    off_m, sharpness = np.full((2, len(query.raw)), np.nan)
+    with mapped(road, "whole") as map_set:
+        matcher, route = SequenceMatcher(map_set, config), Route(map_set)
+        for frame, raw in enumerate(query.raw.astype(np.float32)):
+            turn_around.add(Displacement(0, *query.east_north_m[frame].tolist()))
+            travel = Travel(float(query.driven_m[frame]), course_rad=turn_around.course_rad)
+            match = matcher.push(raw, travel)
+            if match is None or not match.accepted or frame < length - 1:
+                continue
+            line = line_middle(match, route, length)
+            if line is not None:
+                was_m = query.route_m[frame - length + 1 : frame + 1].mean()
+                off_m[frame], sharpness[frame] = sign * (line.along_m - was_m), match.sharpness
+    return Errors(off_m, sharpness)
+
+
+def rows(found: Mapping[tuple[Direction, LightName, int], Errors]) -> Iterator[str]:
+    """A Markdown table: a row for each direction and light, and one for each direction in all."""
+    heads = "lines; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
+    spans = ", ".join(f"{low:g} to {high:g}" for low, high in pairwise(SHARPNESS))
+    lags = ", ".join(map(str, LAGS_M))
+    yield f"| direction, light | {heads} | alike {lags} m apart | rms by sharpness: {spans} |"
+    yield "|---|---|---|---|---|---|---|"
+    for way in DIRECTIONS:
+        by_day = [one.off_m for (of_way, light, _), one in found.items() if (of_way, light) == (way, CALIBRATION)]
+        offset_m = float(np.nanmedian(np.concatenate(by_day)))
+        of_way = {
+            light: [
+                Errors(one.off_m - offset_m, one.sharpness)
+                for (direction, of_light, _), one in found.items()
+                if (direction, of_light) == (way, light)
+            ]
+            for light in (CALIBRATION, *LIGHTS[way])
+        }
+        words = "the same way, opposite views" if way == "forward" else "home"
+        for light, several in of_way.items():
+            yield f"| {words}, {light} | {_cells(several)} |"
+        yield f"| {words}, all | {_cells([one for several in of_way.values() for one in several])} |"
+
+
+def _cells(several: list[Errors]) -> str:
+    right = [np.where(one.right, one.off_m, np.nan) for one in several]
+    joined, sharpness = np.concatenate(right), np.concatenate([one.sharpness for one in several])
+    wrong = sum(int((~one.right & ~np.isnan(one.off_m)).sum()) for one in several)
+    known = np.abs(joined[~np.isnan(joined)])
+    means = ", ".join(f"{np.nanmean(one):.1f}" for one in right) if len(right) <= 4 else f"{np.nanmean(joined):.1f}"
+    deviation_m = np.sqrt(np.mean([np.nanvar(one) for one in right]))
+    within = ", ".join(f"{one:.1f}" for one in np.quantile(known, [0.68, 0.95]))
+    alike = ", ".join(f"{alikeness(right, lag_m):.2f}" for lag_m in LAGS_M)
+    by_sharpness = []
+    for low, high in pairwise(SHARPNESS):
+        chosen = joined[(sharpness > low) & (sharpness <= high) & ~np.isnan(joined)]
+        by_sharpness.append(f"{np.sqrt(np.mean(np.square(chosen))):.1f}" if len(chosen) >= FEWEST else "-")
+    cells = [f"{len(known)}; {wrong}", means, f"{deviation_m:.1f} m", f"{within} m", alike, ", ".join(by_sharpness)]
+    return " | ".join(cells)
+
+
+def alikeness(drives: list[Floats], lag_m: float) -> float:
+    """Correlation of errors (n,) so many meters apart, each less its drive's mean; NaN where unknown."""
+    lag, pairs = round(lag_m / SPACING_M), []
+    for off_m in drives:
+        own = off_m - np.nanmean(off_m)
+        pairs.append(np.stack([own[:-lag], own[lag:]]))
+    both = np.concatenate(pairs, axis=1)
+    one, other = both[:, ~np.isnan(both).any(axis=0)]
+    return float((one @ other) / np.sqrt((one @ one) * (other @ other)))
+
+
+if __name__ == "__main__":
+    main()
