@@ -64,18 +64,19 @@ def main() -> None:
     """Print the table, or write it into a page."""
     args = options(__doc__, 1000.0).parse_args()
     network = Network.load(Path("grid"))
+    rig = RigConfig(left_reverse_m=HOME_LEFT_M)
     found: dict[tuple[Direction, LightName, int], Errors] = {}
     for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, network)):
         for way in DIRECTIONS:
             for light in (CALIBRATION, *LIGHTS[way]):
-                found[way, light, number] = errors_of(road, drives[light, way], way)
+                found[way, light, number] = errors_of(road, drives[light, way], way, rig)
     publish("lines", rows(found), args.page)
 
 
-def errors_of(road: Described, query: Described, way: Direction) -> Errors:
-    """Of each frame of a drive over a road that is mapped as a whole, without an offset of the rig."""
+def errors_of(road: Described, query: Described, way: Direction, rig: RigConfig) -> Errors:
+    """Of each frame of a drive over a road, all of it mapped; rig: with the drive's lane, and no offset."""
     assert query.east_north_m is not None
-    config = Config(rig=RigConfig(left_reverse_m=HOME_LEFT_M), sampling=DEFAULT_SAMPLING)
+    config = Config(rig=rig, sampling=DEFAULT_SAMPLING)
     length, sign, turn_around = config.sequence_frames, 1 if way == "forward" else -1, TurnAround()
     off_m, sharpness = np.full((2, len(query.raw)), np.nan)
     with mapped(road, "whole") as map_set:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.config import AcceptanceConfig
+from edge.config import AcceptanceConfig, RigConfig
 from sim.research.evaluation.lengths import USED, WAYS, believed_by, lines_of
 from sim.research.evaluation.lines import alikeness, errors_of
 from sim.research.evaluation.roads import Cut, Described, believe, judge, kept, mapped, rig_of
@@ -79,7 +79,7 @@ def test_the_table_of_lengths_has_the_belief_that_is_used() -> None:
 def test_errors_of_lines_are_those_of_the_vehicles_place() -> None:
     of, query = on_the_ground()
     late = replace(query, route_m=query.route_m + 6.0)  # so that each line ends 6 m too far on the way home
-    off_m = errors_of(of, late, "reverse").off_m
+    off_m = errors_of(of, late, "reverse", RigConfig()).off_m
     assert np.isfinite(off_m).sum() > PLACES / 3
     assert abs(np.nanmedian(off_m) - 6.0) <= SPACING_M
     rng = np.random.default_rng(1)
