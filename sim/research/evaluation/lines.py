@@ -97,7 +97,7 @@ def errors_of(road: Described, query: Described, way: Direction, rig: RigConfig)
 def rows(found: Mapping[tuple[Direction, LightName, int], Errors]) -> Iterator[str]:
     """A Markdown table: a row for each direction and light, and one for each direction in all."""
     heads = "lines; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
-    spans = ", ".join(f"{low:g} to {high:g}" for low, high in pairwise(SHARPNESS))
+    spans = f"below {SHARPNESS[1]:g}, to {SHARPNESS[2]:g}, above"
     lags = ", ".join(map(str, LAGS_M))
     yield f"| direction, light | {heads} | alike {lags} m apart | rms by sharpness: {spans} |"
     yield "|---|---|---|---|---|---|---|"
