@@ -68,7 +68,7 @@ TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
     Rule(
         TWO_AUTOPILOTS,
-        "positions or velocities of two vehicles come in turns",
+        "messages with its ids come by another clock",
         "test_two_autopilots_with_the_same_ids_get_no_position",
         lambda now: now.own.is_doubled,
     ),
