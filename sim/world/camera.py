@@ -38,7 +38,7 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
     from sim.world.traffic import build_traffic
 
     return Renderer(
-        _world_of(scenario.seed, scenario.length_m),
+        _world_of(scenario.seed, scenario.length_m, scenario.repeats_m),
         build_traffic(drive, scenario.car_ahead_m),
         LIGHTS[scenario.light],
         view=scenario.view,
@@ -50,11 +50,11 @@ def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
 
 
 @lru_cache(maxsize=1)
-def _world_of(seed: int, length_m: float) -> World:
+def _world_of(seed: int, length_m: float, repeats_m: float) -> World:
     """The world of the newest road: a map and the drive on it need the same, which takes half of `open_renderer`."""
     from sim.world.street import build_world
 
-    return build_world(generate_route(seed, length_m))
+    return build_world(generate_route(seed, length_m, repeats_m))
 
 
 EXPOSED = (-0.5, -0.25, 0.0, 0.25, 0.5)  # shares of an exposure at which the scene is rendered

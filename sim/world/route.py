@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 DistrictKind = Literal["town", "shops", "suburb", "wood", "open"]
 KINDS: tuple[DistrictKind, ...] = ("town", "shops", "suburb", "wood", "open")
+BUILT: tuple[DistrictKind, ...] = ("town", "shops", "suburb")
 
 LEAD_M = 120.0
 """The road goes on this far before 0 and after the length, so that no camera sees where the world ends."""
@@ -31,6 +32,7 @@ class District:
 class Route:
     """A center line with arc length; `at` gives a position on it or beside it.
 
+    repeats_m: after which a street is built alike, 0 where it is not.
     Arrays hold one element each STEP_M from -LEAD_M: points (N, 2) east and north, headings (N,) radians.
     """
 
@@ -39,6 +41,7 @@ class Route:
     districts: tuple[District, ...]
     points_m: NDArray[np.float64]
     headings_rad: NDArray[np.float64]
+    repeats_m: float = 0.0
 
     def at(self, route_m: float, left_m: float = 0.0) -> tuple[float, float, float]:
         """East, north (m) and heading (rad) at arc length `route_m`, shifted `left_m` to the left of the road."""
@@ -58,16 +61,19 @@ class Route:
         return float(np.sqrt((offsets**2).sum(axis=-1).min()))
 
 
-def generate_route(seed: int, length_m: float = 1200.0) -> Route:
-    """The route of a world; the same for the same seed and length."""
+def generate_route(seed: int, length_m: float = 1200.0, repeats_m: float = 0.0) -> Route:
+    """The route of a world; the same for the same seed and length. repeats_m: of a straight street, of one kind."""
     rng = np.random.default_rng([seed, 1])
     count = int(np.ceil((length_m + 2 * LEAD_M) / STEP_M)) + 2
     main_rad = rng.uniform(-np.pi, np.pi)
-    headings = main_rad + _bends(rng, count)
+    headings = main_rad + (np.zeros(count) if repeats_m else _bends(rng, count))
     steps = STEP_M * np.stack([np.sin(headings), np.cos(headings)], axis=1)
     points = np.cumsum(steps, axis=0)
     points -= points[int(LEAD_M / STEP_M)]
-    return Route(seed, length_m, _districts(rng, length_m), points, headings)
+    districts = _districts(rng, length_m)
+    if repeats_m:
+        districts = (District(next(one.kind for one in districts if one.kind in BUILT), 0.0, length_m),)
+    return Route(seed, length_m, districts, points, headings, repeats_m)
 
 
 def _bends(rng: np.random.Generator, count: int) -> NDArray[np.float64]:

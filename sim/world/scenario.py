@@ -2,6 +2,7 @@
 
     seed = 1                 # the world: route and all that stands along it
     length_m = 1200.0        # of the route, 200 to 20000
+    repeats_m = 0.0          # a straight street whose houses repeat after so many meters, 0 is none; 10 to 200
     direction = "forward"    # or "reverse": the way home
     lane_m = 1.75            # left of the road's middle as the driver sees it, -3 to 3
     speed_mps = 10.0         # about which the speed varies, 1 to 40
@@ -45,6 +46,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
 
     seed: Seed = 1
     length_m: Annotated[float, Meta(ge=200, le=20000)] = 1200.0
+    repeats_m: Annotated[float, Meta(ge=10, le=200)] | Literal[0] = 0
     direction: Literal["forward", "reverse"] = "forward"
     lane_m: Annotated[float, Meta(ge=-3, le=3)] = 1.75
     speed_mps: Annotated[float, Meta(ge=1, le=40)] = 10.0
@@ -66,7 +68,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
 
     def drive(self) -> Drive:
         """The motion that this scenario describes."""
-        route = generate_route(self.seed, self.length_m)
+        route = generate_route(self.seed, self.length_m, self.repeats_m)
         motion = {"lane_m": self.lane_m, "speed_mps": self.speed_mps, "shaking": self.shaking}
         return plan_drive(route, self.direction, seed=self.drive_seed, stops=self.stops, **motion)
 

@@ -67,9 +67,20 @@ class Section:
 
 
 def divide(route: Route, rng: np.random.Generator, pictures: Pictures, side: int) -> Iterator[Section]:
-    """All sections of one side, over the whole route with its ends; each has a generator of its own."""
-    starts = np.arange(-LEAD_M + 5, route.length_m + LEAD_M - SECTION_M, SECTION_M)
+    """All sections of one side, over the whole route with its ends.
+
+    Each has a generator of its own, or where houses repeat, that of those alike.
+    """
+    first_m, end_m = -LEAD_M + 5, route.length_m + LEAD_M - SECTION_M
     block = _draw_block(rng)
+    if route.repeats_m:
+        within_m = np.arange(0.0, max(route.repeats_m - SECTION_M, 0.0) + 0.01, SECTION_M)
+        seeds, kind = rng.integers(2**32, size=len(within_m)), route.districts[0].kind
+        for begin_m in np.arange(first_m, end_m, route.repeats_m):
+            for seed, start_m in zip(seeds, begin_m + within_m, strict=True):
+                yield Section(np.random.default_rng(seed), pictures, route, block, kind, float(start_m), side)
+        return
+    starts = np.arange(first_m, end_m, SECTION_M)
     for number, start_m in enumerate(starts):
         if number % SECTIONS_A_BLOCK == 0:
             block = _draw_block(rng)

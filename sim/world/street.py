@@ -51,6 +51,6 @@ def _lamps(route: Route, pictures: Pictures) -> tuple[NDArray[np.float64], list[
             mast = (-0.08, -0.08, 0.0), (0.08, 0.08, LAMP_HIGH_M + 0.1)
             arm = (-0.1, -1.7, LAMP_HIGH_M), (0.1, 0.0, LAMP_HIGH_M + 0.14)
             masts += [box(plot, *corners, pictures.plain, (0.4, 0.42, 0.42)) for corners in (mast, arm)]
-            side = -side
-        route_m += step_m or 20.0
+            side = side if route.repeats_m else -side
+        route_m += route.repeats_m or step_m or 20.0
     return np.array(lights).reshape(-1, 3), masts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -122,7 +122,8 @@ class _Rendered:
         left_m: float = 0.0,
         turned_deg: float = 0.0,
     ) -> None:
-        one = Scenario(ROAD.seed, ROAD.length_m, "reverse" if reverse else "forward", light=light, view=view)
+        way: Literal["reverse", "forward"] = "reverse" if reverse else "forward"
+        one = Scenario(ROAD.seed, ROAD.length_m, direction=way, light=light, view=view)
         drive, sign = one.drive(), -1.0 if reverse else 1.0
         renderer, network = open_renderer(one, drive), KeypointNetwork()
         at = [drive.route.at(meters, sign * (one.lane_m + left_m)) for meters in route_m.tolist()]

@@ -210,3 +210,16 @@ def test_rendering_is_silent_and_writes_nothing_into_the_home_folder(tmp_path: P
     )
     assert (done.stdout, done.stderr) == (b"", b"")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_street_that_repeats_looks_the_same_one_period_on() -> None:
+    route = generate_route(2, 200.0, 54.0)
+    street = Renderer(build_world(route), Traffic((), (), 0), FLAT, view="front", size=(160, 120), fov_deg=80, seed=1)
+    heading_deg = float(np.degrees(route.at(0.0)[2]))
+    here, period_on, between = (
+        street.render_scene(Pose(*route.at(at_m)[:2], heading_deg, 0.0, 0.0), 0.0).astype(float)
+        for at_m in (40.0, 94.0, 70.0)
+    )
+    street.close()
+    same, other = (np.abs(one - here)[:60].mean() for one in (period_on, between))  # above the road
+    assert same < 0.1 * other
