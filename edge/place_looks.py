@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +14,11 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
 from edge.localization.place_fix import LEAST_SHARPNESS
-from edge.place_verification import PlaceVerification
+from edge.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
 from edge.sequence import Agreeing, PlaceMatch, Seen
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import APART_M, Looks, PriorOf, Sighted, joined, sign_of
+from edge.sequence.looks import ALONE, APART_M, KEPT, REACH_M, Looks, PriorOf, Sighted, joined, sign_of
 from edge.sequence.place_search import NearestOf
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10
@@ -59,7 +62,7 @@ class PlaceLooks:
 
     def grow(self, map_set: MapSet, drives: Drives) -> None:
         """Look for the places of a set from now on that has further ones after those of the last one."""
-        self._verification.use_maps(map_set)
+        self._verification.use_maps(map_set, drives)
         self._map_set, self._drives = map_set, drives
 
     def use_network(self, network: KeypointNetwork) -> None:
@@ -69,9 +72,12 @@ class PlaceLooks:
     def reset(self) -> None:
         """Nothing that was seen so far counts."""
         self._kept = Looks()
+        self._alike = deque[list[Sighted]](maxlen=KEPT)
+        """By each of the newest looks, two places that it could not tell apart; none by one that could."""
         self._unlooked, self._in_vain = SELDOM, 0  # frames since a look, and looks since one that showed a place
         self._has_line = False
         self._around: tuple[PlaceBelief, float, float] | None = None
+        self._is_seen_there = False  # by looks, so that no other place is tried
         self._is_lost = False
         self._newest: tuple[Seen, Sighted] | None = None  # of the newest frame, if it was looked at
 
@@ -108,6 +114,7 @@ class PlaceLooks:
         seen = self._verification.look(image, places)
         self._newest = None if seen is None else (seen, self._sighted(seen, driven_m, uncertain_m))
         self._kept.add(self._newest[1] if self._newest else None)
+        self._alike.append([self._sighted(one, driven_m, uncertain_m) for one in self._verification.alike])
         self._in_vain = self._in_vain + 1 if seen is None else 0
         self._is_lost = seen is None and self._around is not None
 
@@ -117,7 +124,8 @@ class PlaceLooks:
         prior_of: odds of being at a point along a drive without either. slack_m: by how much two votes may differ.
         """
         looks = self._kept.belief(driven_m, self._least, self._drives.positions_m, prior_of)
-        if looks is None:
+        votes = self._doubted(votes, prior_of, driven_m, slack_m)
+        if looks is None or not self._is_mapped(looks):
             return Answer(votes)
         is_one_place = votes is not None and self._is_one_place(votes, looks, slack_m)
         seen = self._seen_at(looks) if looks.confidence >= LIKELY else None
@@ -128,7 +136,7 @@ class PlaceLooks:
 
     def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
         """Look around the place that is believed from the next frame on; None: anywhere."""
-        self._around = None
+        self._around, self._is_seen_there = None, False
         self._has_line = match is not None and match.has_line and match.sharpness >= LEAST_SHARPNESS
         if match is None:
             return
@@ -136,9 +144,31 @@ class PlaceLooks:
         place = PlaceBelief(drive, along_m, match.direction, match.confidence, is_believed=True)
         looks = self._kept.belief(driven_m, self._least, self._drives.positions_m)
         if looks is not None and looks.confidence >= LIKELY and self._is_one_place(place, looks, slack_m):
-            self._around = looks, driven_m, BY_LOOKS_M
+            self._around, self._is_seen_there = (looks, driven_m, BY_LOOKS_M), True
         else:
             self._around = place, driven_m, slack_m
+
+    def _doubted(
+        self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
+    ) -> PlaceBelief | None:
+        """The votes' belief, beside places elsewhere that looks could not tell from another one."""
+        against = 0.0
+        for one in chain.from_iterable(self._alike):
+            at_m = one.now_m(driven_m)
+            place = PlaceBelief(one.drive, at_m, one.direction, 0.0, is_believed=False)
+            if votes is not None and driven_m - one.at_m <= REACH_M and not self._is_one_place(votes, place, slack_m):
+                several = ALONE if sum(map(bool, self._alike)) > 1 else 1.0
+                against = max(against, one.odds * several * (prior_of(one.drive, at_m) if prior_of else 1.0))
+        if votes is None or not against:
+            return votes
+        odds = votes.confidence / max(1 - votes.confidence, 1e-9)
+        confidence = odds / (1 + odds + against)
+        return replace(votes, confidence=confidence, is_believed=confidence >= self._least)
+
+    def _is_mapped(self, looks: PlaceBelief) -> bool:
+        """Whether a place lies so near that the vehicle may have seen it, not past the end of its drive or in a gap."""
+        nearest_m = self._drives.along_m(self._drives.nearest(looks.drive, looks.along_m))
+        return abs(math.remainder(looks.along_m - nearest_m, self._drives.lap_m(looks.drive))) <= MOST_AHEAD_M
 
     def _seen_at(self, looks: PlaceBelief) -> Seen | None:
         """What the newest frame showed of the place that looks believe; None where it was not that."""
@@ -175,10 +205,13 @@ class PlaceLooks:
         return bool(np.hypot(*np.diff(self._drives.positions_m(drives, along_m), axis=0)[0]) <= slack_m)
 
     def _candidates(self, nearest: NearestOf, course_rad: float | None, driven_m: float) -> list[int]:
-        """Places to try, the likeliest first. After a look around a place that showed nothing, they are anywhere."""
+        """Places to try, the likeliest first: anywhere, until looks have shown one, and after one that showed nothing.
+
+        Where lines alone lead to a place, a look there is compared with other places as well.
+        """
         if self._around is None or self._is_lost:
             self._is_lost = False
-            return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
+            return self._anywhere(nearest, course_rad)
         belief, then_m, reach_m = self._around
         along_m = belief.along_m + sign_of(belief.direction) * (driven_m - then_m)
         places = np.arange(*self._drives.places_within(belief.drive, along_m, reach_m))
@@ -186,7 +219,11 @@ class PlaceLooks:
         places = places[np.argsort(away_m, kind="stable")]
         if not (places.size and self._verification.direction(int(places[0])) == belief.direction):
             return []  # the views are opposite
-        return self._verification.candidates(places, course_rad, NEAREST, APART)
+        there = self._verification.candidates(places, course_rad, NEAREST, APART)
+        return there if self._is_seen_there else list(dict.fromkeys((*there, *self._anywhere(nearest, course_rad))))
+
+    def _anywhere(self, nearest: NearestOf, course_rad: float | None) -> list[int]:
+        return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
 
     def _sighted(self, seen: Seen, driven_m: float, uncertain_m: float) -> Sighted:
         """A look on the map's drive: the camera of a place looks along it, or back."""

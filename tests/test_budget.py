@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 2350,
+    "edge": 2400,
     "edge/camera": 800,
     "edge/commands": 300,
     "edge/descriptor": 500,
@@ -50,7 +50,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 34550,
+    "tests": 34650,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -17,19 +17,22 @@ from numpy.typing import NDArray
 from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.errors import MapError
-from edge.feed import FeedImages, read_feed
+from edge.feed import Feed, FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
+from edge.place_looks import PlaceLooks
 from edge.recognizer import PlaceRecognizer, open_recognizer
-from edge.reference_map import MapSet, open_map
+from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.store import KEYPOINTS
 from edge.sequence import PlaceMatch, Travel
+from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
 
 RECORDINGS = Path(__file__).parent / "golden/recordings"
 SECOND_NS = 1_000_000_000
+TWICE_DEG = 0.01
 BESIDE_M = 9.0
 """Of the place, in another lane, of which a picture may be 8 m ahead or behind where the next one is not mapped."""
 
@@ -42,14 +45,18 @@ def maps(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Pat
 
 def _build(grid: Network, folder: Path) -> None:
     for name, feeds in {"street": ("out_first", "out_second"), "elsewhere": ("elsewhere",)}.items():
-        build_map(
-            [read_feed(RECORDINGS / feed) for feed in feeds],
-            folder / name,
-            DescriptorConfig(model="grid"),
-            SamplingConfig(),
-            network=grid,
-            keypoints=partial(keypoints_key, fov_deg=80.0),
-        )
+        _build_map(grid, [read_feed(RECORDINGS / feed) for feed in feeds], folder, name)
+
+
+def _build_map(grid: Network, feeds: list[Feed], folder: Path, name: str = "map") -> None:
+    build_map(
+        feeds,
+        folder / name,
+        DescriptorConfig(model="grid"),
+        SamplingConfig(),
+        network=grid,
+        keypoints=partial(keypoints_key, fov_deg=80.0),
+    )
 
 
 class Drive:
@@ -130,6 +137,73 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
             assert not recognizer.may_look_again(3 * SECOND_NS, 7.0), "it is known"
     assert len(standing) >= 10
     assert max(standing) < BESIDE_M
+
+
+@pytest.fixture(scope="module")
+def twice(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
+    """A map that has one street twice, a kilometer apart."""
+    once = read_feed(RECORDINGS / "out_second")
+    rows = once.rows[:45]
+    moved = tuple(dataclasses.replace(row, lat_deg=row.lat_deg + TWICE_DEG) for row in rows if row.lat_deg is not None)
+    feeds = [dataclasses.replace(once, rows=one) for one in (rows, moved)]
+    return make_once("street_twice", partial(_build_map, grid, feeds)) / "map"
+
+
+def test_a_street_that_the_map_has_twice_is_known_by_no_look(maps: Path, twice: Path, grid: Network) -> None:
+    drive, known = Drive("home_night"), {"once": 0, "twice": 0}
+    for first in range(45, 80, 8):
+        for name, path in {"once": maps / "street", "twice": twice}.items():
+            recognizer = opened(path, grid)
+            assert recognizer.observe(drive.images[first], 0, Travel(7.0)) is None
+            match = recognizer.look_again(drive.images[first], SECOND_NS, Travel(7.0))
+            known[name] += match is not None
+    assert known["once"] >= 3
+    assert known["twice"] == 0
+
+
+def test_looks_that_cannot_tell_two_places_speak_against_a_line_to_either(maps: Path, twice: Path) -> None:
+    drive, config = Drive("home_night", 53), Config(descriptor=DescriptorConfig(model="grid"))
+    for path, stays in ((maps / "street", True), (twice, False)):
+        map_set = MapSet.of(open_map(path))
+        drives, row = Drives(map_set, 2.0), drive.rows[0]
+        assert row.lat_deg is not None and row.lon_deg is not None
+        lat_deg, lon_deg = map_set.places["lat_deg"], map_set.places["lon_deg"]
+        away_m = np.array(
+            [np.hypot(*east_north(lat_deg - by, lon_deg, (row.lat_deg, row.lon_deg)).T) for by in (0.0, TWICE_DEG)]
+        )
+        there, nearest = int(away_m[0].argmin()), np.argsort(away_m.min(axis=0))
+        votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
+        looks = PlaceLooks(map_set, drives, config)
+        for _ in range(2):
+            looks.look(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
+        answer = looks.answer(votes, None, 0.0, BESIDE_M)
+        assert (answer.votes is not None and answer.votes.is_believed) == stays
+
+
+@pytest.mark.parametrize(("missing", "first"), [(slice(0, 42), 20), (slice(22, 62), 62)])
+def test_past_the_end_of_the_map_and_in_a_gap_no_place_stays_believed(
+    maps: Path,
+    grid: Network,
+    make_once: Callable[[str, Callable[[Path], object]], Path],
+    missing: slice,
+    first: int,
+) -> None:
+    """The way home goes on from where the map began, or over a hole of 80 m."""
+    once = read_feed(RECORDINGS / "out_second")
+    rows = tuple(row for row in once.rows if row not in once.rows[missing])
+    build = partial(_build_map, grid, [dataclasses.replace(once, rows=rows)])
+    recognizer = opened(make_once(f"street_without_{missing.start}_to_{missing.stop}", build) / "map", grid)
+    drive, believed = Drive("home_night", first), 0
+    answers = driven(recognizer, drive, 50)
+    for number, match in enumerate(answers):
+        if match is not None and match.accepted:
+            believed += 1
+            assert drive.off_m(number, match, recognizer.map_set) < BESIDE_M + 3.0
+    assert believed >= 8
+
+
+def _first(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    return places[:most]
 
 
 class _Counted(KeypointNetwork):

@@ -229,6 +229,15 @@ class Drives:
             return np.full(len(drives), np.nan)
         return np.asarray(np.hypot(*(spots_m - east_north_of(*from_deg, self._origin)).T))
 
+    def apart_m(self, place_index: int, other: int) -> float:
+        """Meters between two places: along their drive where the map has no positions; NaN where that is not known."""
+        drives = np.array([self.drive_of(place_index), self.drive_of(other)])
+        along_m = np.array([self.along_m(place_index), self.along_m(other)])
+        apart_m = float(np.hypot(*np.diff(self.positions_m(drives, along_m), axis=0)[0]))
+        if math.isnan(apart_m) and drives[0] == drives[1]:
+            return abs(math.remainder(along_m[1] - along_m[0], self.lap_m(int(drives[0]))))
+        return apart_m
+
     def line(self, drive: int) -> tuple[NDArray[np.float64], float]:
         """A drive's route_m (n,), and by how much neighboring places usually differ in it; NaN if one is unknown."""
         if drive not in self._lines:

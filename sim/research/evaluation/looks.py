@@ -33,7 +33,10 @@ LIGHTS: dict[str, tuple[LightName, ...]] = {
     "front": ("dusk", "night", "snow", "rain"),
     "home": ("dusk", "night", "snow"),
 }
+STREETS: tuple[tuple[str, LightName], ...] = (("front", "dusk"), ("home", "night"))
 OFF_MAP_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
+REPEATS_M = 54.0, 27.0, 12.0
+"""After which the houses of a straight street repeat."""
 STARTS_M, STANDS_M = 160.0, 40.0
 """Between the starts of a vehicle that drives, and between those of one that stands."""
 PICTURES, NOISE = 4, 2.0
@@ -167,6 +170,21 @@ class Tables:
             cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
             yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
 
+    def on_street(self, drive: str, light: LightName) -> Iterator[str]:
+        """Cells: frames believed and wrong while driving, and spots known and wrong at rest, by looks."""
+        found = np.zeros(6, int)
+        for draw in self._draws:
+            for mapped in self._mapped(drive, (light,), draw):
+                film = mapped.drives[light]
+                off_m = _off_m(
+                    mapped, list(self._bench.answers(mapped, film.images, film.ground_m, looks=True)), film.ground_m
+                )
+                found[:3] += len(off_m), np.isfinite(off_m).sum(), (off_m > TOLERANCE_M).sum()
+                for _, off_m in _standing(self._bench, mapped, film):
+                    found[3:] += 1, np.isfinite(off_m).any(), (off_m > TOLERANCE_M).any()
+        yield f"{found[1]} of {found[0]}, {found[2]} wrong"
+        yield f"{found[4]} of {found[3]}, {found[5]} wrong"
+
     def _mapped(
         self, drive: str, lights: Sequence[LightName], draw: Callable[[int, str, LightName], Path]
     ) -> Iterator[Mapped]:
@@ -196,18 +214,35 @@ def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator
                 again = answers if start == 0 else bench.answers(mapped, *rest, looks=looks)
                 first = next((n for n, one in enumerate(again) if one is not None and one.accepted), np.inf)
                 first_m[looks].append(first * SPACING_M)
-        for start in range(0, count - 10, round(STANDS_M / SPACING_M)):
-            pictures = list(_stands(film.images[start]))
-            at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
-            answers = list(bench.answers(mapped, pictures, at_m, looks=True))
+        for answers, off_m in _standing(bench, mapped, film):
             found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
-            wrong[True] += int((_off_m(mapped, answers, at_m) > TOLERANCE_M).any())
+            wrong[True] += int((off_m > TOLERANCE_M).any())
             standing[found] += 1
     yield " -> ".join(f"{np.median(one):.0f}, {np.percentile(one, 90):.0f} m" for one in first_m)
     shares = np.cumsum(standing)[:-1] / standing.sum()
     yield ", ".join(f"{share:.2f}" for share in shares[1:])
     yield " -> ".join(f"{one / frames:.3f}" for one in believed)
     yield " -> ".join(map(str, wrong)) + f" of {frames}"
+
+
+def _standing(
+    bench: Bench, mapped: Mapped, film: Filmed
+) -> Iterator[tuple[list[PlaceMatch | None], NDArray[np.float64]]]:
+    """The answers at spots along a drive, and how far they are off."""
+    for start in range(0, len(film.images) - 10, round(STANDS_M / SPACING_M)):
+        pictures = list(_stands(film.images[start]))
+        at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
+        answers = list(bench.answers(mapped, pictures, at_m, looks=True))
+        yield answers, _off_m(mapped, answers, at_m)
+
+
+def on_streets(streets: dict[float, Tables]) -> Iterator[str]:
+    """Rows of the table of straight streets whose houses repeat after so many meters."""
+    yield "| drive | light | houses repeat after | believed while driving | known at rest |"
+    yield "|---|---|---|---|---|"
+    for repeats_m, tables in streets.items():
+        for drive, light in STREETS:
+            yield f"| {drive} | {light} | {repeats_m:g} m | {' | '.join(tables.on_street(drive, light))} |"
 
 
 def _stands(image: Image) -> Iterator[Image]:

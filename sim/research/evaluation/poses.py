@@ -2,6 +2,7 @@
 
     python -m sim.research.evaluation.poses 9601 9602 --folder DRIVES --write docs/keypoints.md
     python -m sim.research.evaluation.poses 9821 9822 9823 --believed --folder DRIVES --write docs/keypoints.md
+    python -m sim.research.evaluation.poses 9811 9812 --repeats --folder DRIVES --write docs/keypoints.md
     python -m sim.research.evaluation.poses 9601 --folder DRIVES --light dusk --map-mounted 3 0
 
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("roads", nargs="+", type=int, metavar="SEED")
     parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
     parser.add_argument("--believed", action="store_true", help="what the recognizer believes, in place of poses")
+    parser.add_argument("--repeats", action="store_true", help="what it believes on straight streets built alike")
     parser.add_argument("--off-map", action="store_true", help="what it believes where no place is right; not written")
     draws = "drives of each light on each road, for what is believed (default 1)"
     parser.add_argument("--draws", type=int, default=1, metavar="N", help=draws)
@@ -69,11 +71,21 @@ def main() -> None:
     args = parser.parse_args()
     cv2.setNumThreads(1)
     mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
-    if args.believed or args.off_map:
+    if args.repeats:
+        streets = {
+            repeats_m: looks.Tables(
+                args.roads,
+                partial(_long_map, args.folder, mounts[0], repeats_m),
+                [partial(_long, args.folder, mounts[1], repeats_m, draw) for draw in range(args.draws)],
+            )
+            for repeats_m in looks.REPEATS_M
+        }
+        publish("streets", looks.on_streets(streets), args.write)
+    elif args.believed or args.off_map:
         tables = looks.Tables(
             args.roads,
-            partial(_long_map, args.folder, mounts[0]),
-            [partial(_long, args.folder, mounts[1], draw) for draw in range(args.draws)],
+            partial(_long_map, args.folder, mounts[0], 0),
+            [partial(_long, args.folder, mounts[1], 0, draw) for draw in range(args.draws)],
         )
         if args.believed:
             publish("looks", tables.on_map(args.light), args.write)
@@ -93,14 +105,20 @@ def _poses(
         yield _row(f"{drive}, {light}", [_of_road(folder, drive, light, road, *mounts) for road in roads])
 
 
-def _long(folder: Path, mounted: _Mount, draw: int, road: int, drive: str, light: LightName) -> Path:
-    made = mounted.of(replace(DRIVES[drive][1], seed=road, light=light, length_m=looks.LENGTH_M))
-    name = f"{road}_{looks.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(draw)
+def _long(folder: Path, mounted: _Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
+    road_of = {"seed": road, "length_m": looks.LENGTH_M, "repeats_m": repeats_m}
+    made = mounted.of(replace(DRIVES[drive][1], light=light, **road_of))
+    name = f"{_named(road, repeats_m)}_{looks.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(draw)
     return _drive(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), looks.SPACING_M)
 
 
-def _long_map(folder: Path, mounted: _Mount, road: int, view: View) -> ReferenceMap:
-    return _map(folder, road, view, mounted, looks.LENGTH_M)
+def _long_map(folder: Path, mounted: _Mount, repeats_m: float, road: int, view: View) -> ReferenceMap:
+    return _map(folder, road, view, mounted, looks.LENGTH_M, repeats_m)
+
+
+def _named(road: int, repeats_m: float) -> str:
+    """A road, and after how much its houses repeat, if they do."""
+    return f"{road}_each{repeats_m:g}" if repeats_m else str(road)
 
 
 class _Mount(NamedTuple):
@@ -151,11 +169,13 @@ def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
     return path
 
 
-def _map(folder: Path, road: int, view: View, mounted: _Mount, length_m: float = LENGTH_M) -> ReferenceMap:
-    name = f"{road}_{length_m:g}m_{view}{mounted.name}"
+def _map(
+    folder: Path, road: int, view: View, mounted: _Mount, length_m: float = LENGTH_M, repeats_m: float = 0
+) -> ReferenceMap:
+    name = f"{_named(road, repeats_m)}_{length_m:g}m_{view}{mounted.name}"
     path = folder / f"{name}_map"
     if not path.exists():
-        scenario = mounted.of(Scenario(road, length_m, view=view, drive_seed=11))
+        scenario = mounted.of(Scenario(road, length_m, repeats_m, view=view, drive_seed=11))
         feed = _drive(folder / name, scenario, 2.0)
         key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
         build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), network=network, keypoints=key)
