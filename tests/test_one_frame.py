@@ -44,6 +44,8 @@ FRAME_FUNCTIONS = (Daemon._process_frame, Daemon._publish_position)
 The path ends where telemetry is called: that file counts, and what it calls does not. The rest of a turn reads the
 autopilot's messages, encodes and sends, decides the daemon's health, and serves the page and the watchdog.
 """
+READS = "telemetry/position_history.py"
+"""Keeps the autopilot's positions."""
 USED_FRAME_FILES_MOST = 49
 """A file counts once, if any function of it is called. Eight keep the evidence and decide by it, and one of them is the
 whole decision; a network says which regions of a picture it needs. Two believe a place with where the vehicle is
@@ -89,12 +91,16 @@ class Drive:
         driven_m = 10.0 * (time_s - 1000.0)
         return Pose(0.0, driven_m, 0.0, 10.0, driven_m)
 
+    def turn(self) -> None:
+        """One without a frame."""
+        self.now_ns += STEP_NS
+        self.autopilot.step()
+        self.daemon.turn()
+
     def wait(self) -> None:
         """Turns without a frame until the next is due."""
         for _ in range(PERIOD_NS // STEP_NS - 1):
-            self.now_ns += STEP_NS
-            self.autopilot.step()
-            self.daemon.turn()
+            self.turn()
 
     def show(self, image: NDArray[np.uint8], index: int) -> None:
         """Put a frame before the camera; the next turn uses it."""
@@ -151,12 +157,14 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
         drive = Drive(street, tmp_path_factory.mktemp("drive"), network, parts)
         for _ in range(15):
             drive.wait()  # until the autopilot's speed is known
+        while READS not in profiled(drive.turn).turn:
+            pass  # frames come when its positions do
+        drive.wait()
         for index in range(FRAMES):
             # Not quite the map's own picture, or the network that remembers it would have nothing to do.
             drive.show(images.read(index) ^ np.uint8(1), index)
             files = profiled(drive.daemon.turn)
-            has_read = "telemetry/position_history.py" in files.turn
-            if has_read and files.journaled >= {FrameUsed, PlaceFix, FixSent}:
+            if READS in files.turn and files.journaled >= {FrameUsed, PlaceFix, FixSent}:
                 files.idle_turn = profiled(drive.daemon.turn).turn
                 return files
             drive.wait()
