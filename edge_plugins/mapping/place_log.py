@@ -134,7 +134,7 @@ class OpenLog:
             how = "mode=ro&vfs=unix-none" if files_of(self.path)[0].exists() else "immutable=1"
         uri = f"{self.path.absolute().as_uri()}?{how}"
         with _disk_errors():
-            db = sqlite3.connect(uri, LOCKED_S, isolation_level=None, check_same_thread=False, uri=True)
+            db = sqlite3.connect(uri, timeout=LOCKED_S, isolation_level=None, check_same_thread=False, uri=True)
             if self.is_read_only:
                 db.execute("PRAGMA locking_mode = exclusive")
             else:
