@@ -220,10 +220,11 @@ class PositionSender:
         if not self.sources.is_gps_off:
             self._reset_ns, self._is_led = 0, True
             return []
-        is_first, since_ns = self._reset_ns == 0, sent.at_ns - self._reset_ns
-        if not is_first and since_ns >= MOVED_NS:
+        if sent.at_ns - self._reset_ns < MOVED_NS:
+            return []
+        if self._reset_ns:
             self._is_led &= sent.distance_m > FAR_SIGMAS * sent.place.sigma_m
-        if not (is_first or (self._is_led and since_ns >= MOVED_NS)):
+        if not self._is_led:
             return []
         self._reset_ns, message = sent.at_ns, POSITION_MESSAGES["external_position"]
         self._record(sent, message, sending)
