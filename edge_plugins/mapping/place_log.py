@@ -133,12 +133,12 @@ class OpenLog:
         if self.is_read_only:  # no file can be made beside it, in which connections would agree
             how = "mode=ro&vfs=unix-none" if files_of(self.path)[0].exists() else "immutable=1"
         uri = f"{self.path.absolute().as_uri()}?{how}"
-        with _disk_errors():
+        with _disk_errors(), contextlib.ExitStack() as opened:
             db = sqlite3.connect(uri, timeout=LOCKED_S, isolation_level=None, check_same_thread=False, uri=True)
-            if self.is_read_only:
-                db.execute("PRAGMA locking_mode = exclusive")
-            else:
-                db.execute("PRAGMA synchronous = normal")  # flushed by checkpoints
+            opened.callback(db.close)
+            # What is written is flushed by checkpoints.
+            db.execute("PRAGMA locking_mode = exclusive" if self.is_read_only else "PRAGMA synchronous = normal")
+            opened.pop_all()
             return db
 
     def _read(self) -> None:
