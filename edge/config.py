@@ -161,10 +161,7 @@ class DescriptorConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     model: ModelPath = ""
     provider: str = "cpu"
-    regions: Literal["left-right", "whole"] = "left-right"
     region_width: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.4
-    normalization: Literal["online", "none"] = "online"
-    renormalize_ring: bool = True
     standing_change: Annotated[float, Meta(ge=0, le=1)] = 0.005
     keep_statistics_min: Annotated[float, Meta(ge=0, le=1440)] = 30.0
 
@@ -183,9 +180,7 @@ class SequenceConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     length: Annotated[int, Meta(ge=2, le=500)] | UnsetType = UNSET
     slope_limit_rad: Annotated[float, Meta(ge=0, le=0.6)] = 0.2
-    slopes: Annotated[int, Meta(ge=1, le=101)] = 21
     directions: Literal["both", "forward", "reverse"] = "both"
-    region_order: Literal["rig", "sequence", "frame"] = "rig"
     max_gap_s: Positive = 30.0
 
 

@@ -204,7 +204,7 @@ class PlaceRecognizer:
     def describe(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The raw descriptor (R, D) of an image (H, W, 3) uint8 BGR."""
         descriptor = self.config.descriptor
-        pictures = pictures_for(self._network.info, image, descriptor.regions, descriptor.region_width)
+        pictures = pictures_for(self._network.info, image, "left-right", descriptor.region_width)
         self._stopwatch("regions")
         raw = self._network.describe(pictures)
         self._stopwatch("network")

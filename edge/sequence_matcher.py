@@ -58,11 +58,7 @@ class SequenceMatcher:
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Stopwatch = no_stopwatch) -> None:
         """`stopwatch(stage)` is called after each stage of a frame."""
         self._config, self._stopwatch = config, stopwatch
-        self._normalizer = OnlineNormalizer(
-            config.sequence_frames,
-            renormalize_ring=config.descriptor.renormalize_ring,
-            enabled=config.descriptor.normalization == "online",
-        )
+        self._normalizer = OnlineNormalizer(config.sequence_frames)
         self._steps = Steps(config.sampling)
         self._keypoints: KeypointNetwork | None = None
         self.use_maps(map_set)
@@ -121,7 +117,7 @@ class SequenceMatcher:
 
     @property
     def statistics(self) -> RunningStatistics | None:
-        """Of all raw descriptors so far, after the map's; None where nothing is normalized."""
+        """Of all raw descriptors so far, after the map's; None before the first."""
         return self._normalizer.statistics
 
     @property

@@ -115,9 +115,9 @@ class WarmStart:
         self._written_ns = 0
         map_set = recognizer.map_set
         descriptor, header, model = config.descriptor, map_set.headers[0], map_set.headers[0].model
-        is_kept = descriptor.keep_statistics_min and config.telemetry.journal and descriptor.normalization == "online"
+        is_kept = descriptor.keep_statistics_min and config.telemetry.journal
         path = Path(config.telemetry.journal).with_suffix(".state") if is_kept else None
-        key = StateKey(model.sha256, model.tap, descriptor.regions, descriptor.region_width, map_set.sha256)
+        key = StateKey(model.sha256, model.tap, header.regions.kind, descriptor.region_width, map_set.sha256)
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
         kept = self._file.read(Moment.now(), 60 * descriptor.keep_statistics_min)
         if kept is not None:

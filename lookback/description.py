@@ -14,11 +14,11 @@ from tqdm import tqdm
 
 from edge.config import NETWORKS
 from edge.descriptor.network import Network, Regions, pictures_for
-from edge.descriptor.normalize import OnlineNormalizer
 from edge.descriptor.open_network import normalized_set
 from edge.feed import FeedImages, read_picture
 from lookback import checks
 from sim.compare.foreign import ForeignNetwork, open_file
+from sim.compare.methods import normalized_online
 from sim.datasets.pictures import read_drive
 
 Pictures = str | Path | Iterable[str | Path] | Iterable[NDArray[np.uint8]] | NDArray[np.uint8]
@@ -99,5 +99,4 @@ def normalize(descriptors: NDArray[np.float32], *, online: bool = False) -> NDAr
     raw = checks.descriptors(descriptors)
     if not online:
         return normalized_set(raw)
-    normalizer = OnlineNormalizer(1, renormalize_ring=False)
-    return np.stack([normalizer.push(one).rows[0] for one in raw])
+    return np.stack([one.rows[0] for one in normalized_online(raw)])

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from edge.config import CameraConfig, Config, DescriptorConfig, SamplingConfig, SequenceConfig
+from edge.config import CameraConfig, Config, SamplingConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map import COST_ONE, ModelKey
@@ -81,12 +79,11 @@ def search(
     costs = as_costs(given)
     by_frame = costs[:, np.newaxis] if given.ndim == 2 else costs.swapaxes(0, 1)
     places = given.shape[-1]
-    order: Literal["frame", "rig"] = "frame" if given.ndim == 2 else "rig"
     matcher = open_matcher(
         np.full((places, 2), np.nan),
         np.arange(places, dtype=np.float64),
         checks.number("window", window, least=0),
-        SequenceConfig(length=length, region_order=order),
+        SequenceConfig(length=length),
         regions=by_frame.shape[1],
         views=checks.views(views),
     )
@@ -128,7 +125,6 @@ def believe(
     spacing_m = float(np.median(np.diff(along))) if is_metric else 2.0
     config = Config(
         camera=CameraConfig(view=views[1]),
-        descriptor=DescriptorConfig(regions="left-right" if places.shape[1] == 2 else "whole"),
         sampling=SamplingConfig(by="distance", spacing_m=spacing_m) if is_metric else SamplingConfig(by="frames"),
         sequence=SequenceConfig(length=length),
     )

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from msgspec import structs
@@ -59,15 +58,8 @@ class TraverseFrame:
 
 
 def config_as_mapped(header: MapHeader) -> Config:
-    """The default settings with network, regions, normalization and sampling as a map has them."""
-    made = header.regions
-    normalization: Literal["online", "none"] = "online" if made.normalization == "set" else "none"
-    descriptor = DescriptorConfig(
-        model=network_of_map(header.model.name),
-        regions=made.kind,
-        region_width=made.width,
-        normalization=normalization,
-    )
+    """The default settings with network, width of the regions and sampling as a map has them."""
+    descriptor = DescriptorConfig(model=network_of_map(header.model.name), region_width=header.regions.width)
     return Config(descriptor=descriptor, sampling=header.sampling)
 
 

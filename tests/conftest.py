@@ -207,7 +207,7 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
         heading_deg: Callable[[int], float] = lambda row: np.nan,
     ) -> Path:
         path, rng = tmp_path / name, np.random.default_rng(1)
-        model, regions = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0, "set")
+        model, regions = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("whole", 1.0)
         with MapBuilder(path, model, regions, SamplingConfig()) as new:
             for number, points_m in enumerate(drives):
                 new.begin_segment(source.format(number), "rear")

@@ -12,7 +12,7 @@ from edge.config import SamplingConfig
 from edge.reference_map.store import ModelKey, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 
-LEFT_RIGHT, WHOLE = RegionsKey("left-right", 0.4, "set"), RegionsKey("whole", 1.0, "set")
+LEFT_RIGHT, WHOLE = RegionsKey("left-right", 0.4), RegionsKey("whole", 1.0)
 
 
 def map_of(

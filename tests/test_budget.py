@@ -36,7 +36,7 @@ ROOMS = {
     "sim": 550,
     "sim/bench": 350,
     "sim/calibration": 500,
-    "sim/compare": 1650,
+    "sim/compare": 1600,
     "sim/coverage": 800,
     "sim/datasets": 2450,
     "sim/demo": 200,
@@ -50,7 +50,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 34650,
+    "tests": 34600,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -127,10 +127,10 @@ def test_a_map_of_another_model_or_other_regions(
     config, street_map = tmp_path / "whole.toml", tmp_path / "street.map"
     config.write_text('[descriptor]\nmodel = "fc6"\n')
     assert main(["map", "build", str(traverse), "-o", str(street_map), "--config", str(config)]) == 0
-    config.write_text('[descriptor]\nregions = "whole"\n')
+    config.write_text("[descriptor]\nregion_width = 0.5\n")
     printed = refused(capsys, "replay", str(traverse), "--map", str(street_map), "--config", str(config))
     assert "made with regions left-right of width 0.4" in printed
-    assert "[descriptor] is whole" in printed
+    assert "[descriptor] is left-right of width 0.5" in printed
 
     from edge.reference_map.store import ModelKey, open_map
     from edge_plugins.mapping.builder import Place

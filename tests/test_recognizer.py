@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,12 +24,14 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.localization.place_fix import match_position
-from edge.recognizer import PlaceRecognizer, network_for, open_recognizer
+from edge.recognizer import PlaceRecognizer, model_key, network_for, open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import WAY_OUT_COUNTS_AS
+from edge_plugins.mapping.builder import Place
 from sim.maps.command import build_map
+from tests.map_of import map_of
 
 LENGTH = 8
 CONFIG = Config(
@@ -245,20 +246,11 @@ def test_places_passed_unseen_leave_room_in_the_line(opened: Opened, frames: Fra
     assert [match.place for match in matches if match] == pytest.approx(list(rows), abs=1)
 
 
-@pytest.mark.parametrize("order", ["rig", "frame"])
-def test_lost_frames_are_the_same_to_a_search_that_begins_anew(opened: Opened, frames: Frames, order: Any) -> None:
-    """The ring that is matched again as a whole has the same room in it."""
-    answers = []
-    for renormalize_ring in (True, False):
-        config = msgspec.structs.replace(
-            CONFIG,
-            descriptor=DescriptorConfig(renormalize_ring=renormalize_ring),
-            sequence=SequenceConfig(length=LENGTH, region_order=order),
-        )
-        recognizer = opened(config)
-        drive(recognizer, frames[:12])
-        answers.append(recognizer.observe(frames[14], 14 * FRAME_NS, Travel(missed=2)))
-    assert all(answer and abs(answer.place - 14) <= 1 for answer in answers)
+def test_lost_frames_leave_room_in_a_line(opened: Opened, frames: Frames) -> None:
+    recognizer = opened()
+    drive(recognizer, frames[:12])
+    answer = recognizer.observe(frames[14], 14 * FRAME_NS, Travel(missed=2))
+    assert answer and abs(answer.place - 14) <= 1
 
 
 def test_when_too_much_was_missed_a_sequence_begins_anew(opened: Opened, frames: Frames) -> None:
@@ -277,18 +269,8 @@ def test_after_a_gap_a_sequence_begins_anew(opened: Opened, frames: Frames, next
     assert after[-1] and abs(after[-1].place - 54) <= 1
 
 
-@pytest.mark.parametrize(
-    "descriptor",
-    [
-        DescriptorConfig(renormalize_ring=False),
-        DescriptorConfig(normalization="none"),
-        DescriptorConfig(regions="whole"),
-        DescriptorConfig(region_width=0.5),
-    ],
-)
-def test_every_kind_of_descriptor(
-    network: Network, street: Feed, frames: list[np.ndarray], descriptor: DescriptorConfig, tmp_path: Path
-) -> None:
+def test_regions_of_another_width(network: Network, street: Feed, frames: list[np.ndarray], tmp_path: Path) -> None:
+    descriptor = DescriptorConfig(region_width=0.5)
     build_map([street], tmp_path / "m", descriptor, CONFIG.sampling, network=network)
     reference_map = open_map(tmp_path / "m")
     config = msgspec.structs.replace(CONFIG, descriptor=descriptor)
@@ -301,15 +283,10 @@ def test_a_map_of_other_regions_is_refused(network: Network, street: Feed, tmp_p
     build_map([street], tmp_path / "m", DescriptorConfig(region_width=0.5), CONFIG.sampling, network=network)
     with pytest.raises(MapError, match=r"regions left-right of width 0\.5"):
         recognizer_of(network, open_map(tmp_path / "m"))
-
-
-@pytest.mark.parametrize("region_order", ["sequence", "frame"])
-def test_every_way_to_choose_the_region_order(opened: Opened, frames: Frames, region_order: str) -> None:
-    sequence = SequenceConfig(length=LENGTH, region_order=region_order)  # type: ignore[arg-type]
-    matches = drive(opened(msgspec.structs.replace(CONFIG, sequence=sequence)), frames[:60])
-    last = matches[-1]
-    assert last and abs(last.place - 59) <= 1
-    assert (last.direction, last.order) == ("forward", "same")
+    raw = np.ones((2, 1, network.info.dimensions), np.float32)
+    whole = map_of(tmp_path / "whole", raw, [Place(0), Place(1)], model=model_key(network))
+    with pytest.raises(MapError, match=r"regions whole of width 1, but .* build the map again"):
+        recognizer_of(network, whole)
 
 
 def test_the_same_frames_give_the_same_answers(opened: Opened, frames: Frames) -> None:

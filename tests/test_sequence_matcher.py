@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Travel
-from edge.sequence.place_search import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence.search import slopes_around_diagonal
+from edge.sequence.submap import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
@@ -44,10 +44,9 @@ def road() -> Road:
 
 @pytest.fixture
 def maps(road: Road) -> Iterator[MapSet]:
-    config = Config()
     places = [Place(row, route_m=SPACING_M * row) for row in range(PLACES)]
     drive = MappedDrive(road.map, places, "rear")
-    with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", DIMENSIONS), config.descriptor) as found:
+    with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", DIMENSIONS)) as found:
         yield found
 
 

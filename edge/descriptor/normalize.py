@@ -104,20 +104,14 @@ class _RingRow:
 class OnlineNormalizer:
     """Normalizes the query frame by frame, and keeps the ring of the last `length` raw descriptors to do so."""
 
-    def __init__(self, length: int, *, renormalize_ring: bool, enabled: bool = True) -> None:
-        """enabled: if False, raw descriptors are returned unchanged (Raw-fc6 of the paper)."""
-        self._renormalize_ring = renormalize_ring and enabled
-        self._enabled = enabled
+    def __init__(self, length: int) -> None:
         self._ring: deque[_RingRow] = deque(maxlen=length)
         self.statistics: RunningStatistics | None = None
-        """Of all frames so far; None before the first, and where nothing is normalized."""
+        """Of all frames so far; None before the first."""
         self._frames_since_renewal = 0
 
     def push(self, raw: NDArray[np.float32]) -> NormalizedRows:
         """Add one raw descriptor (R, D); the rows of the ring that change with it."""
-        if not self._enabled:
-            self._ring.append(_RingRow(raw, raw, 0))
-            return NormalizedRows(raw[np.newaxis])
         if self.statistics is None:
             self.statistics = RunningStatistics(raw.shape)
         self.statistics.update(raw)
@@ -137,7 +131,7 @@ class OnlineNormalizer:
     def _stale_ages(self) -> list[int]:
         """The ages of the rows that are normalized again now: those whose statistics have grown most since."""
         self._frames_since_renewal += 1
-        if not self._renormalize_ring or self.statistics is None or self._frames_since_renewal < RENEWED_EVERY:
+        if self.statistics is None or self._frames_since_renewal < RENEWED_EVERY:
             return []
         limit = self.statistics.count / (1 + STALE_GROWTH)
         stale = [age for age in range(1, len(self._ring)) if self._ring[-1 - age].count < limit]
@@ -152,8 +146,7 @@ class OnlineNormalizer:
 
     def begin_with(self, statistics: RunningStatistics) -> None:
         """Start with the statistics of an earlier run."""
-        if self._enabled:
-            self.statistics = statistics
+        self.statistics = statistics
 
     @property
     def is_full(self) -> bool:

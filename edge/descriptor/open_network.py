@@ -16,7 +16,7 @@ from edge.config import DescriptorConfig
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.descriptor.network import CPU, Network, provider_name
 from edge.descriptor.normalize import normalize
-from edge.errors import ConfigError, ModelError
+from edge.errors import ModelError
 
 PICTURES = 24
 """As many as NSD needs for its statistics to mean something; on a slow board they take a few seconds."""
@@ -25,8 +25,6 @@ PICTURES = 24
 def open_network(config: DescriptorConfig) -> Network:
     """Read, check and open the network. ModelError and ConfigError name in one line what cannot be used."""
     file = read_model_file(resolve_model(Path(config.model) if config.model else None))
-    if file.info.columns and config.regions != "left-right":
-        raise ConfigError(f'[descriptor] regions: {file.info.name} returns two regions itself; set "left-right"')
     if config.provider == CPU:
         return Network(file)
     provider_name(config.provider)  # before the longer work

@@ -15,7 +15,6 @@ from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -302,8 +301,6 @@ def _misfit(one: ReferenceMap, model: ModelKey, wanted: DescriptorConfig) -> str
             f"{one.path}: made with model {made.model}, but the model here is {model};"
             " name the map's by --model or in [descriptor] model"
         )
-    if ours.kind == "whole":
-        ours = msgspec.structs.replace(ours, width=made.regions.width)
     if ours != made.regions:
         return (
             f"{one.path}: made with regions {made.regions}, but [descriptor] is {ours};"

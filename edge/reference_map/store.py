@@ -80,16 +80,15 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: Literal["left-right", "whole"]
     width: float
-    normalization: Literal["set", "none"]
+    normalization: Literal["set"] = "set"
 
     @classmethod
     def of(cls, config: DescriptorConfig) -> RegionsKey:
         """As a vehicle of that config describes images."""
-        normalization: Literal["set", "none"] = "set" if config.normalization == "online" else "none"
-        return cls(config.regions, config.region_width, normalization)
+        return cls("left-right", config.region_width)
 
     def __str__(self) -> str:
-        return f"{self.kind} of width {self.width:g}, normalization {self.normalization}"
+        return f"{self.kind} of width {self.width:g}"
 
     @property
     def count(self) -> int:

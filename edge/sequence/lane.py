@@ -50,12 +50,7 @@ class Lanes(NamedTuple):
 
 
 def lags_of(config: Config, spacing_m: float) -> Lags:
-    """Of the lanes that [rig] has; none where the image has no regions, or their order is not that of the rig.
-
-    spacing_m: of the map's places.
-    """
-    if config.descriptor.regions != "left-right" or config.sequence.region_order != "rig":
-        return NO_LAGS
+    """Of the lanes that [rig] has. spacing_m: of the map's places."""
     # With views alike, regions in the same order are seen on the way out, with opposed ones on the way back.
     lanes_m = config.rig.left_forward_m, config.rig.left_reverse_m
     alike, opposed = (2 * round(PARALLAX * lane_m / spacing_m / 2) for lane_m in lanes_m)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import Config
@@ -28,17 +27,9 @@ from edge.sequence.submap import GlobalSearch, Submap
 SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""
 
-"""Places on either side of the match that people are shown of the cost matrix."""
-
-MEASURED_SLOPE_RAD = 0.05
-"""Limit of the slopes where the distance between places is measured: an odometer is wrong by a tenth at most. In a
-wider one, lines drift away from a vehicle that leaves its lane, whose regions then show places that are apart."""
 REGULAR, REGULAR_SHARE = 0.1, 0.9
 """The places of a map are regularly spaced if so many stretches of half a sequence are within this share of their
 median length: single steps differ by more, since a camera that maps has no frame at the very moment."""
-MEASURED_SLOPES = 11
-"""Slopes up to that limit; over 40 frames they are one place apart."""
-
 ROOM = 1.25
 """Share of what a sequence passed that the next ones have room for: frames need not be evenly apart."""
 EXACT = 1e-6
@@ -49,12 +40,6 @@ Ring = Callable[[], NDArray[np.float32]]
 """All rows of the ring (n, R, D), oldest first, for where the newest one is not enough."""
 NearestOf: TypeAlias = Callable[[int], NDArray[np.intp]]
 """See `PlaceSearch.nearest`."""
-
-
-def with_measured_slopes(config: Config) -> Config:
-    """The slopes to search where the distance between places is measured."""
-    limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD)
-    return replace(config, sequence=replace(config.sequence, slope_limit_rad=limit_rad, slopes=MEASURED_SLOPES))
 
 
 def is_regular(map_set: MapSet, frames: int) -> bool:
@@ -283,11 +268,7 @@ class PlaceSearch:
         self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
-        return Submap(ranges, self.map_set, self._slopes_config, self._span, halves=True)
-
-    @property
-    def _slopes_config(self) -> Config:
-        return with_measured_slopes(self._config) if self._is_measured else self._config
+        return Submap(ranges, self.map_set, self._config, self._span, halves=True, is_measured=self._is_measured)
 
     @property
     def _lanes(self) -> Lanes:

@@ -20,6 +20,13 @@ from edge.sequence.lane import Lanes, lane_costs
 from edge.sequence.search import FIRST_FRAMES, NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
+SLOPES = 21
+"""Slopes that are searched within `[sequence] slope_limit_rad` of the diagonal."""
+MEASURED_SLOPE_RAD = 0.05
+"""Limit of the slopes where the distance between places is measured: an odometer is wrong by a tenth at most. In a
+wider one, lines drift away from a vehicle that leaves its lane, whose regions then show places that are apart."""
+MEASURED_SLOPES = 11
+"""Slopes up to that limit; over 40 frames they are one place apart."""
 
 
 class RowMatcher:
@@ -46,17 +53,18 @@ class RowMatcher:
         open_ends: bool = False,
         laps: Sequence[int | None] = (),
         halves: bool = False,
+        is_measured: bool = False,
     ) -> None:
         """segments: [start, end) of each drive, in order; views: front or rear, of each. regions: of a descriptor.
 
         config: [sequence], and the view of [camera]. open_ends: whether lines may begin before their drive does, and
         span, laps: see `SequenceSearch`. halves: whether lines of half as many rows are searched as well, where these
-        are enough for an answer.
+        are enough for an answer. is_measured: whether the distance between rows is.
         """
         self.neighborhood = neighborhood
-        self._per_frame_order = config.sequence.region_order == "frame"
         planes, possible = _planes(segments, views, regions, config)
-        slopes = slopes_around_diagonal(config.sequence.slope_limit_rad, config.sequence.slopes)
+        limit_rad = min(config.sequence.slope_limit_rad, MEASURED_SLOPE_RAD if is_measured else math.inf)
+        slopes = slopes_around_diagonal(limit_rad, MEASURED_SLOPES if is_measured else SLOPES)
         half = config.sequence_frames // 2
         self._half = half if halves and half >= FIRST_FRAMES else None
         self._search = SequenceSearch(
@@ -80,16 +88,15 @@ class RowMatcher:
 
         ages: see `NormalizedRows`. driven: see `SequenceSearch.push`.
         """
-        searched = costs.min(axis=1, keepdims=True) if self._per_frame_order else costs
-        self._search.push(searched[0], driven)
+        self._search.push(costs[0], driven)
         self.newest = costs[0]
-        for age, row in zip(ages[1:], searched[1:], strict=True):
+        for age, row in zip(ages[1:], costs[1:], strict=True):
             self._search.replace(age, row)
         return self._best()
 
     def refill(self, costs: NDArray[np.int32], driven: Sequence[float] | None = None) -> PlaceMatch | None:
         """Replace the whole ring by cost rows (n, orders, N), oldest first; the best match. driven: of each row."""
-        self._search.refill(costs.min(axis=1, keepdims=True) if self._per_frame_order else costs, driven)
+        self._search.refill(costs, driven)
         self.newest = costs[-1]
         return self._best()
 
@@ -108,12 +115,7 @@ class RowMatcher:
         """The line of that plane that ends at a place; None where no whole one does."""
         if lines.by_plane[plane][place] == NO_LINE:
             return None
-        newest = self.newest.min(axis=0, keepdims=True) if self._per_frame_order else self.newest
-        match = match_at(place, plane, self._search, lines, newest, self.neighborhood)
-        if not self._per_frame_order:
-            return match
-        # Where every frame took its better order, the line is said to have that of the newest.
-        return replace(match, order=ORDERS[int(self.newest[:, place].argmin())])
+        return match_at(place, plane, self._search, lines, self.newest, self.neighborhood)
 
     def clear(self) -> None:
         """Remove all rows."""
@@ -125,9 +127,16 @@ class Submap(RowMatcher):
     """A `RowMatcher` of some ranges, whose answers are in coordinates of the maps."""
 
     def __init__(
-        self, ranges: Ranges, map_set: MapSet, config: Config, span: float | None = None, *, halves: bool = False
+        self,
+        ranges: Ranges,
+        map_set: MapSet,
+        config: Config,
+        span: float | None = None,
+        *,
+        halves: bool = False,
+        is_measured: bool = False,
     ) -> None:
-        """span: the most places that may be driven within a line, so many as frames if None. halves: as above."""
+        """span: the most places that may be driven within a line, so many as frames if None. Others: as above."""
         self.ranges = ranges
         self.places = np.concatenate([np.arange(start, end) for start, end in ranges])
         self._map_set, self._origin = map_set, map_set.origin(ranges)
@@ -147,8 +156,18 @@ class Submap(RowMatcher):
             {number: lap for (number, _, _), lap in zip(pieces, laps, strict=True) if lap is not None},
         )
         views, regions = [map_set.index.view(number) for number, _, _ in pieces], map_set.headers[0].regions.count
-        others = neighborhood, config
-        super().__init__(segments, views, regions, *others, span=span, open_ends=True, laps=laps, halves=halves)
+        super().__init__(
+            segments,
+            views,
+            regions,
+            neighborhood,
+            config,
+            span=span,
+            open_ends=True,
+            laps=laps,
+            halves=halves,
+            is_measured=is_measured,
+        )
 
     def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
         """Go on from a part that has the first of these places, so that only the others are matched with the ring.
@@ -160,7 +179,7 @@ class Submap(RowMatcher):
             return False
         further = [(len(before.places), len(self.places))]
         costs = lane_costs(self._map_set, ring, range(len(ring))[::-1], further, lanes)
-        self._search.take_over(before._search, costs.min(axis=1, keepdims=True) if self._per_frame_order else costs)
+        self._search.take_over(before._search, costs)
         return True
 
     def head(self, course_rad: float | None) -> None:
@@ -209,14 +228,13 @@ def _planes(
 ) -> tuple[list[Alignment], NDArray[np.bool_]]:
     """The directions and region orders to search in, and where (planes, N) each of them is possible."""
     sequence = config.sequence
-    # One region has no order; and where the better order of each frame counts, the search sees but one.
-    orders = ORDERS if regions == 2 and sequence.region_order != "frame" else ORDERS[:1]
+    orders = ORDERS[:regions]  # one region has no order
     directions: tuple[Direction, ...] = ("forward", "reverse")
     planes = [
         (direction, order) for direction in directions for order in orders if sequence.directions in ("both", direction)
     ]
     possible = np.ones((len(planes), segments[-1][1]), dtype=bool)
-    if sequence.region_order == "rig" and len(orders) == 2:
+    if len(orders) == 2:
         for (start, end), view in zip(segments, views, strict=True):
             allowed = VIEWS_ALIKE if view == config.camera.view else VIEWS_OPPOSED
             possible[:, start:end] = np.array([plane in allowed for plane in planes])[:, np.newaxis]

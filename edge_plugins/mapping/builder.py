@@ -191,8 +191,7 @@ class MapBuilder(DriveByDrive):
     def _normalized_blocks(
         self, mean: NDArray[np.float64], deviation: NDArray[np.float64]
     ) -> Iterator[NDArray[np.float32]]:
-        is_set = self._header.regions.normalization == "set"
-        return (normalized(block, mean, deviation) if is_set else block for block in self._raw_blocks())
+        return (normalized(block, mean, deviation) for block in self._raw_blocks())
 
     def _statistics(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean and standard deviation (R, D) over the whole set, from the raw values as they were stored."""

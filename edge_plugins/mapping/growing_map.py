@@ -137,9 +137,7 @@ class GrowingMap(DriveByDrive):
 
     def _encode(self, rows: Sequence[int], raw: NDArray[np.float32]) -> None:
         """Normalize some places with the statistics so far, and keep them as they are matched."""
-        if self._header.regions.normalization == "set":
-            raw = normalized(raw, self._statistics.mean, self._statistics.deviation)
-        encoded = encode(raw)
+        encoded = encode(normalized(raw, self._statistics.mean, self._statistics.deviation))
         norms_sq = squared_norms(encoded)
         self._descriptors[:, list(rows)] = encoded
         self._places["norm_sq"][list(rows)] = norms_sq

@@ -21,7 +21,7 @@ from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey, Segment
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 
-REGIONS = RegionsKey("left-right", 0.4, "set")
+REGIONS = RegionsKey("left-right", 0.4)
 STREET_M, APART_M, SPACING_M = 10_000.0, 100.0, 2.0
 BLOCK = 4096
 

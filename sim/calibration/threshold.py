@@ -22,7 +22,6 @@ from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.errors import LookbackError
 from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
 from edge.sequence.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
-from edge.sequence.place_search import with_measured_slopes
 from edge.sequence.submap import Submap
 from sim.calibration.sightings import Sighting
 from sim.evaluation.metrics import Answers, precision_recall
@@ -95,13 +94,11 @@ def _confidence_off_map(reference_map: ReferenceMap, config: Config) -> Iterator
     (matcher,) = map_set.matchers
     drives = Drives(map_set, config.sampling.spacing_m)
     settings = ConsensusSettings.of(config, drives)
-    if drives.is_metric:
-        config = with_measured_slopes(config)
     for segment in header.segments:
         # With the view of the segment's own camera: the region orders of the other would match its mirror image.
         camera = msgspec.structs.replace(config.camera, view=segment.view)
         config = msgspec.structs.replace(config, camera=camera)
-        part = Submap([(0, header.places)], map_set, config)
+        part = Submap([(0, header.places)], map_set, config, is_measured=drives.is_metric)
         consensus = PlaceConsensus(settings, drives.positions_m)
         for place in range(segment.start, segment.end):
             costs = matcher.costs_of_encoded(reference_map.descriptors[:, place : place + 1])

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, CameraConfig, Config, DescriptorConfig, SequenceConfig
+from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.reference_map import ModelKey
 from edge.sequence import PlaceMatch, Travel
 from edge.sequence_matcher import SequenceMatcher
@@ -22,9 +22,7 @@ from sim.compare.traverses import Traverse
 Raw = NDArray[np.float32]
 
 
-def config_of(
-    pair: Pair, reference: Traverse, query: Traverse, sequence: SequenceConfig, region_width: float, regions: int = 2
-) -> Config:
+def config_of(pair: Pair, reference: Traverse, query: Traverse, sequence: SequenceConfig) -> Config:
     """The configuration of a vehicle on this pair; places within twice the tolerance are the same place."""
     steps_m = np.diff(reference.distance_m)
     steps_m = steps_m[~np.isnan(steps_m)]
@@ -32,7 +30,6 @@ def config_of(
     window = 2 * pair.tolerance
     return Config(
         camera=CameraConfig(view=query.feed.header.view),
-        descriptor=DescriptorConfig(regions="left-right" if regions > 1 else "whole", region_width=region_width),
         sampling=query.sampling,
         sequence=sequence,
         acceptance=AcceptanceConfig(
@@ -76,7 +73,7 @@ def run_on(
 ) -> Matches:
     """The same on drives of a map. raw: (Q, R, D); travel: of each frame; starts: frames that begin a drive."""
     found = []
-    with temporary_map(drives, model, config.descriptor) as map_set:
+    with temporary_map(drives, model) as map_set:
         matcher = SequenceMatcher(map_set, config)
         for frame, moved in enumerate(travel):
             if frame in starts:

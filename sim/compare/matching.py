@@ -94,6 +94,11 @@ CostsOf = Callable[[NDArray[np.float32]], NDArray[np.int32]]
 """Costs (n, orders, N) int32 of query rows (n, R, D), or of whatever the rows are."""
 
 
+def costs_of_better_order(costs_of: CostsOf) -> CostsOf:
+    """Costs (n, 1, N) of each frame in the region order of lower cost, as in the paper."""
+    return lambda rows: costs_of(rows).min(axis=1, keepdims=True)
+
+
 def match(
     rows: Iterable[NormalizedRows], costs_of: CostsOf, matcher: RowMatcher, starts: Collection[int] = ()
 ) -> Matches:

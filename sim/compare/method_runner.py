@@ -23,6 +23,7 @@ from sim.compare.descriptions import Descriptions
 from sim.compare.matching import (
     Matches,
     as_costs,
+    costs_of_better_order,
     errors_of,
     judge,
     judged_queries,
@@ -190,22 +191,20 @@ class MethodRunner:
         source = method.network, method.regions
         raw = self.descriptions.raw(reference, *source), self.descriptions.raw(query, *source)
         if method.recognizer:
-            sequence, regions = SequenceConfig(length=length), raw[0].shape[1]
-            config = config_of(pair, reference, query, sequence, self.plan.region_width, regions)
+            config = config_of(pair, reference, query, SequenceConfig(length=length))
             model = self.descriptions.model_key(method.network, raw[0].shape[2])
             return match_as_run(reference, query, raw, config, model, method.recognizer)
         described = reference_rows(method, raw[0])
         costs_of = CostMatcher.of_encoded(encode(described)).costs
         starts = {drive.start for drive in query.drives()}
-        rows = query_rows(method, raw[1], length, starts)
+        rows = query_rows(method, raw[1])
         if method.single:
             costs = np.stack([costs_of(one.rows[:1])[0].min(axis=0) for one in rows])
             alone = match_alone(1 - costs / COST_ONE)
             if not method.keypoints:
                 return alone
             return self._verification.reordered(alone, reference, query, method.keypoints)
-        search = self._open_search(pair, reference, query, length, described.shape[1])
-        return match(rows, costs_of, search, starts)
+        return match(rows, costs_of_better_order(costs_of), self._open_search(pair, reference, query, length), starts)
 
     def _match_matrix(self, pair: Pair, method: Method, reference: Traverse, query: Traverse, length: int) -> Matches:
         """The answers by similarities (Q, N) that were made elsewhere."""
@@ -218,16 +217,15 @@ class MethodRunner:
             raise ConfigError(f"{pair.similarity[name]}: a similarity that is not a finite number")
         if method.single:
             return match_alone(similarity)
-        search, starts = self._open_search(pair, reference, query, length, 1), {one.start for one in query.drives()}
+        search, starts = self._open_search(pair, reference, query, length), {one.start for one in query.drives()}
         rows = (NormalizedRows(row[np.newaxis]) for row in as_costs(similarity))
         return match(rows, lambda row: row[:, np.newaxis].astype(np.int32), search, starts)
 
-    def _open_search(self, pair: Pair, reference: Traverse, query: Traverse, length: int, regions: int) -> RowMatcher:
+    def _open_search(self, pair: Pair, reference: Traverse, query: Traverse, length: int) -> RowMatcher:
         return open_matcher(
             *place_coordinates(reference, pair),
             2 * pair.tolerance,  # the second-best match of the uniqueness lies outside
-            SequenceConfig(length=length, region_order="frame"),
-            regions=regions,
+            SequenceConfig(length=length),
             views=(reference.feed.header.view, query.feed.header.view),
             drives=reference.drives(),
         )

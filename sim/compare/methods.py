@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.descriptor import NormalizedRows
 from edge.descriptor.network import Regions
-from edge.descriptor.normalize import OnlineNormalizer
+from edge.descriptor.normalize import RunningStatistics, normalize
 from edge.descriptor.open_network import normalized_set
 from edge.errors import ConfigError
 from edge.keypoints.network import MOST
@@ -93,16 +93,14 @@ def reference_rows(method: Method, raw: Raw) -> Raw:
     return normalized_set(raw) if method.nsd else raw
 
 
-def query_rows(method: Method, raw: Raw, length: int, starts: Collection[int] = ()) -> Iterator[NormalizedRows]:
-    """The row that each query frame adds to the ring, in order.
+def query_rows(method: Method, raw: Raw) -> Iterator[NormalizedRows]:
+    """The row that each query frame adds to the ring, in order."""
+    return normalized_online(raw) if method.nsd else (NormalizedRows(row[np.newaxis]) for row in raw)
 
-    starts: frames that begin a new ring, as each drive does.
-    """
-    if not method.nsd:
-        yield from (NormalizedRows(row[np.newaxis]) for row in raw)
-        return
-    normalizer = OnlineNormalizer(length, renormalize_ring=False)
-    for frame, one in enumerate(raw):
-        if frame == 0 or frame in starts:
-            normalizer.clear_ring()
-        yield normalizer.push(one)
+
+def normalized_online(raw: Raw) -> Iterator[NormalizedRows]:
+    """Each descriptor (R, D) by those up to it alone, as in the paper: what came before is not normalized again."""
+    known = RunningStatistics((raw.shape[1], raw.shape[2]))
+    for one in raw:
+        known.update(one)
+        yield NormalizedRows(normalize(one[np.newaxis], known.mean, known.deviation))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import DescriptorConfig, SamplingConfig
+from edge.config import SamplingConfig
+from edge.descriptor.network import Regions
 from edge.feed import View
 from edge.reference_map import MapSet, ModelKey
 from edge.reference_map.store import RegionsKey, open_map
@@ -28,10 +29,11 @@ class MappedDrive:
 
 
 @contextmanager
-def temporary_map(drives: Iterable[MappedDrive], model: ModelKey, descriptor: DescriptorConfig) -> Iterator[MapSet]:
-    """A map with a segment for each drive, which is gone when the block ends."""
+def temporary_map(drives: Sequence[MappedDrive], model: ModelKey) -> Iterator[MapSet]:
+    """A map with a segment for each drive, of one region or two, which is gone when the block ends."""
+    kind: Regions = "left-right" if drives[0].raw.shape[1] > 1 else "whole"
     with tempfile.TemporaryDirectory() as folder:
-        path, regions = Path(folder) / "map", RegionsKey(descriptor.regions, descriptor.region_width, "set")
+        path, regions = Path(folder) / "map", RegionsKey(kind, 0.4)
         with MapBuilder(path, model, regions, SamplingConfig()) as builder:
             for number, drive in enumerate(drives):
                 builder.begin_segment(str(number), drive.view)

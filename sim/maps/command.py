@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument("-o", "--output", type=Path, required=True, metavar="MAP", help="folder of the new map")
     about = "read [descriptor] and [sampling] from this file, and fov_deg, lens, flip, crop and mask of [camera]"
     build.add_argument("--config", type=Path, help=about)
-    build.add_argument("--regions", choices=("left-right", "whole"), help="parts of it (default left-right)")
     add_spacing_options(build)
     add_feed_options(build)
     build.add_argument(
@@ -170,8 +169,6 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     """The command `map build`; network: in place of the one that its config names."""
     config = load_config(args.config) if args.config else Config(descriptor=DescriptorConfig(model=FIRST_NETWORK))
     descriptor = config.descriptor
-    if args.regions:
-        descriptor = checked_option(descriptor, "--regions", regions=args.regions)
     sampling = sampling_from(args, config.sampling)
     if args.video is not None and len(args.feeds) > 1:
         raise ConfigError(

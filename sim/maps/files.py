@@ -93,9 +93,7 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
     print(f"map       {reference_map.path}, format version {header.version}, written by lookback {header.lookback}")
     print(f"model     {header.model.name}, tap {header.model.tap}, sha256 {header.model.sha256}")
     print(f"provider  {header.model.provider}")
-    print(
-        f"regions   {header.regions.kind}, width {header.regions.width:g}, normalization {header.regions.normalization}"
-    )
+    print(f"regions   {header.regions.kind}, width {header.regions.width:g}")
     if header.dimensions < header.model.dimensions:
         print(f"reduced   to {header.dimensions} of {header.model.dimensions} dimensions per region")
     print(f"sampling  {sampling[header.sampling.by]}")

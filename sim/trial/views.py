@@ -66,7 +66,7 @@ class RoadViews:
 
     def _describe(self, route_m: int, left_m: int, turns: int) -> NDArray[np.float32]:
         image, config, info = self.picture(route_m, left_m, turns * CELL_DEG), DescriptorConfig(), self._network.info
-        return Network.describe(self._network, pictures_for(info, image, config.regions, config.region_width))
+        return Network.describe(self._network, pictures_for(info, image, "left-right", config.region_width))
 
     def picture(self, route_m: float, left_m: float = 0.0, turn_deg: float = 0.0) -> NDArray[np.uint8]:
         """The camera's picture there, (H, W, 3) uint8 BGR."""

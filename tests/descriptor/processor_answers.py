@@ -13,7 +13,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig, SamplingConfig, SequenceConfig
+from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.model_file import GRID, read_model_file
 from edge.descriptor.network import IMAGE, Network, cut_regions, open_session, pictures_for
 from edge.descriptor.open_network import normalized_set
@@ -64,7 +64,7 @@ def matched(road: NDArray[np.float32], home: NDArray[np.float32]) -> NDArray[np.
     config = Config(sampling=SamplingConfig(spacing_m=SPACING_M), sequence=SequenceConfig(length=SEQUENCE))
     places = [Place(row, route_m=SPACING_M * row) for row in range(len(road))]
     key, found = ModelKey("grid", "0" * 64, "grid", road.shape[2]), []
-    with temporary_map([MappedDrive(road, places, "rear")], key, DescriptorConfig()) as maps:
+    with temporary_map([MappedDrive(road, places, "rear")], key) as maps:
         matcher = SequenceMatcher(maps, config)
         for frame, raw in enumerate(home):
             match = matcher.push(raw, Travel(SPACING_M * frame))

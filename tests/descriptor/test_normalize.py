@@ -44,7 +44,7 @@ def test_dead_and_stuck_dimensions_count_for_nothing() -> None:
 
 def test_stale_rows_of_the_ring_are_normalized_again_with_the_newest_statistics() -> None:
     raw = descriptors(400)
-    online = OnlineNormalizer(10, renormalize_ring=True)
+    online = OnlineNormalizer(10)
     ring: list[tuple[int, NDArray[np.float32]]] = []  # when it was last normalized, and the row
     for count, row in enumerate(raw, start=1):
         change = online.push(row)

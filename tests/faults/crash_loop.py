@@ -42,7 +42,7 @@ MEASURED = 5
 def write_map(folder: Path, version: int) -> None:
     """Replace the map by one of `version` + 2 places."""
     rng = np.random.default_rng(version)
-    model, regions = ModelKey("made-up", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4, "set")
+    model, regions = ModelKey("made-up", "0" * 64, "fc6", 64), RegionsKey("left-right", 0.4)
     with MapBuilder(folder / "map", model, regions, SamplingConfig(), replace=True) as builder:
         builder.begin_segment(str(version), "rear")
         for row in range(version % 50 + 2):

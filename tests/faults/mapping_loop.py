@@ -29,7 +29,7 @@ from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, files_of, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 
-MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set")
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4)
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="gps")
 LONGEST_S = 0.3
 WAL_HEAD, WAL_FRAME = 32, 24 + 4096  # https://www.sqlite.org/walformat.html

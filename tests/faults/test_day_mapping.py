@@ -34,9 +34,7 @@ BLOCKS_PER_PLACE = 4.0
 
 @pytest.mark.parametrize("places", [3000, pytest.param(TEN_HOURS, marks=pytest.mark.soak)])
 def test_ten_hours_of_mapping(places: int, tmp_path: Path, proc: Any, figures: Callable[[str], None]) -> None:
-    header = LogHeader(
-        ModelKey("test", "0" * 64, "fc6", DIMENSIONS), RegionsKey("left-right", 0.4, "set"), SamplingConfig()
-    )
+    header = LogHeader(ModelKey("test", "0" * 64, "fc6", DIMENSIONS), RegionsKey("left-right", 0.4), SamplingConfig())
     config = MappingConfig(folder=str(tmp_path / "maps"), min_free_mb=0.0)
     mapped = LiveMap(config, DriveStore(config, header, "rear"))
     raw = np.abs(np.random.default_rng(0).normal(size=(97, 2, DIMENSIONS))).astype(np.float32)

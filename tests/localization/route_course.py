@@ -98,7 +98,7 @@ def build_maps(
     raw = np.zeros((2, 4), np.float32)
     found: list[tuple[int, float, float, int]] = []
     index = 0
-    key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4, "set")
+    key = ModelKey("test", "0" * 64, "fc6", 4), RegionsKey("left-right", 0.4)
     with MapBuilder(path, *key, SamplingConfig(), replace=True) as builder:
         for number, stretch in enumerate(stretches):
             before = found.pop() if stretch.continues else (index, stretch.begins_m, 0.0, 0)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import DescriptorConfig
 from edge.reference_map import NO_LAP_M, Drives, ModelKey
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
@@ -27,7 +26,7 @@ def _lap_descriptors(places: int, lap: int = LAP) -> NDArray[np.float32]:
 
 
 def _laps(raw: NDArray[np.float32], places: list[Place]) -> Any:
-    with temporary_map([MappedDrive(raw, places, "front")], MODEL, DescriptorConfig()) as map_set:
+    with temporary_map([MappedDrive(raw, places, "front")], MODEL) as map_set:
         return map_set.laps, Drives(map_set, 2.0).lap_m(0)
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge.config import Config, DescriptorConfig, SequenceConfig
+from edge.config import Config, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics
 from edge.reference_map import MapSet, open_map
-from edge.reference_map.store import RegionsKey
 from edge.sequence import Travel
 from edge.sequence_matcher import SequenceMatcher
 from edge.warm_start import Moment, StateFile, StateKey
@@ -21,20 +20,18 @@ from tests.map_of import map_of
 PLACES, LENGTH = 40, 10
 
 
-@pytest.mark.parametrize("regions", ["left-right", "whole"])
+@pytest.mark.parametrize("regions", [2, 1])
 @pytest.mark.parametrize("kept", [None, 48])
 @pytest.mark.parametrize("dimensions", [64, 112, 1000, 5120, 32_768])
-def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, tmp_path: Path) -> None:
+def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(dimensions)
-    descriptor = DescriptorConfig(regions=regions)  # type: ignore[arg-type]
-    key = RegionsKey(descriptor.regions, descriptor.region_width, "set")
-    raw = rng.gamma(0.5, 3.0, (PLACES, key.count, dimensions)).astype(np.float32)  # positive and skewed, as after ReLU
+    raw = rng.gamma(0.5, 3.0, (PLACES, regions, dimensions)).astype(np.float32)  # positive and skewed, as after ReLU
     places = [Place(row, route_m=2.0 * row) for row in range(PLACES)]
     map_of(tmp_path / "map", raw, places, shrink=shrink_to(kept or dimensions, dimensions))
     reference_map = open_map(tmp_path / "map", every_file=True)
-    assert reference_map.descriptors.shape == (key.count, PLACES, kept or dimensions)
+    assert reference_map.descriptors.shape == (regions, PLACES, kept or dimensions)
 
-    config = Config(descriptor=descriptor, sequence=SequenceConfig(length=LENGTH))
+    config = Config(sequence=SequenceConfig(length=LENGTH))
     matcher = SequenceMatcher(MapSet.of(reference_map), config)
     noisy = raw + rng.normal(0, 1.0, raw.shape).astype(np.float32)
     matches = [matcher.push(one, Travel(2.0 * row)) for row, one in enumerate(noisy)]
@@ -44,7 +41,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: str, 
 
     statistics = matcher.statistics
     assert isinstance(statistics, RunningStatistics)
-    file = StateFile(tmp_path / "state", StateKey("0", "tap", regions, 0.4, "0"), (key.count, dimensions))
+    file = StateFile(tmp_path / "state", StateKey("0", "tap", "left-right", 0.4, "0"), (regions, dimensions))
     file.write(statistics, Moment.now())
     again = file.read(Moment.now(), 60.0)
     assert again is not None

@@ -22,7 +22,7 @@ from tests.map_of import map_of
 
 DIMENSIONS, SPACING_M = 256, 2.0
 MODEL = ModelKey("test", "0" * 64, "fc6", DIMENSIONS)
-REGIONS = RegionsKey("left-right", 0.4, "set")
+REGIONS = RegionsKey("left-right", 0.4)
 LENGTH = 10
 CONFIG = Config(sequence=SequenceConfig(length=LENGTH))
 TOLERANCE = 0.05

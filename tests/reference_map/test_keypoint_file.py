@@ -26,7 +26,7 @@ from sim.maps.tiles import split_map
 from tests.keypoints.street import CAMERA, seen, street
 
 KEY = KeypointsKey("test", "0" * 64, 60, CAMERA.width, CAMERA.height, CAMERA.fov_deg)
-MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 16), RegionsKey("left-right", 0.4, "set")
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 16), RegionsKey("left-right", 0.4)
 PLACES = 200
 WORLD_M = street(np.random.default_rng(4), 800)
 WORLD_M[:, 2] = np.random.default_rng(3).uniform(0, 460, len(WORLD_M))  # along the 400 m of the drive

@@ -22,7 +22,7 @@ def header(lengths: list[int], tile: TileOf | None = None) -> MapHeader:
         Segment(end - length, end, "rear" if number % 2 else "front", "")
         for number, (end, length) in enumerate(zip(ends, lengths, strict=True))
     )
-    key, regions = ModelKey("test", "0" * 64, "fc6", 8), RegionsKey("left-right", 0.4, "set")
+    key, regions = ModelKey("test", "0" * 64, "fc6", 8), RegionsKey("left-right", 0.4)
     return MapHeader(
         FORMAT, VERSION, "", key, regions, 8, SamplingConfig(), ends[-1], segments, bounds=None, files={}, tile=tile
     )

@@ -37,7 +37,7 @@ from sim.maps.shrinking import shrink_to
 from tests.files_written import full_disk
 
 MODEL = ModelKey("test", "0" * 64, "fc6", 16)
-REGIONS = RegionsKey("left-right", 0.4, "set")
+REGIONS = RegionsKey("left-right", 0.4)
 
 
 def raw_descriptors(count: int, seed: int = 0) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, Config, DescriptorConfig
+from edge.config import AcceptanceConfig, Config
 from edge.reference_map import Drives, ModelKey
 from edge.sequence import Direction
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote, probability
@@ -136,7 +136,7 @@ def test_votes_may_differ_by_what_a_camera_sees_however_far_apart_the_places_are
     """What is recognized lies up to 15 m further ahead on some stretches than on others."""
     places = [Place(row, route_m=map_m * row) for row in range(9)]
     drive = MappedDrive(np.random.default_rng(0).random((9, 2, 96), np.float32), places, "front")
-    with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", 96), DescriptorConfig()) as maps:
+    with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", 96)) as maps:
         settings = ConsensusSettings.of(Config(), Drives(maps, frame_m), frame_m / map_m)
     consensus = PlaceConsensus(settings)
     for at_m in np.arange(0.0, 400.0, frame_m):

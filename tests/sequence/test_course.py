@@ -71,7 +71,7 @@ def test_a_match_against_the_course_is_neither_the_best_nor_the_one_that_it_is_h
     key, config = ModelKey("made", "0" * 64, "fc6", 64), Config()
     homeward = [0.4 * seen_home[place] + 0.9 * seen_out[place] for place in range(150, 50, -1)]
     believed, priors = {}, []
-    with temporary_map(drives, key, config.descriptor) as maps:
+    with temporary_map(drives, key) as maps:
         for course_rad in (None, SOUTH, NORTH):
             matcher = SequenceMatcher(maps, config)
             matches = [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig, RigConfig, SequenceConfig
+from edge.config import Config, RigConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.reference_map import COST_ONE, MapSet, ModelKey
 from edge.sequence import PlaceMatch
@@ -35,7 +35,7 @@ def maps(raw: NDArray[np.float32]) -> Iterator[MapSet]:
     half = PLACES // 2
     places = [Place(row, route_m=2.0 * row) for row in range(half)]
     drives = [MappedDrive(raw[:half], places, "rear"), MappedDrive(raw[half:], places, "front")]
-    with temporary_map(drives, ModelKey("test", "0" * 64, "fc6", DIMENSIONS), DescriptorConfig()) as found:
+    with temporary_map(drives, ModelKey("test", "0" * 64, "fc6", DIMENSIONS)) as found:
         yield found
 
 
@@ -61,8 +61,6 @@ def test_lags_are_those_of_the_lanes() -> None:
     assert lags_of(Config(rig=RigConfig(left_forward_m=3.5)), 2.0) == Lags(LAG, 0)
     assert lags_of(Config(rig=RIG), 1.0) == Lags(0, 2 * LAG)
     assert lags_of(Config(), 2.0) == NO_LAGS
-    assert lags_of(Config(rig=RIG, descriptor=DescriptorConfig(regions="whole")), 2.0) == NO_LAGS
-    assert lags_of(Config(rig=RIG, sequence=SequenceConfig(region_order="sequence")), 2.0) == NO_LAGS
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, DescriptorConfig, SamplingConfig
+from edge.config import Config, SamplingConfig
 from edge.feed.sampling import Steps
 from edge.reference_map import ModelKey
 from edge.sequence import Travel
@@ -48,9 +48,7 @@ def test_places_are_right_whatever_the_spacing(
     config = Config(sampling=SamplingConfig(by="frames" if irregular else "distance", spacing_m=frame_m))
     rng = np.random.default_rng(1)
     at_m = frames_at_m(frame_m, irregular)
-    with temporary_map(
-        [MappedDrive(mapped, places, "front")], ModelKey("m", "0" * 64, "fc6", DIMENSIONS), DescriptorConfig()
-    ) as maps:
+    with temporary_map([MappedDrive(mapped, places, "front")], ModelKey("m", "0" * 64, "fc6", DIMENSIONS)) as maps:
         matcher = SequenceMatcher(maps, config)
         found = []
         for here_m in at_m.tolist():
@@ -96,7 +94,7 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
     places = [Place(row, route_m=4.0 * row) for row in range(len(road[::4]))]
     config = Config(sampling=SamplingConfig(by="time"))
     model = ModelKey("made", "0" * 64, "fc6", DIMENSIONS)
-    with temporary_map([MappedDrive(road[::4], places, "front")], model, DescriptorConfig()) as maps:
+    with temporary_map([MappedDrive(road[::4], places, "front")], model) as maps:
         matcher = SequenceMatcher(maps, config)
         lacks = []
         for raw in road[: config.sequence_frames]:
@@ -112,7 +110,7 @@ def test_a_known_distance_is_not_missed_where_the_map_knows_no_meters(road: NDAr
     """As on a first drive, whose map has no places yet: the pilot was warned that the speed is unknown."""
     model = ModelKey("made", "0" * 64, "fc6", DIMENSIONS)
     config, places = Config(), [Place(row) for row in range(len(road))]
-    with temporary_map([MappedDrive(road, places, "front")], model, DescriptorConfig()) as maps:
+    with temporary_map([MappedDrive(road, places, "front")], model) as maps:
         matcher = SequenceMatcher(maps, config)
         for row in range(config.sequence_frames):
             matcher.push(road[row], Travel(float(row)))
@@ -129,7 +127,7 @@ def test_without_the_odometer_places_are_believed_on_each_of_two_drives_of_unequ
         for way_m in ways_m
     ]
     rng, model = np.random.default_rng(1), ModelKey("m", "0" * 64, "fc6", DIMENSIONS)
-    with temporary_map(drives, model, DescriptorConfig()) as maps:
+    with temporary_map(drives, model) as maps:
         places_m = maps.places["route_m"]
         for way_m in ways_m:
             matcher, off_m = SequenceMatcher(maps, Config(sampling=SamplingConfig(by="time"))), []
@@ -149,7 +147,7 @@ def test_without_the_odometer_nothing_wrong_is_believed_at_another_spacing(
     """No line that is searched is as steep, or as flat: places would be ahead of the vehicle, or behind it."""
     places = [Place(row, route_m=float(map_m * row)) for row in range(len(road[::map_m]))]
     rng, model, far_m = np.random.default_rng(1), ModelKey("m", "0" * 64, "fc6", DIMENSIONS), []
-    with temporary_map([MappedDrive(road[::map_m], places, "front")], model, DescriptorConfig()) as maps:
+    with temporary_map([MappedDrive(road[::map_m], places, "front")], model) as maps:
         matcher = SequenceMatcher(maps, Config(sampling=SamplingConfig(by="time")))
         for here_m in frames_at_m(frame_m, irregular=False).tolist():
             raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
@@ -168,7 +166,7 @@ def test_a_hole_of_3_km_costs_no_memory_and_the_place_is_known_again(road: NDArr
     )
     config, rng = Config(sampling=SamplingConfig(spacing_m=1.0)), np.random.default_rng(1)
     others = [MappedDrive(np.abs(rng.normal(size=road.shape)).astype(np.float32), places, "front") for _ in range(4)]
-    with temporary_map([MappedDrive(road, places, "front"), *others], model, DescriptorConfig()) as maps:
+    with temporary_map([MappedDrive(road, places, "front"), *others], model) as maps:
         matcher, peaks, off_m = SequenceMatcher(maps, config), [], []
         tracemalloc.start()
         for hole_m, way_m in ((0, range(before_m)), (3000, range(100, LENGTH_M))):
@@ -194,7 +192,7 @@ def test_room_for_a_frame_that_was_missed_is_given_back(road: NDArray[np.float32
 
     def held(first_m: range) -> NDArray[np.int64]:
         """Bytes after each frame: some, and those from 120 m on."""
-        with temporary_map([MappedDrive(road, places, "front")], model, DescriptorConfig()) as maps:
+        with temporary_map([MappedDrive(road, places, "front")], model) as maps:
             tracemalloc.start()
             matcher, found = SequenceMatcher(maps, Config(sampling=SamplingConfig(spacing_m=1.0))), []
             for here_m in (*first_m, *range(120, 300)):

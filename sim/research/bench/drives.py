@@ -25,7 +25,8 @@ from edge.geodesy import VehiclePosition, moved
 from edge.recognizer import model_key, open_recognizer
 from edge.reference_map import ModelKey, RegionsKey, open_map_set
 from edge.sequence import Near, PlaceMatch, Travel
-from edge.sequence.place_search import MEASURED_SLOPES, PlaceSearch
+from edge.sequence.place_search import PlaceSearch
+from edge.sequence.submap import MEASURED_SLOPES
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
@@ -90,7 +91,7 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
     the points again, which no road does.
     """
     network = Network.load(GRID)
-    header = LogHeader(model_key(network), RegionsKey("left-right", 0.4, "set"), SamplingConfig())
+    header = LogHeader(model_key(network), RegionsKey("left-right", 0.4), SamplingConfig())
     folder.mkdir()
     mapping = MappingConfig(folder=str(folder), min_free_mb=0.0)
     store = DriveStore(mapping, header, "rear", fov_deg=FOV_DEG)

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.config import AcceptanceConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
+from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
 from edge.geodesy import moved
 from edge.localization import GPS_SIGMA_M, Displacement
@@ -156,7 +156,7 @@ def mapped(road: Described, cut: Cut, *, to_north: bool = False) -> Iterator[Map
         MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], "rear")
         for start, end in kept(cut, len(places))
     ]
-    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2]), DescriptorConfig()) as maps:
+    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])) as maps:
         yield maps
 
 

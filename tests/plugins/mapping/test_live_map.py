@@ -37,7 +37,7 @@ from edge_plugins.mapping.place_log_records import LogHeader
 from tests.files_written import full_disk
 from tests.plugins.mapping.test_place_log import damage
 
-MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4, "set")
+MODEL, REGIONS = ModelKey("test", "0" * 64, "fc6", 32), RegionsKey("left-right", 0.4)
 HEADER = LogHeader(MODEL, REGIONS, SamplingConfig())
 IMAGE = np.full((48, 64, 3), 120, np.uint8)
 GPS = VehiclePosition(0, 47.0, 8.0, 400.0, 0.0, 10.0, 10.0, 0.0, sigma_m=1.5, source="rtk_fixed")

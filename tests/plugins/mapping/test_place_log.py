@@ -20,9 +20,7 @@ from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log import OpenLog, PlaceLog, create_log, files_of
 from edge_plugins.mapping.place_log_records import LogHeader
 
-HEADER = LogHeader(
-    ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4, "set"), SamplingConfig(), "test"
-)
+HEADER = LogHeader(ModelKey("test", "0" * 64, "fc6", 512), RegionsKey("left-right", 0.4), SamplingConfig(), "test")
 PICTURE = random.Random(0).randbytes(6000)
 
 

@@ -12,7 +12,7 @@ from edge.config import SequenceConfig
 from edge.errors import ConfigError
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.search import slopes_around_diagonal
-from sim.compare.matching import match, open_matcher
+from sim.compare.matching import costs_of_better_order, match, open_matcher
 from sim.compare.methods import METHODS, Method, find_method, query_rows, reference_rows
 
 LENGTH, PLACES, QUERIES, DIMENSIONS, WINDOW = 4, 14, 13, 24, 3.0
@@ -109,16 +109,15 @@ def test_each_row_answers_as_written_out(name: str) -> None:
     regions = 2 if method.regions == "left-right" else 1
     reference = described(rng, PLACES, regions)
     query = reference[1:][::-1] + np.abs(rng.normal(size=(QUERIES, regions, DIMENSIONS))).astype(np.float32) * 0.3
-    rows = query_rows(method, query, LENGTH)
+    rows = query_rows(method, query)
     found = match(
         rows,
-        CostMatcher.of_encoded(encode(reference_rows(method, reference))).costs,
+        costs_of_better_order(CostMatcher.of_encoded(encode(reference_rows(method, reference))).costs),
         open_matcher(
             np.full((PLACES, 2), np.nan),
             np.arange(PLACES, dtype=np.float64),
             WINDOW,
-            SequenceConfig(length=LENGTH, region_order="frame"),
-            regions=regions,
+            SequenceConfig(length=LENGTH),
             views=("rear", "front"),
         ),
     )

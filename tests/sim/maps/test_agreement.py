@@ -42,7 +42,7 @@ class Driven:
 
 
 def build(path: Path, drives: Sequence[Driven]) -> None:
-    with MapBuilder(path, MODEL, RegionsKey("left-right", 0.4, "set"), SamplingConfig()) as builder:
+    with MapBuilder(path, MODEL, RegionsKey("left-right", 0.4), SamplingConfig()) as builder:
         for number, drive in enumerate(drives):
             rng = np.random.default_rng(drive.road)
             road = np.maximum(rng.normal(size=(PLACES, 2, 64)), 0)

@@ -44,10 +44,3 @@ def test_a_config_is_switched_to_the_network_that_a_company_may_ship(
     assert lookback_model("use", "fc6", config) == 0
     assert "non-commercial" in capsys.readouterr().out
     assert open_network(load_config(config).descriptor).info.name == "alexnet_places100"
-
-
-def test_a_network_that_returns_its_regions_is_not_asked_for_one(tmp_path: Path) -> None:
-    config = tmp_path / "lookback.toml"
-    config.write_text('[descriptor]\nmodel = "grid"\nregions = "whole"\n')
-    with pytest.raises(ConfigError, match=r'\[descriptor\] regions: grid returns two regions itself; set "left-right"'):
-        open_network(load_config(config).descriptor)
