@@ -13,8 +13,8 @@ coverage     `lookback map coverage`: before departure, where a map will be reco
 shadow       `lookback shadow`: after drives beside GPS, how far off positions would have been, and where it is ready
 calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
 model_tools  `lookback model`: import, quantize, verify
-bench        `lookback dev bench`: this board
-research     what was measured to build Lookback: its belief, its network, `make bench`; not in the wheel
+bench        `lookback dev bench`: this board, and each stage beside its rivals
+research     what was measured to build Lookback: its belief, its network; not in the wheel
 journal      reads a journal
 traverse     a feed as the places of a traverse
 completion   `lookback completion`

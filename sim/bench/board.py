@@ -1,21 +1,21 @@
 """`lookback dev bench`: measure this board: a row for docs/boards.md with each network that is installed.
 
-It needs no package beyond those of `lookback run`. In a clone `--stages` measures each stage beside its rivals
-(`make bench`).
+It needs no package beyond those of `lookback run`. `--stages` measures each stage beside its floor and its rival, with
+the packages of the extra `bench` (`make bench`).
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import resource
 import statistics
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -25,9 +25,10 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError, ModelError
 from edge.recognizer import model_key
 from sim.bench.frames import SIZE_PX, run_frames
-from sim.bench.machine import machine_name
 from sim.bench.simulated_map import write_simulated_map
+from sim.bench.table import cells, machine_name, page, table
 from sim.bench.timing import wall_ns
+from sim.output import needing
 
 PLACES = 10_000
 HEADER = (
@@ -49,22 +50,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=150.0, metavar="S", help=heat)
     parser.add_argument("--places", type=int, default=PLACES, metavar="N", help=f"places of the map (default {PLACES})")
     parser.add_argument("--folder", type=Path, help="where to put the map meanwhile, 80 MB (default: temporary files)")
+    stages = parser.add_argument_group("instead, each stage beside its floor and its rival")
+    about = "the page docs/bench.md; needs the extra bench"
+    stages.add_argument("--stages", action="store_true", help=about)
+    stages.add_argument("--quick", action="store_true", help="of --stages: smaller sizes, in about a minute")
+    about = "of --stages: the page, and beside it a CSV file"
+    stages.add_argument("-o", "--output", type=Path, metavar="FILE", help=about)
     parser.set_defaults(run=_run)
-    if find_spec("sim.research"):  # by name, since it is in a clone only
-        about = "instead, each stage beside its floor and its rival: the page docs/bench.md"
-        parser.add_argument("--stages", action="store_true", help=about)
-        parser.add_argument("--quick", action="store_true", help="of --stages: smaller sizes, in about a minute")
-        parser.add_argument(
-            "-o", "--output", type=Path, metavar="FILE", help="of --stages: the page, and beside it a CSV file"
-        )
 
 
 def _run(args: argparse.Namespace) -> int:
-    if getattr(args, "stages", False):
-        return int(import_module("sim.research.bench.command").run(args))
     if not args.seconds > 0 or args.places < 100:
         raise ConfigError("bench: --seconds must be above 0 and --places at least 100")
     cv2.setNumThreads(1)
+    if args.stages:
+        return _stages(args)
     words = f"frames of {SIZE_PX[0]}x{SIZE_PX[1]}, {args.places:,} places, Lookback {version('lookback-nav')}"
     print(HEADER)
     # The smaller one first: the peak of memory is that of the whole process.
@@ -79,6 +79,24 @@ def _run(args: argparse.Namespace) -> int:
         print(row("" if number else board_name(), name, run), flush=True)
         print(f"{name}: {len(run.frames)} {words}", file=sys.stderr)
     print("Please paste the table into an issue, for docs/boards.md.", file=sys.stderr)
+    return 0
+
+
+def _stages(args: argparse.Namespace) -> int:
+    """Measure each stage, print the rows, and write a page and a file of them."""
+    with needing("--stages", "bench"):
+        from sim.bench import drives, stages
+    began_s, rounds = time.monotonic(), 7 if args.quick else 21
+    rows = [*stages.measure(rounds, (10_000,) if args.quick else (10_000, 100_000))]
+    with tempfile.TemporaryDirectory(prefix="lookback-bench-", dir=args.folder) as folder:
+        rows += drives.measure(Path(folder), rounds, quick=args.quick)
+    made = f"Made by `make bench{'-quick' if args.quick else ''}` in {time.monotonic() - began_s:.0f} s."
+    print(table(rows))
+    if args.output:
+        file = args.output.with_suffix(".csv")
+        args.output.write_text(page(rows, made, file.name), encoding="utf-8")
+        with file.open("w", newline="", encoding="utf-8") as opened:
+            csv.writer(opened, lineterminator="\n").writerows(cells(rows))
     return 0
 
 

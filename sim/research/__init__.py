@@ -2,5 +2,4 @@
 
 evaluation  the place belief on other roads, and how reliable it is
 trial       `lookback dev flights` and `ablate`: recorded drives anew, and without each rule
-bench       `make bench`: what each stage costs, beside a floor and a rival
 """

@@ -29,6 +29,13 @@ def test_it_runs_with_what_a_vehicle_has(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_stages_say_what_they_need() -> None:
+    command = [sys.executable, "-c", WITHOUT, DESK, "dev", "bench", "--stages"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    (line,) = result.stderr.splitlines()
+    assert "--stages needs the package" in line and "bench]" in line
+
+
 def sensors(folder: Path, temperatures: list[str], cooling: dict[str, int]) -> Path:
     for number, text in enumerate(temperatures):
         (folder / f"thermal_zone{number}").mkdir()

@@ -25,7 +25,7 @@ from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_d
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.frames import SIZE_PX, smooth_picture
-from sim.research.bench.table import Row, Run, raced
+from sim.bench.table import Row, Run, raced
 
 faiss.omp_set_num_threads(1)
 VGA = f"{SIZE_PX[0]}x{SIZE_PX[1]}"

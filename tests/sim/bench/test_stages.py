@@ -13,10 +13,10 @@ from edge.descriptor.model_file import GRID, resolve_model
 from edge.errors import LookbackError
 from edge.reference_map.store import ModelKey, open_map
 from edge_plugins.motion.camera_motion import CameraMotion
+from sim.bench import drives, stages
 from sim.bench.simulated_map import BLOCK, write_simulated_map
+from sim.bench.table import Row, cells, page
 from sim.bench.timing import Times, race
-from sim.research.bench import drives, stages
-from sim.research.bench.table import Row, cells, page
 
 KEY = ModelKey("random", "0" * 64, "fc6", 64)
 

@@ -34,9 +34,9 @@ from edge_plugins.mapping.place_log_records import LogHeader
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.bench.frames import SIZE_PX, run_frames, smooth_picture
 from sim.bench.simulated_map import APART_M, SPACING_M, STREET_M, write_simulated_map
+from sim.bench.stages import FOV_DEG, floor_of, read_all
+from sim.bench.table import Row, Run, raced
 from sim.bench.timing import Times, thread_ns, time_ms, wall_ns
-from sim.research.bench.stages import FOV_DEG, floor_of, read_all
-from sim.research.bench.table import Row, Run, raced
 
 USUAL, RADIUS_M = 10_000, 500.0
 GRID = Path("grid")

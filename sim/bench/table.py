@@ -1,11 +1,16 @@
-"""The rows of the bench, the page of them in Markdown, and the file."""
+"""The rows of the bench, the page of them in Markdown, the file, and the name of the machine."""
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
 
-from sim.bench.machine import machine_name
+import numkong
+import numpy as np
+
 from sim.bench.timing import Clock, Times, digits, race, thread_ns
 
 Run = Callable[[], object]
@@ -98,3 +103,20 @@ def _line(row: Row) -> str:
 
 def _ratios(row: Row) -> list[str]:
     return [f"{row.times.ratio(one):.2f}" if one else "" for one in (row.floor, row.rival_times)]
+
+
+def machine_name() -> str:
+    """Processor, cores, memory, system and the versions of the kernels in use."""
+    cpu = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith(("model name", "Model")):
+            cpu = line.partition(":")[2].strip()
+            break
+    memory_kb = int(Path("/proc/meminfo").read_text().split()[1])
+    cores = len([line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("processor")])
+    kernels = [name for name, on in numkong.get_capabilities().items() if on and name != "serial"]
+    return (
+        f"{cpu}, {cores} cores, {memory_kb / 2**20:.0f} GiB, {platform.system()} {platform.machine()}, Python"
+        f" {platform.python_version()}, NumPy {np.__version__}, ONNX Runtime {version('onnxruntime')}, numkong for"
+        f" {', '.join(kernels) or 'any processor'}"
+    )
