@@ -3,6 +3,9 @@
     image (1, H, W, 3) uint8 BGR -> normalization, channel order, layout -> the network up to the tap -> grid -> (1, D)
                                                                              or the grid's outer columns -> (1, 2, D)
 
+ONNX Runtime folds and renames, and onnx cuts. Neither has a tool for the grid, and for the normalization of pixels that
+goes into the first convolution.
+
 It is made for one image at a time, so that everything that does not depend on the image becomes a constant: two regions
 take twice the time of one, as they do in a batch of convolutions. `onnx` and `onnxruntime` run the file, so it must be
 one that you trust.
@@ -22,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.descriptor.model_file import output_name
-from edge.descriptor.network import open_session
+from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
 from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
 from sim.output import needing
@@ -102,10 +105,10 @@ def import_onnx(
         regions = _outer_columns(pool, columns)
         shape, one = _add_pool(cut, tap, pool, regions, _run(cut, image, size, layout))
         _add_pixels(cut, image, size, layout, wanted)
-        _finish(cut, one, shape)
+        whole = _finish(cut, one, shape)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
-    return Imported(cut, size, shape[-1], tap, regions)
+    return Imported(whole, size, shape[-1], tap, regions)
 
 
 def _load(data: bytes) -> onnx.ModelProto:
@@ -173,7 +176,7 @@ def _check_tap(model: onnx.ModelProto, tap: str) -> None:
 def _fold(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, tap: str) -> onnx.ModelProto:
     """The network for a batch of one, with all that does not depend on the image computed, in standard operators."""
     import onnx
-    import onnxruntime  # by now with its telemetry disabled
+    from onnxruntime.tools.onnx_model_utils import optimize_model  # by now with its telemetry disabled
 
     given = next(one for one in model.graph.input if one.name == image)
     shape = [1, 3, *size] if layout == "nchw" else [1, *size, 3]
@@ -181,43 +184,34 @@ def _fold(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Lay
     del model.graph.output[:]
     del model.graph.value_info[:]
     model.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
-    options = onnxruntime.SessionOptions()
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
-    options.log_severity_level = 4
     with tempfile.TemporaryDirectory() as folder:
-        options.optimized_model_filepath = str(Path(folder) / "folded.onnx")
+        whole, folded = Path(folder) / "whole.onnx", Path(folder) / "folded.onnx"
+        onnx.save(model, whole)
         try:
-            onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-            folded = onnx.load(options.optimized_model_filepath)
+            optimize_model(whole, folded, log_level=4)
+            return onnx.load(folded)
         except Exception as error:  # ONNX Runtime's own classes share only Exception
             raise ModelError(f"ONNX Runtime rejects it with an image of {spell(size)}: {_line(error)}") from None
-    del folded.graph.value_info[:]
-    return folded
 
 
 def _cut(model: onnx.ModelProto, image: str, tap: str) -> onnx.ModelProto:
     """What the tap is computed from, with the tap as the one output."""
-    import onnx
-
-    cut = onnx.ModelProto()
-    cut.CopyFrom(model)
-    needed, nodes = {tap}, list[onnx.NodeProto]()
-    for node in reversed(model.graph.node):
-        if needed.intersection(node.output) - {image}:
-            nodes.append(node)
-            needed.update(node.input)
-    del cut.graph.node[:]
-    cut.graph.node.extend(reversed(nodes))
-    _prune_constants(cut)
-    del cut.graph.output[:]
-    cut.graph.output.append(onnx.helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, None))
+    cut = _extract(model, image, tap)
     for number, node in enumerate(cut.graph.node):
         node.name = f"{number} {node.op_type}"  # exporters need not name them
-    del cut.metadata_props[:]
     domains = [one for one in model.opset_import if one.domain in ("", "ai.onnx")]
     del cut.opset_import[:]
     cut.opset_import.extend(domains)
     return cut
+
+
+def _extract(model: onnx.ModelProto, image: str, output: str) -> onnx.ModelProto:
+    """The nodes and constants between the two, of a model that has both as its own input and output."""
+    import onnx
+
+    found = onnx.utils.Extractor(model).extract_model([image], [output])
+    del found.graph.value_info[:]  # which has both as they are now
+    return found
 
 
 def _check_operators(model: onnx.ModelProto) -> None:
@@ -264,6 +258,7 @@ def _add_pool(
     columns: of the grid, those of each region that the network returns.
     """
     import onnx
+    from onnxruntime.quantization.onnx_model import ONNXModel
 
     cells = pool[0] * (len(columns[0]) if columns else pool[1]) if pool else 1
     if pool and len(shape) != 4:
@@ -279,10 +274,9 @@ def _add_pool(
     if len(shape) == 2:
         return [dimensions], tap
     inner, name = f"{tap}.map", output_name(tap, spell(pool) if pool else "", columns)
-    for node in model.graph.node:
-        node.output[:] = [inner if one == tap else one for one in node.output]
-        node.input[:] = [inner if one == tap else one for one in node.input]
-    make = onnx.helper.make_node
+    names, make = ONNXModel(model), onnx.helper.make_node
+    names.replace_output_of_all_nodes(tap, inner)
+    names.replace_input_of_all_nodes(tap, inner)
     if pool:
         grid, flat, chosen = _grid(shape[2:], pool), f"{inner}.flat", f"{inner}.cells"
         constants: dict[str, NDArray[Any]] = {"sizes": np.array([-1, dimensions], np.int64)}
@@ -325,13 +319,15 @@ def _grid(size: tuple[int, ...], pool: tuple[int, int]) -> NDArray[np.float32]:
 def _add_pixels(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layout, wanted: ImageInput) -> None:
     """Put in front what makes the network's input of pixels: into its first convolution where that is possible."""
     import onnx
+    from onnxruntime.quantization.onnx_model import ONNXModel
 
     make, array = onnx.helper.make_node, onnx.numpy_helper.from_array
-    graph = model.graph
+    graph, normalized = model.graph, f"{image}.normalized"
+    ONNXModel(model).replace_input_of_all_nodes(image, normalized)
     weights = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    readers = [node for node in graph.node if image in node.input]
+    readers = [node for node in graph.node if normalized in node.input]
     front = [
-        make("DequantizeLinear", ["image", "step", "grey"], ["image.pixels"], "pixels"),
+        make("DequantizeLinear", [IMAGE, "step", "grey"], ["image.pixels"], "pixels"),
         make("Transpose", ["image.pixels"], [INPUT], INPUT, perm=[0, 3, 1, 2]),
     ]
     graph.initializer.extend([array(np.array(1, np.float32), "step"), array(np.array(wanted.gray, np.uint8), "grey")])
@@ -344,18 +340,13 @@ def _add_pixels(model: onnx.ModelProto, image: str, size: tuple[int, int], layou
         graph.initializer.append(array(eye, f"{NORMALIZE}.eye"))
         channels = make("Conv", [INPUT, f"{NORMALIZE}.eye"], [f"{NORMALIZE}.nchw"], NORMALIZE, kernel_shape=[1, 1])
         perm = [0, 1, 2, 3] if layout == "nchw" else [0, 2, 3, 1]
-        front += [channels, make("Transpose", [f"{NORMALIZE}.nchw"], [image], f"{NORMALIZE}.layout", perm=perm)]
+        front += [channels, make("Transpose", [f"{NORMALIZE}.nchw"], [normalized], f"{NORMALIZE}.layout", perm=perm)]
         _prepare(graph, channels, {f"{NORMALIZE}.eye": eye}, wanted)
     nodes = [*front, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
-    if image == "image":
-        for node in graph.node[len(front) :]:
-            node.input[:] = ["image.normalized" if one == "image" else one for one in node.input]
-        for node in graph.node[: len(front)]:
-            node.output[:] = ["image.normalized" if one == "image" else one for one in node.output]
     del graph.input[:]
-    graph.input.append(onnx.helper.make_tensor_value_info("image", onnx.TensorProto.UINT8, [1, *size, 3]))
+    graph.input.append(onnx.helper.make_tensor_value_info(IMAGE, onnx.TensorProto.UINT8, [1, *size, 3]))
 
 
 def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: ImageInput) -> None:
@@ -378,23 +369,18 @@ def _prepare(graph: Any, node: Any, weights: dict[str, NDArray[Any]], wanted: Im
     node.input[1:] = names
 
 
-def _finish(model: onnx.ModelProto, output: str, shape: list[int]) -> None:
+def _finish(model: onnx.ModelProto, output: str, shape: list[int]) -> onnx.ModelProto:
+    """The model with its output, without what that does not need."""
     import onnx
 
     del model.graph.output[:]
     model.graph.output.append(onnx.helper.make_tensor_value_info(output, onnx.TensorProto.FLOAT, [1, *shape]))
-    _prune_constants(model)
+    whole = _extract(model, IMAGE, output)
     try:
-        onnx.checker.check_model(model)
+        onnx.checker.check_model(whole)
     except onnx.checker.ValidationError as error:
         raise ModelError(f"the simplified network is not valid: {_line(error)}") from None
-
-
-def _prune_constants(model: onnx.ModelProto) -> None:
-    used = {name for node in model.graph.node for name in node.input}
-    kept = [tensor for tensor in model.graph.initializer if tensor.name in used]
-    del model.graph.initializer[:]
-    model.graph.initializer.extend(kept)
+    return whole
 
 
 def _line(error: Exception) -> str:
