@@ -23,7 +23,7 @@ ROOMS = {
     "edge/telemetry": 2800,
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
-    "edge_plugins/doctor": 700,
+    "edge_plugins/doctor": 650,
     "edge_plugins/home": 950,
     "edge_plugins/layers": 200,
     "edge_plugins/mapping": 1600,

@@ -1,4 +1,4 @@
-"""What `lookback doctor` finds on this computer: cameras, ports, permissions, clock, page and disk.
+"""What `lookback doctor` finds on this computer: cameras, ports, permissions, clock and disk.
 
 Run by root for the installed service's config, it takes the rights of the service's user: those count.
 """
@@ -22,7 +22,7 @@ from serial.tools.list_ports import comports
 
 import edge
 from edge.camera import open_camera
-from edge.camera.picture_check import BLANK_DEVIATION
+from edge.camera.picture_check import FrozenPictureDetector
 from edge.config import change_paths
 from edge.errors import LookbackError
 from edge.extras import install_command
@@ -30,9 +30,6 @@ from edge.files import HOME_FOLDERS
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
 from edge_plugins.layers.stored import CLOCK_SET_UNIX_S
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.nmea import NmeaConfig
-from edge_plugins.nmea.outlets import TcpOutlet
-from edge_plugins.page import PageConfig
 
 LEAST_FREE_MB = 500
 OAK_VENDOR = "03e7"
@@ -142,42 +139,6 @@ def check_clock(examined: Examined) -> Iterator[Found]:
         yield good(now)
 
 
-def check_page(examined: Examined) -> Iterator[Found]:
-    """Whether there will be a live page."""
-    page = examined.settings.of(PageConfig)
-    if page.port == 0:
-        yield note("the live page is off ([page] port = 0)")
-    elif importlib.util.find_spec("starlette") is None or importlib.util.find_spec("uvicorn") is None:
-        yield note("no live page: its packages are not installed", install_command("page"))
-    else:
-        yield good(f"http://{page.bind}:{page.port} while `lookback run` runs")
-
-
-def check_nmea(examined: Examined) -> Iterator[Found]:
-    """Whether positions can be served as NMEA 0183, and who can read them."""
-    nmea = examined.settings.of(NmeaConfig)
-    if nmea.port:
-        words = f"tcp://{nmea.bind}:{nmea.port}"
-        try:
-            TcpOutlet(nmea.bind, nmea.port).close()
-        except OSError as error:
-            yield bad(
-                f"{words}: {os.strerror(error.errno or 0)}",
-                "stop what has that port, or name another port or address in [nmea]",
-            )
-            return
-        if nmea.is_local:
-            yield good(f"{words}: positions for phones, plotters and gpsd, on this computer alone")
-        else:
-            yield note(f"{words}: who reaches it reads where the vehicle is", 'bind = "127.0.0.1" and an SSH tunnel')
-    if nmea.pty:
-        folder = Path(nmea.pty).absolute().parent
-        if os.access(folder, os.W_OK):
-            yield good(f"{nmea.pty}: positions for programs that read serial ports")
-        else:
-            yield bad(f"{nmea.pty}: this user may not write there", f"sudo chown {_user()} {folder}, or name another")
-
-
 def check_camera(examined: Examined) -> Iterator[Found]:
     """The configured camera, opened and read once."""
     config = examined.settings.camera
@@ -201,8 +162,9 @@ def check_camera(examined: Examined) -> Iterator[Found]:
         return
     height, width = frame.image.shape[:2]
     yield good(f"{where}: {width} x {height} pixels")
-    if frame.image.std() < BLANK_DEVIATION:
-        yield note(f"{where}: the image is all one shade", "take the lens cap off, or give it light")
+    fault = FrozenPictureDetector().check(frame.image, frame.stamp_ns, None)
+    if fault is not None:
+        yield note(f"{where}: {fault.what}", "take the lens cap off, or give it light")
     for difference in camera.differences:
         yield note(difference, "set [camera] to what the device gives")
 

@@ -18,10 +18,9 @@ from edge.config import LinkConfig, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
-from edge.feed.sampling import spell_spacing
 from edge.journal.records import StateChanged
 from edge.recognizer import network_for, open_recognizer
-from edge.reference_map import Drives, MapSet, open_map_set
+from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge_plugins.doctor.findings import Examined, Found, bad, good, note
@@ -33,8 +32,6 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import LEAST_NS, CameraMotion
 from edge_plugins.motion.ground import FARTHEST, GroundView
 from edge_plugins.motion.height import WINDOW_M, WINDOWS
-from edge_plugins.ros2 import Ros2Config
-from edge_plugins.ros2.messages import message_types
 
 TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
 LEAST_GROUND = 0.1
@@ -119,17 +116,6 @@ def check_accuracy(examined: Examined) -> Iterator[Found]:
     yield good(spell_accuracy(_maps(examined).places))
 
 
-def check_sampling(examined: Examined) -> Iterator[Found]:
-    """Whether frames are as far apart as places."""
-    sampling = examined.settings.sampling
-    drives = Drives(_maps(examined), sampling.spacing_m)
-    words = spell_spacing(sampling, drives.spacing_m if drives.is_metric else None)
-    if drives.is_metric and sampling.by == "distance":
-        yield good(f"{words}; without the autopilot's speed, drive as fast as when it was made")
-    else:
-        yield note(f"{words}; they must be as far apart", 'set [sampling] by = "distance" where you can')
-
-
 def check_way_home(examined: Examined) -> Iterator[Found]:
     """Whether the whole of the newest drive can be driven back, where [home] is enabled."""
     home = examined.settings.of(HomeConfig)
@@ -172,16 +158,6 @@ def check_motion(examined: Examined) -> Iterator[Found]:
         yield good(f"the camera was {height.height_m:.2f} m above the ground; {WINDOW_M:g} m with GPS check it")
     else:
         yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
-
-
-def check_ros2(examined: Examined) -> Iterator[Found]:
-    """Whether ROS 2 can be spoken, where [ros2] names a domain."""
-    ros2 = examined.settings.of(Ros2Config)
-    if ros2.domain >= 0:
-        message_types()
-        yield good(f"domain {ros2.domain}: /{ros2.namespace}/place, pose and fix, and /diagnostics")
-        if not ros2.odometry:
-            yield note("no odometry is read", "set [ros2] odometry where nothing measures the autopilot's velocity")
 
 
 def check_links(examined: Examined) -> Iterator[Found]:

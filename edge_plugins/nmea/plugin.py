@@ -78,7 +78,8 @@ class Nmea(Plugin):
             )
             self._back_off.failed(now_ns)
         else:
-            log.info("NMEA: positions on %s, port %d", config.bind, config.port)
+            who = "on this computer alone" if config.is_local else "for whoever reaches it"
+            log.info("NMEA: positions on %s, port %d, %s", config.bind, config.port, who)
 
     def _position(self, now_ns: int) -> PlaceFix | None:
         """Where the vehicle is now, None where nobody knows."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -18,18 +17,14 @@ import tomli_w
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.__main__ import main
-from edge.config import Config
 from edge.journal.journal import Journal
 from edge.journal.records import LinkChanged, StateChanged
 from edge_plugins.doctor.command import examine
-from edge_plugins.doctor.computer import check_nmea
-from edge_plugins.doctor.findings import Examined, Finding
-from edge_plugins.nmea import NmeaConfig
+from edge_plugins.doctor.findings import Finding
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.pty_link import PtyLink, open_pty
-from tests.udp_port import free_port
 
 ARDUPILOT = {
     "AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0, "ARMING_CHECK": 1.0, "FLOW_TYPE": 0.0, "VISO_TYPE": 0.0,
@@ -352,7 +347,7 @@ def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pyte
     config = write_config(camera={"kind": "v4l2", "device": "/dev/no-camera"})
     assert main(["doctor", "--offline", str(config)]) == 0
     kinds = {line[6:].split()[0] for line in capsys.readouterr().out.splitlines() if line[:4] in ("ok  ", "BAD ")}
-    assert kinds == {"config", "model", "map", "sampling", "link"}
+    assert kinds == {"config", "model", "map", "link"}
 
 
 def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[..., Path], tmp_path: Path) -> None:
@@ -365,22 +360,6 @@ def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[...,
     assert "from 0 m to 158 m: no position for 2 m; max_gap_m is 1 -> docs/home.md" in told(
         findings, "way home", "note"
     )
-
-
-def test_who_reads_positions_as_nmea_is_said(tmp_path: Path) -> None:
-    port = free_port(socket.SOCK_STREAM)
-
-    def found(**keys: Any) -> list[tuple[str, str]]:
-        config = Config(plugins={"nmea": NmeaConfig(**{"port": port, **keys})})
-        return [(level, words) for level, words, _ in check_nmea(Examined(None, tmp_path, 0.0, config=config))]
-
-    (alone, pty) = found(pty=str(tmp_path / "nmea"))
-    assert alone[0] == pty[0] == "good" and alone[1].endswith("on this computer alone")
-    assert found(bind="0.0.0.0") == [("note", f"tcp://0.0.0.0:{port}: who reaches it reads where the vehicle is")]
-    assert found(bind="192.0.2.1") == [("bad", f"tcp://192.0.2.1:{port}: Cannot assign requested address")]
-    with socket.create_server(("127.0.0.1", port)):
-        assert found() == [("bad", f"tcp://127.0.0.1:{port}: Address already in use")]
-    assert found(port=0) == []
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,7 @@ def test_the_position_follows_the_vehicle_holds_while_it_stands_and_ends(
 def test_a_port_that_is_in_use_is_tried_again_and_costs_nothing(
     make_street: Callable[..., Path], network: Network, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level("INFO", "edge_plugins.nmea")
     street, config = make_street(range(FRAMES), period_ms=200), tmp_path / "lookback.toml"
     with socket.create_server(("127.0.0.1", 0)) as another, ExitStack() as parts:
         port = another.getsockname()[1]
@@ -120,3 +121,4 @@ def test_a_port_that_is_in_use_is_tried_again_and_costs_nothing(
         for _ in range(6):
             bench.step(None, 0)
         assert [one.sentence_type for one in plotter.heard()][:2] == ["GGA", "RMC"]
+        assert f"NMEA: positions on 127.0.0.1, port {port}, on this computer alone" in caplog.text
