@@ -45,7 +45,7 @@ test-core:
 # What rests on linear algebra, by the kernels that OpenBLAS has for other processors (each with the instructions that it needs)
 # and with one thread or two: their last bits differ. Without most recordings, which round nothing that these do not.
 KERNELS := Haswell.2.avx2 SkylakeX.1.avx512f SkylakeX.2.avx512f Prescott.2.pni
-ROUNDED := best_of_both dead_reckoning gps_judge look odometer own_motion position_estimator route_estimate route_filter
+ROUNDED := best_of_both dead_reckoning gps_judge look odometer own_motion position_estimator route_filter
 test-kernels: $(KERNELS:%=kernel-%)
 kernel-%: $(VENV)/.dev
 	@set -- $(subst ., ,$*); grep -qw "$$3" /proc/cpuinfo || { echo "$$1: NOT RUN, this processor has no $$3"; exit 0; }; \

@@ -2,9 +2,10 @@
 
 `events` is what can happen, and `position_estimator` the one door to what follows; a `drive_file` keeps them.
 `place_fix` makes positions of matches; `sighting` puts a match on the ground, and `look` what one picture says of it;
-`route_filter` follows the vehicle with them, by one `track`, and `route_estimate` is the Kalman filter of each;
-`gps_judge` says what follows from the places for GPS, by the test of `gps_referee`; `dead_reckoning` integrates the
-vehicle's motion, `own_motion` what no filter has touched of it, and `odometer` says what GPS has shown of the wheels.
+`filter` is the Kalman filter of all that is unknown, `measurements` what each kind of measurement says of it, and
+`hypotheses` one such filter for each thing that may be wrong; `tracker` follows the vehicle with them, and `gps_judge`
+says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `own_motion` what no filter has touched of
+it, and `odometer` says what GPS has shown of the wheels.
 `decide`, which is to be read first, says whether a position is published: by the `refusals`, which rest on the
 probability of another place (`integrity`, by what was observed, `claims`, and by what `bound`s the vehicle without
 places, from an `anchor` on), and on how far off it may be (`protection_level`).
@@ -30,13 +31,13 @@ from edge.localization.events import (
     ProtectionLevel,
     Used,
 )
-from edge.localization.gps_referee import GpsVerdict
+from edge.localization.filter import AGREE_SIGMAS, CORRELATION_M
+from edge.localization.gps_judge import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.odometer import Scale, ShownScale
 from edge.localization.own_motion import OwnMotion
 from edge.localization.position_estimator import Entry, Known, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal, position_of
-from edge.localization.route_estimate import AGREE_SIGMAS, CORRELATION_M
 
 __all__ = [
     "AGREE_SIGMAS",

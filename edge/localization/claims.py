@@ -17,7 +17,7 @@ from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
 from edge.localization.anchor import Anchor, Reckoned
 from edge.localization.dead_reckoning import Displacement
-from edge.localization.route_estimate import CORRELATION_M
+from edge.localization.filter import CORRELATION_M
 
 STRETCH_WRONG = 5e-3
 """Probability that all of a stretch is wrong: it was mapped wrongly, or its road resembles another."""

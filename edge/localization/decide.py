@@ -32,7 +32,7 @@ class Estimate:
 
     place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. own: what
     the autopilot reports, without what is known to be wrong of it, which is_led says that there is. bound: what bounds
-    its position. claims: what places have shown so far. aside: see `ReckonedTrack`. is_blurred: whether the newest
+    its position. claims: what places have shown so far. aside: see `Tracker`. is_blurred: whether the newest
     frame's place is recognized, and no line shows where exactly.
     """
 

@@ -1,33 +1,46 @@
 """What the places say of GPS, whether it is ignored then, and what is left of a report without it. Pure.
 
+GPS is wrong once a hypothesis of it (`hypotheses`) is likelier than that all is right, by Wald's boundary, and likelier
+than that the map is elsewhere. It agrees again where it has been where the vehicle is for two correlation lengths.
+
 An autopilot that steers by a GPS that is dragged across the road leaves the road, and GPS stays on it. Then no place is
 believed that could contradict GPS. What is left is that GPS goes on along the mapped drive of the last believed place,
 and nothing of that drive is recognized. That alone is no call: a changed road looks the same to the daemon. Where GPS
-has gone aside otherwise than the vehicle's own motion as well, two witnesses of three speak against it.
+moved otherwise than the vehicle as well, two witnesses of three speak against it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 from msgspec import structs
 
-from edge.config import Config, RigConfig
+from edge.config import GatesConfig, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
-from edge.localization.anchor import Anchor
 from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
-from edge.localization.gps_comparison import Comparison, compare
-from edge.localization.gps_referee import DOUBTFUL, GpsReferee, GpsVerdict
-from edge.localization.look import HOLDS_M
-from edge.localization.own_motion import Departure, GpsTrack
-from edge.localization.place_fix import heads_along, map_error_m, position_on_route
-from edge.localization.route_estimate import CORRELATION_M
-from edge.localization.sighting import Sighting, Sightings
+from edge.localization.filter import CORRELATION_M
+from edge.localization.hypotheses import Name
+from edge.localization.place_fix import map_error_m, position_on_route
+from edge.localization.tracker import Tracker
 from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
+GpsVerdictState: TypeAlias = Literal[
+    "cannot say", "agrees", "doubtful", "disagrees", "wrong", "map wrong", "not recognized"
+]
+DOUBTFUL = 3.0
+"""Evidence (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
+AGREED_M = 30.0
+"""Of places that were compared with GPS, without evidence against it, from which on they agree."""
+LONGEST_GAP_M = 240.0
+"""Without a place or without GPS, after which nothing is known of it."""
+DEPARTS_M = 25.0
+"""How far GPS is off a recording that keeps its shape before it is wrong by that alone, if no looks show the place: by
+looks, a vehicle on a road that leads away is seen aside."""
+COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.979, two of five simulated drives in snow that were hardly recognized were warned of."""
@@ -40,104 +53,138 @@ MOST_PLACES = 2
 """A frame says something of so many places at most: what was driven without frames says nothing."""
 
 
+@dataclass(frozen=True)
+class GpsVerdict:
+    """What the places say of GPS now.
+
+    east_m, north_m: GPS less places, by the newest sightings; None where there are none. doubt: evidence that GPS is
+    wrong, as a share of what it takes to call it so: 0 to 1, None where nothing is known.
+    """
+
+    state: GpsVerdictState = "cannot say"
+    east_m: float | None = None
+    north_m: float | None = None
+    doubt: float | None = None
+
+    @property
+    def distance_m(self) -> float | None:
+        """Length of the offset."""
+        return None if self.east_m is None or self.north_m is None else math.hypot(self.east_m, self.north_m)
+
+    @property
+    def where(self) -> str:
+        """The offset in words, "" where it is not known."""
+        if self.east_m is None or self.north_m is None:
+            return ""
+        point = COMPASS[round(math.degrees(math.atan2(self.east_m, self.north_m)) / 45) % 8]
+        return f"{math.hypot(self.east_m, self.north_m):.0f} m to the {point}"
+
+
 class GpsJudge:
     """GPS against the places of one map. GPS that was called wrong counts as wrong until it agrees again."""
 
-    def __init__(self, config: Config) -> None:
-        gates = config.gates
+    def __init__(self, gates: GatesConfig) -> None:
         self._acts = gates.doubted_gps != "report"
-        self._referee = GpsReferee(gates.gps_false_call, gates.gps_missed, gates.drift_percent / 100)
-        self._sightings: Sightings | None = None
-        self._since_look_m = math.inf
+        self._call = math.log((1 - gates.gps_missed) / gates.gps_false_call)
         self._unseen_road: UnseenRoad | None = None
-        self._track, self._departed = GpsTrack(gates.drift_percent / 100), Departure()
-        self._is_unseen = False
+        self._state: GpsVerdictState = "cannot say"
+        self._compared_m = self._agreed_m = self._gap_m = 0.0
+        self._has_agreed = self._has_gps = False
+        self._verdict = GpsVerdict()
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_wrong = False
         """Whether GPS was called wrong, and has not agreed since."""
         self.published = GpsVerdict()
         """What the places say of GPS, "wrong" until it agrees again."""
 
-    def use_maps(self, sightings: Sightings) -> None:
+    def use_maps(self, route: Route, rig: RigConfig) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
-        self._sightings, self._unseen_road = sightings, UnseenRoad(sightings.route, sightings.rig)
+        self._unseen_road = UnseenRoad(route, rig)
 
     def reset(self) -> None:
         """No frame from before counts. What is known of GPS stays."""
-        self._track.clear()
         if self._unseen_road is not None:
             self._unseen_road.reset()
 
-    def update(
-        self, frame: Frame, looked: Sighting | None, own: Own, anchor: Anchor | None, undated_m: float = 0.0
-    ) -> bool:
-        """Compare GPS with the place of a frame at which the vehicle moved; True where it speaks against GPS by that.
+    def update(self, frame: Frame, tracker: Tracker, own: Own, driven_m: float, *, is_compared: bool) -> bool:
+        """Judge GPS by a frame that the tracker has used; True where places speak against it by that.
 
-        looked: what its picture says. anchor: where GPS had the vehicle last, by the autopilot's filter. undated_m: see
-        `Sighting`.
+        driven_m: since the frame before. is_compared: whether its place was compared with what is known.
         """
-        assert self._sightings is not None and self._unseen_road is not None
-        # What GPS has helped to believe does not vouch for it.
-        match, gps = frame.match.alone if frame.match else None, frame.gps
-        if own.gps_sigma_m is None and anchor is not None:
-            self._referee.keep_until_lost(anchor)
-        comparison = None
-        if match is not None:
-            comparison = compare(match, looked, gps, self._sightings, undated_m)
-            comparison = self._unless_held(comparison, frame.missed)
-        if comparison is not None:
-            heading_deg = None if own.position is None else own.position.heading_deg
-            heads = heading_deg is None or heads_along(comparison.heading_rad, math.radians(heading_deg))
-            known = replace(comparison, motion=frame.without_gps, stamp_s=frame.stamp_ns / 1e9)
-            comparison = known if heads else None
-        before = self._referee.verdict.state
-        verdict = self._referee.update(comparison, frame.missed)
-        if (
-            gps is not None
-            and frame.without_gps is not None
-            and (comparison is None or comparison.look_sigma_m is None)
-        ):
-            self._referee.go_on(gps, frame.without_gps, frame.stamp_ns / 1e9)
-        self._track.add(gps, frame.without_gps)
-        doubt = (verdict.doubt or 0.0) if verdict.state == "doubtful" else 0.0
-        self._unseen_road.update(match, _where(gps, own, frame), doubt)
-        self._use_departure(self._unseen_road)
-        return self._referee.verdict.state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
+        assert self._unseen_road is not None
+        bank, match = tracker.bank, frame.match.alone if frame.match else None
+        gps, of_map = bank.evidence("gps dragged", "gps elsewhere"), bank.evidence("map elsewhere")
+        doubt = min(1.0, max(gps, of_map) / self._call)
+        self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= DOUBTFUL else 0.0)
+        is_unseen = self._unseen_road.is_unseen(gps / DOUBTFUL)
+        before, off_m, before_off = self._verdict.state, tracker.gps_off_m, self._has_gps
+        self._count(driven_m, is_compared=is_compared and off_m is not None)
+        if self._state == "wrong":
+            if off_m is not None and self._agrees_again(tracker, driven_m, is_compared=is_compared):
+                self._state = "agrees"
+                tracker.follows_gps = True
+        elif max(gps, of_map) >= self._call or (is_unseen and gps >= DOUBTFUL):
+            self._state = self._wrong_one(frame, tracker, self._call if is_unseen else gps, of_map)
+            if self._state == "wrong":
+                names: tuple[Name, ...] = ("gps dragged", "gps elsewhere")
+                tracker.call_gps(max(names, key=bank.evidence))
+                self._agreed_m = 0.0
+                off_m = tracker.gps_off_m
+        elif max(gps, of_map) >= DOUBTFUL:
+            self._state = "doubtful"
+        elif self._compared_m >= AGREED_M:
+            self._state, self._has_agreed = "agrees", True
+        elif self._gap_m > LONGEST_GAP_M:
+            self._state = "cannot say"
+        if off_m is not None and self._state in ("disagrees", "map wrong"):
+            off_m = tracker.gps_from_places_m
+        elif off_m is None and before_off:
+            self._has_agreed = True  # GPS was right until then, unless something else says otherwise
+        self._has_gps = tracker.gps_off_m is not None
+        east_m, north_m = (None, None) if off_m is None else (float(off_m[0]), float(off_m[1]))
+        state: GpsVerdictState = "not recognized" if is_unseen and self._state != "wrong" else self._state
+        if off_m is None and state != "wrong":
+            state = "cannot say"
+        if self._state == "wrong" and off_m is None:
+            east_m, north_m = self._verdict.east_m, self._verdict.north_m
+        known = None if state == "cannot say" else 1.0 if state == "wrong" else doubt
+        self._verdict = GpsVerdict(state, east_m, north_m, known)
+        return state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
 
-    def _unless_held(self, comparison: Comparison | None, missed: int) -> Comparison | None:
-        """What a line says soon after a look is nothing new."""
-        if comparison is None:
-            return None
-        self._since_look_m += (1 + missed) * comparison.spacing_m
-        if comparison.look_sigma_m is not None:
-            self._since_look_m = 0.0
-        return comparison if self._since_look_m == 0 or self._since_look_m > HOLDS_M else None
+    def _wrong_one(self, frame: Frame, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
+        """GPS, or the map, if they have agreed before, and own motion in which GPS has no part tells them apart.
 
-    def _use_departure(self, road: UnseenRoad) -> None:
-        """Not recognized where GPS has the vehicle: has GPS gone there as the vehicle has?"""
-        is_open = road.unseen_m >= UNSEEN_M / 4 and self._referee.verdict.state != "wrong"
-        self._departed = max(self._departed, self._track.departure()) if is_open else Departure()
-        evidence, east_m, north_m = self._departed
-        self._is_unseen = road.is_unseen(evidence / DOUBTFUL)
-        if self._is_unseen and evidence >= DOUBTFUL:
-            self._referee.call(east_m, north_m)
+        Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
+        """
+        is_far = tracker.is_looked or tracker.gps_off("gps dragged") >= DEPARTS_M
+        is_drag = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
+        departs = is_far and is_drag and tracker.is_checked
+        is_known = frame.without_gps is not None
+        if self._has_agreed and gps >= self._call and gps - of_map >= DOUBTFUL and (is_known or departs):
+            return "wrong"
+        return "map wrong" if self._has_agreed and of_map - gps >= DOUBTFUL and is_known else "disagrees"
+
+    def _count(self, driven_m: float, *, is_compared: bool) -> None:
+        """Meters of places that were compared with GPS, and since the last one."""
+        self._gap_m = 0.0 if is_compared else self._gap_m + driven_m
+        self._compared_m = self._compared_m + driven_m if is_compared else self._compared_m
+        if self._gap_m > LONGEST_GAP_M:
+            self._compared_m = 0.0
+
+    def _agrees_again(self, tracker: Tracker, driven_m: float, *, is_compared: bool) -> bool:
+        if is_compared:
+            self._agreed_m = self._agreed_m + driven_m if tracker.gps_is_near else 0.0
+        return self._agreed_m >= 2 * CORRELATION_M
 
     @property
     def verdict(self) -> GpsVerdict:
         """By the frames so far."""
-        verdict = self._referee.verdict
-        is_unseen = self._is_unseen and verdict.state != "wrong"
-        return GpsVerdict("not recognized", doubt=verdict.doubt) if is_unseen else verdict
+        return self._verdict
 
     @property
     def is_doubted(self) -> bool:
         """Whether places speak against GPS now."""
-        return self._referee.verdict.state in ("doubtful", "disagrees", "wrong")
-
-    @property
-    def unsettled_m(self) -> float | None:
-        """See `GpsReferee`."""
-        return self._referee.unsettled_m
+        return self._state in ("doubtful", "disagrees", "wrong")
 
     @property
     def is_ignored(self) -> bool:

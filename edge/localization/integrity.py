@@ -31,8 +31,8 @@ from edge.localization.bound import OwnPosition
 from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, Own, ProtectionLevel
+from edge.localization.filter import AGREE_SIGMAS
 from edge.localization.protection_level import UNNOTICED_M, Wrong, protection_level
-from edge.localization.route_estimate import AGREE_SIGMAS
 
 ONE_MORE = 20.0
 """What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
@@ -74,7 +74,7 @@ class ByOwn:
     """The autopilot's own position against a place, and how far beside the road own motion has the vehicle.
 
     distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps, wrong:
-    whether GPS bounded it last, and the probability that what did was wrong. aside: see `ReckonedTrack`.
+    whether GPS bounded it last, and the probability that what did was wrong. aside: see `Tracker`.
     """
 
     distance_m: float | None

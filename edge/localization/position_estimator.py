@@ -6,7 +6,7 @@
 
 All of it, in the order in which it came, is the list of the drive, which listeners get.
 
-    Frame -> route filter -> GPS by the places -> observed evidence
+    Frame -> tracker -> GPS by the places -> observed evidence
     Own   -> what bounds the autopilot's own position
     fix   -> `decide` -> Fix | Refusal
 
@@ -15,6 +15,7 @@ Pure: no link, no clock, no file. Daemon, trial and the replays of recorded driv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -28,12 +29,11 @@ from edge.localization.claims import Claims
 from edge.localization.dead_reckoning import Displacement
 from edge.localization.decide import Estimate, decide
 from edge.localization.events import Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
-from edge.localization.gps_judge import GpsJudge
-from edge.localization.gps_referee import GpsVerdict
+from edge.localization.gps_judge import GpsJudge, GpsVerdict
 from edge.localization.integrity import by_own
 from edge.localization.refusals import RULES, Refusal, Rule
-from edge.localization.route_filter import RouteFilter
 from edge.localization.sighting import Sightings
+from edge.localization.tracker import Tracker
 from edge.reference_map import Route
 from edge.sequence import Reckoning
 
@@ -68,7 +68,7 @@ class Known:
     GPS, "wrong" until it agrees again. ignores_gps: whether positions are published as if GPS were lost. own_sigma_m:
     one standard deviation of the autopilot's own position, None where nothing has ever bound it. is_bounded: whether
     GPS or a position of ours has bounded that since the autopilot's boot. rests_on_fixes: whether a position that was
-    sent may have moved it since GPS bounded it last. heading_error: see `RouteFilter`.
+    sent may have moved it since GPS bounded it last. heading_error: see `Tracker`.
     """
 
     position: PlaceFix | None
@@ -86,13 +86,14 @@ class PositionEstimator:
     def __init__(self, config: Config, *listeners: Listener) -> None:
         self._config, self._listeners = config, listeners
         self._sightings: Sightings | None = None
-        self._filter: RouteFilter | None = None
-        self._gps = GpsJudge(config)
+        self._tracker: Tracker | None = None
+        self._gps = GpsJudge(config.gates)
         self._claims = Claims(config.gates)
         self._bound = OwnPosition(config.gates.drift_percent / 100)
         self._own = Own()
         self._moved: Displacement | None = None
         self._exposed: Displacement | None = None  # at the newest exposure with a position
+        self._motion: Displacement | None = None  # at the newest frame
         self._is_recognized = False
         self._known: Known | None = None  # since the newest event
 
@@ -115,8 +116,8 @@ class PositionEstimator:
                 self._is_recognized = False
                 if event.kind == "carried":
                     self._bound.carry()
-                if self._filter is not None:
-                    self._filter.reset()
+                if self._tracker is not None:
+                    self._tracker.reset()
                 self._gps.reset()
             case Maps():
                 self._use_maps(event)
@@ -154,8 +155,8 @@ class PositionEstimator:
         if self._known is None:
             bound, gps, own = self._bound, self._gps, self._own
             position, heading_error = None, None
-            if self._filter is not None:
-                position, heading_error = self._filter.at_exposure(), self._filter.heading_error
+            if self._tracker is not None:
+                position, heading_error = self._tracker.at_exposure(), self._tracker.heading_error
             own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
             is_bounded = bound.bound is not None
             of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
@@ -172,28 +173,27 @@ class PositionEstimator:
             self._sightings.route.grow(event.map_set)
             return
         self._sightings = Sightings(Route(event.map_set), self._config)
-        self._filter = RouteFilter(self._sightings, self._config)
-        self._gps.use_maps(self._sightings)
+        self._tracker = Tracker(self._sightings, self._config)
+        self._gps.use_maps(self._sightings.route, self._config.rig)
 
     def _use_frame(self, frame: Frame) -> None:
-        assert self._filter is not None and self._sightings is not None
+        assert self._tracker is not None and self._sightings is not None
         match = frame.match
         self._is_recognized = match is not None and match.accepted
-        believed, undated_m = self._gps.believed(self._own), frame.undated_s * (self._own.speed_mps or 0.0)
+        tracker, believed = self._tracker, self._gps.believed(self._own)
+        undated_m, before = frame.undated_s * (self._own.speed_mps or 0.0), self._motion
         looked = None if match is None else self._sightings.looked(match, undated_m)
-        is_against = frame.in_line and self._gps.update(frame, looked, believed, self._bound.when_lost, undated_m)
-        self._filter.update(
-            match, looked, frame.stamp_ns, frame.motion, frame.missed, in_line=frame.in_line, undated_m=undated_m
-        )
-        if is_against:
-            self._filter.reject_gps()
-        # GPS bounds the autopilot's position, and so that of the vehicle, while nothing speaks against GPS.
-        own, sigma_m = believed.position, believed.gps_sigma_m
-        if own is not None and sigma_m is not None and not self._gps.is_doubted:
-            self._filter.bind(own, sigma_m)
+        is_compared = tracker.update(frame, looked, believed, undated_m)
+        driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
+        self._motion = frame.motion
+        if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):
+            tracker.doubt_scale()
+        # GPS bounds the autopilot's position while nothing speaks against GPS.
+        if believed.position is not None and believed.gps_sigma_m is not None and not self._gps.is_doubted:
+            tracker.bind()
         elif self._own.gps == "not healthy":  # else its filter may still go by GPS
-            self._filter.lose_gps(None if self._gps.is_doubted else self._own.scale)
-        fix = self._filter.at_exposure()
+            tracker.lose_gps(None if self._gps.is_doubted else self._own.scale)
+        fix = self._tracker.at_exposure()
         self._bound.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
             self._exposed = frame.motion
@@ -205,7 +205,7 @@ class PositionEstimator:
 
     def _drift(self, fix: PlaceFix | None) -> Drift:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
-        shown = None if self._filter is None else self._filter.velocity_errors
+        shown = None if self._tracker is None else self._tracker.velocity_errors
         if shown is not None:
             return Drift(*shown, 0.0)
         found = self._bound.drift.way if fix is None else fix.velocity_error
@@ -221,13 +221,13 @@ class PositionEstimator:
 
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
-        ignored, bound, unsettled_m = self._gps.is_ignored, self._bound.bound, self._gps.unsettled_m
+        ignored, bound = self._gps.is_ignored, self._bound.bound
         is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
         self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)
-        is_no_bound = is_lost and is_bound_by_gps and (self._gps.is_wrong or unsettled_m is not None)
+        is_no_bound = is_lost and is_bound_by_gps and self._gps.is_wrong
         if is_no_bound or (self._gps.is_ignored and not ignored):
             # What GPS has contradicted so far is not contradicted any more.
-            self._bind(CALLED_SIGMA_M if unsettled_m is None else unsettled_m)
+            self._bind(CALLED_SIGMA_M)
             self._bound.by_gps = self._bound.when_lost = None
 
     def _use_own(self, t_ns: int, own: Own) -> None:
@@ -257,16 +257,16 @@ class PositionEstimator:
 
     def _asked(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
         """The position that is asked for, and the vehicle's motion at its moment."""
-        if self._filter is None or limits.unable or self._own.is_doubled:
+        if self._tracker is None or limits.unable or self._own.is_doubled:
             return None, None
         if limits.again is not None:
             return limits.again.place, limits.again.motion
         if limits.at == "now":
-            return self._filter.at(t_ns, self._moved), self._moved
-        return self._filter.at_exposure(), self._exposed
+            return self._tracker.at(t_ns, self._moved), self._moved
+        return self._tracker.at_exposure(), self._exposed
 
     def _estimate(self, place: PlaceFix | None, motion: Displacement | None) -> Estimate:
-        is_blurred = self._is_recognized and self._filter is not None and self._filter.at_exposure() is None
-        own, aside = self._gps.believed(self._own), None if self._filter is None else self._filter.aside
+        is_blurred = self._is_recognized and self._tracker is not None and self._tracker.at_exposure() is None
+        own, aside = self._gps.believed(self._own), None if self._tracker is None else self._tracker.aside
         is_led = own.position != self._own.position
         return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred, is_led)

@@ -23,7 +23,7 @@ from edge.journal.records import PlaceFix
 from edge.localization.anchor import Reckoned
 from edge.localization.claims import STRETCH_WRONG, alike_m
 from edge.localization.events import UNBOUNDED, ProtectionLevel
-from edge.localization.route_estimate import CORRELATION_M
+from edge.localization.filter import CORRELATION_M
 
 MODEL_ERROR = 1.2
 """Times by which errors may be larger than the filter states: counted on simulated drives."""

@@ -14,19 +14,37 @@ import numpy as np
 
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.look import STANDS_M, Look, Vector, camera_seen
+from edge.localization.filter import WANDER, DriveErrors
+from edge.localization.look import AIM_RAD, STANDS_M, Look, Vector, camera_seen
 from edge.localization.place_fix import LineReadings, heads_along, line_middle, map_error_m, position_on_route
-from edge.localization.route_estimate import WANDER, MatchErrors, Passed, left_of
 from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 SHARP = 0.15
 """Sharpness of a line below which it may be wrong by more, inversely, since a vehicle that leaves its lane sees less of
 what the map shows. In 68 recorded drives of 29 courses, positions by lines of 0.05 to 0.08 were off by 1.3 times what
-they said, sharper ones by 0.8 to 1.1; with it none of 3,182 was beyond three standard deviations, 8 of 3,306 before."""
-KNOWN_SCALE = 0.015
-"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
-place."""
+they said, sharper ones by 0.8 to 1.1. Only where both cameras see the same."""
+OPPOSED_M = 7.5
+"""The least standard deviation of a line along the road where the two cameras look opposite ways. On three roads that
+nothing was tuned on, in five lights, it is 5.9 to 9.3 m, alike over 45 m, and no sharpness tells it."""
+STAYS = 0.35
+"""Standard deviation of what stays of a line's error for a drive, as a share of what changes."""
+
+
+WANDERS = 0.5
+"""Share of the variance of a map's positions that wanders. The rest stays for its drive: of the antenna's place, and of
+time."""
+
+
+class Passed(NamedTuple):
+    """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
+
+    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since.
+    """
+
+    place_m: Vector
+    along: Vector
+    since_m: Vector
 
 
 class OnDrive(NamedTuple):
@@ -41,7 +59,7 @@ class OnDrive(NamedTuple):
 class Sighting:
     """A match in local meters.
 
-    checked_m, whole_sigma_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
+    checked_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
     vehicle now, along the drive. faint: times by which it may be wrong by more than a match whose line is sharp.
     undated_m: one standard deviation along the road by that of the time of exposure. look: what one picture says, in
     place of a line; `passed` is then where the vehicle is.
@@ -51,22 +69,18 @@ class Sighting:
     segment: int
     recording: str
     checked_m: float
-    whole_sigma_m: tuple[float, float]
     passed: Passed
     along_m: float
     sigma_m: float
-    errors: MatchErrors
-    map_sigma_m: float
+    errors: DriveErrors
     faint: float
     undated_m: float
     look: Look | None = None
 
-    def across_sigma_m(self, road_sigma_m: float) -> float:
-        """One standard deviation across the road of where the vehicle is then; road_sigma_m: of a line."""
-        if self.look is None:
-            return road_sigma_m
-        left = left_of(self.passed.along)
-        return math.hypot(math.sqrt(float(left @ (self.look.covariance + self.look.whole) @ left)), self.map_sigma_m)
+    @property
+    def drive(self) -> tuple[int, Direction]:
+        """What its errors are those of."""
+        return self.segment, self.match.direction
 
     def on_course(self, course: tuple[float, float] | None) -> Sighting:
         """With the course of then, see `Look`."""
@@ -118,7 +132,7 @@ class Sightings:
             return None
         if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * line.back))):
             return None
-        faint = max(1.0, SHARP / match.sharpness)
+        faint = 1.0 if _is_opposed(match) else max(1.0, SHARP / match.sharpness)
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
         drive = self.route.drive(match.place_index)
@@ -127,12 +141,10 @@ class Sightings:
             segment=line.segment,
             recording=line.recording,
             checked_m=drive.checked_m,
-            whole_sigma_m=drive.whole_sigma_m,
             passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
-            errors=self._errors(match, drive.whole_sigma_m[0]),
-            map_sigma_m=middle.map_sigma_m,
+            errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, undated_m),
             faint=faint,
             undated_m=undated_m,
         )
@@ -165,11 +177,6 @@ class Sightings:
         look = Look(
             position_m=position_m,
             pose=pose,
-            map_sigma_m=map_error_m(row),
-            whole=sum(
-                (one**2 * np.outer(way, way) for one, way in zip(whole_m, (along, left_of(along)), strict=True)),
-                start=np.zeros((2, 2)),
-            ),
             heading_rad=heading_rad,
             points=seen.points,
         )
@@ -178,12 +185,10 @@ class Sightings:
             segment=drive.segment,
             recording=drive.recording,
             checked_m=drive.checked_m,
-            whole_sigma_m=whole_m,
             passed=Passed(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
             sigma_m=math.sqrt(float(along @ look.covariance @ along)),
-            errors=self._errors(match, drive.whole_sigma_m[0]),
-            map_sigma_m=map_error_m(row),
+            errors=self._errors(match, whole_m, along, map_error_m(row), undated_m),
             faint=1.0,
             undated_m=undated_m,
             look=look,
@@ -205,8 +210,16 @@ class Sightings:
         course_rad = last_rad + share * math.remainder(last_rad - _course_rad(before - first), math.tau)
         return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
-    def _errors(self, match: PlaceMatch, whole_m: float) -> MatchErrors:
-        return MatchErrors(self.rig.sigma_m(match.direction, match.order), whole_m)
+    def _errors(
+        self, match: PlaceMatch, whole_m: tuple[float, float], along: Vector, map_m: float, undated_m: float
+    ) -> DriveErrors:
+        whole_m = math.hypot(whole_m[0], undated_m), whole_m[1]
+        ways, line_m = (along, left_of(along)), self.rig.sigma_m(match.direction, match.order)
+        if _is_opposed(match):
+            line_m = max(line_m, OPPOSED_M)
+        whole = sum((m**2 * np.outer(way, way) for m, way in zip(whole_m, ways, strict=True)), start=np.zeros((2, 2)))
+        whole += (1 - WANDERS) * map_m**2 * np.eye(2)
+        return DriveErrors(math.sqrt(WANDERS) * map_m, whole, STAYS * line_m, line_m, self.rig.sigma_across_m, AIM_RAD)
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m
@@ -231,3 +244,13 @@ class Sightings:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
+
+
+def left_of(along: Vector) -> Vector:
+    """The unit vectors (..., 2) to the left of others."""
+    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+def _is_opposed(match: PlaceMatch) -> bool:
+    """Whether the two cameras look opposite ways."""
+    return (match.direction, match.order) == ("forward", "swapped")

@@ -43,7 +43,7 @@ class VelocitySender:
     def __init__(
         self, link: AutopilotConnection, heading_error: Callable[[], tuple[float, float] | None] = lambda: None
     ) -> None:
-        """heading_error: see `RouteFilter`."""
+        """heading_error: see `Tracker`."""
         self._link, self._heading_error = link, heading_error
         self._why: str | None = None
 

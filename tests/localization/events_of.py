@@ -70,7 +70,7 @@ def match(place: int, direction: Direction = "forward", **changes: Any) -> Place
         "place_index": place,
         "place": place,
         "direction": direction,
-        "order": "swapped",
+        "order": "same",
         "slope": 1.0,
         "distance": 0.5,
         "uniqueness": 1.2,

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from edge.config import RigConfig
-from edge.localization.gps_comparison import Comparison
-from edge.localization.gps_drag import drag_evidence
 from edge.sequence import PlaceMatch, Seen
 from sim.research.trial import gps_histories
 from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, settings
-from tests.localization.route_course import HOME, SPACING_M, Stretch
+from tests.localization.route_course import SPACING_M, Stretch
 
 LENGTH_M, FROM_S = 1200.0, 60.0
 EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
@@ -140,38 +138,3 @@ def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(
     long_road: Road, twin_m: float, odometer: float | None
 ) -> None:
     assert called_m(drive(long_road, HONEST["open sky"](), 1, odometer, twin_m)) == math.inf
-
-
-@pytest.mark.parametrize(("smooths_s", "most"), [(0.0, 0), (2.0, 5)])
-def test_multipath_is_no_drag_by_looks_alone(smooths_s: float, most: int) -> None:
-    """Bursts of 10 m, whatever own motion and a recording's shape would say: one look each second for 40 km.
-
-    A receiver that smooths them over 2 s now and then looks dragged.
-    """
-    rng, time_s = np.random.default_rng([1, 31]), np.arange(5000.0)
-    offsets_m = np.nan_to_num(gps_histories.multipath(time_s, np.zeros((5000, 2)), rng))
-    kept = math.exp(-1 / smooths_s) if smooths_s else 0.0
-    for row in range(1, 5000):
-        offsets_m[row] += kept * (offsets_m[row - 1] - offsets_m[row])
-    offsets_m += gps_histories.usual(time_s, rng) / 1.2 + rng.normal(0.0, LOOK_M, (5000, 2))
-    offsets_m += SECOND_M * (rng.random((5000, 1)) < SECOND)
-    looks = [
-        Comparison(*HOME, SPACING_M, 0.0, off[0], off[1], 3.2, 3.2, 3.0, stamp_s=s, look_sigma_m=0.9, slow_sigma_m=3.2)
-        for s, off in zip(time_s, offsets_m.tolist(), strict=True)
-    ]
-    dragged = [row for row in range(30, 5000) if drag_evidence(looks[row - 30 : row]) >= DISAGREE]
-    assert sum(np.diff([0, *dragged]) > 30) <= most
-
-
-@pytest.mark.parametrize(("whole_m", "is_dragged"), [(0.0, True), (8.0, False)])
-def test_a_recording_that_is_off_along_the_way_is_no_drag_in_a_bend(whole_m: float, is_dragged: bool) -> None:
-    """All looks are 10 m ahead; the road turns by 90 degrees within 10 s."""
-    looks = [
-        Comparison(
-            *HOME, SPACING_M, math.radians(9.0 * min(max(s - 10, 0), 10)), 10.0, 0.0, 8.0, 3.2, 8.0,
-            stamp_s=float(s), look_sigma_m=0.9, slow_sigma_m=3.2, whole_sigma_m=whole_m,
-        )
-        for s in range(24)
-    ]  # fmt: skip
-    most = max(drag_evidence(looks[:count]) for count in range(10, 24))
-    assert (most >= DISAGREE) == is_dragged, most

@@ -44,7 +44,6 @@ def places(from_m: float, to_m: float) -> list[float]:
 def recognized(road: Road, to_m: float = FROM_M, **changes: Any) -> Vehicle:
     """After 80 m of the drive on which each place was recognized; nothing is known of the vehicle's own motion."""
     one = Vehicle(road, north_m=to_m - 80.0)
-    one.frame = {"motion": None}
     assert not any(drive(one, [seen(at_m, **changes) for at_m in places(one.north_m, to_m)]))
     return one
 
@@ -190,11 +189,11 @@ def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says
     assert called_m is None or called_m < 35.0
 
 
-@pytest.mark.parametrize(("undated_s", "state"), [(0.0, "wrong"), (1.5, "agrees")])
+@pytest.mark.parametrize(("undated_s", "state"), [(0.0, "wrong"), (1.5, "cannot say")])
 def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(road: Road, undated_s: float, state: str) -> None:
     """Pictures that are 3 s late put a vehicle at 10 m/s 30 m behind where GPS has it."""
     one = Vehicle(road, settings(RigConfig(sigma_along_m=3.0)))
-    one.frame = {"motion": None, "undated_s": undated_s}
+    one.frame = {"undated_s": undated_s}
     one.own()
     for at_m in places(0.0, 300.0):
         one.move()

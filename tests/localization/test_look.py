@@ -152,7 +152,7 @@ def test_looks_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(ro
     assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.05)
     assert (one.place.points, one.place.by_lane) == (40, False)
     assert one.place.heading_deg == pytest.approx(180.0, abs=0.01)
-    assert 1.0 <= one.place.sigma_across_m < 1.1, "the map's own error, and little besides"
+    assert 0.8 <= one.place.sigma_across_m < 1.1, "the map's own error, and little besides"
 
 
 def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> None:
@@ -199,7 +199,7 @@ def test_looks_close_together_share_what_they_say(road: Road) -> None:
         assert one.place is not None
         sigmas.append(math.sqrt(one.place.sigma_across_m**2 - 1.0))
     first, ten, standing = sigmas
-    assert first == pytest.approx(2.0, abs=0.1)
+    assert first == pytest.approx(math.sqrt(4 * 12 / (4 + 12)), abs=0.1), "two, of which one counts a third"
     assert 0.4 * first < ten < 0.8 * first
     assert standing > 0.85 * first
 
@@ -228,20 +228,22 @@ def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -
 
 
 def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> None:
-    """It is lost first, and what follows is disputed."""
+    """What follows is disputed, and what was known before is back with the first looks that agree with it."""
     one = warm(road, meters=80.0)
-    one.go(18, looks(road, 1.5, ahead_m=30.0))
-    assert one.place is not None and one.place.disputed
+    for _ in range(10):
+        one.go(2, looks(road, 1.5, ahead_m=30.0))
+        assert one.place is not None
+        assert one.place.disputed or abs(north_m(one.place) - one.north_m) < 6.0
+    one.go(8, looks(road, 1.5))
+    assert one.place is not None and not one.place.disputed
     assert north_m(one.place_at()) == pytest.approx(one.north_m, abs=0.1)
-    one.go(4, looks(road, 1.5, ahead_m=30.0))
-    assert one.place is not None and one.place.disputed
 
 
 @pytest.mark.parametrize(("whole_sigma_m", "is_followed"), [(0.0, False), (None, True)])
 def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
     mapped: Callable[..., Road], whole_sigma_m: float | None, is_followed: bool
 ) -> None:
-    """Looks have a vehicle 15 m from where GPS has had it."""
+    """Looks have a vehicle 15 m from where GPS has had it; where the whole drive may be, it stays there."""
     one = Vehicle(mapped(Stretch(0, 400, sigma_m=1.0, whole_sigma_m=whole_sigma_m)), MEASURED, 300.0, "reverse")
     one.go(LINE_M, nothing, gps=True)
     one.go(
@@ -251,9 +253,8 @@ def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
         ),
     )
     assert one.place is not None
-    assert north_m(one.place) == pytest.approx(one.north_m - 15.0, abs=1.0)
+    assert north_m(one.place) == pytest.approx(one.north_m - (0.0 if is_followed else 15.0), abs=3.0)
     assert one.place.disputed != is_followed
-    assert one.place.sigma_along_m > 8.0 or not is_followed
 
 
 def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_as_that(road: Road) -> None:
@@ -298,7 +299,7 @@ def test_looks_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera
     one, sees = Vehicle(road, MEASURED, 390.0, "reverse"), looks(road, turn_deg=askew_deg)
     one.go(LINE_M, nothing, gps=True)
     one.go(100.0, sees, gps=True)
-    assert _heading_error(one) == pytest.approx((0.0, 2.0), abs=0.6), "of what comes, nothing is known"
+    assert _heading_error(one)[0] == pytest.approx(0.0, abs=0.3)
     one.aside_m = -SPACING_M * math.tan(math.radians(3.0))  # to the right of the south
     one.go(60.0, sees)
     found_deg, sigma_deg = _heading_error(one)

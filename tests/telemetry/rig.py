@@ -44,8 +44,8 @@ class ToldEstimator(PositionEstimator):
 
     def judge(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS from now on."""
-        self._gps._referee.verdict = verdict if verdict.state != "not recognized" else GpsVerdict()
-        self._gps._is_unseen = verdict.state == "not recognized"
+        self._gps._verdict = verdict
+        self._gps._state = verdict.state if verdict.state != "not recognized" else "cannot say"
         self._judge_gps()
         self._known = None
 

@@ -22,8 +22,9 @@ from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
 from edge.geodesy import east_north_of
 from edge.localization import Displacement
-from edge.localization.route_filter import RouteFilter
+from edge.localization.events import Frame, Own
 from edge.localization.sighting import Sightings
+from edge.localization.tracker import Tracker
 from edge.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
@@ -136,7 +137,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     offsets, _ = command.measure_rig(maps["rear"], [record(home, tmp_path / "home_day")], CONFIG, network)
     dusk = record(replace(home, drive_seed=6, light="dusk"), tmp_path / "home_dusk")
     config = msgspec.structs.replace(CONFIG, rig=rig_config(offsets))
-    tracker = RouteFilter(Sightings(Route(MapSet.of(maps["rear"])), config), config)
+    tracker = Tracker(Sightings(Route(MapSet.of(maps["rear"])), config), config)
     recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))
     in_sigmas: list[float] = []
     began: tuple[float, float] | None = None
@@ -146,7 +147,7 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
         assert lat_deg is not None and lon_deg is not None
         began = began or (lat_deg, lon_deg)
         moved = Displacement(1, *east_north_of(lat_deg, lon_deg, began))
-        tracker.update(match, None, item.frame.stamp_ns, moved, in_line=recognizer.is_in_line)
+        tracker.update(Frame(item.frame.stamp_ns, match, moved, in_line=recognizer.is_in_line), None, Own())
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
             assert found.lat_deg is not None and found.lon_deg is not None

@@ -9,7 +9,7 @@ import pytest
 
 from edge.commands.parser import build_parser
 from edge.errors import FeedError
-from edge.localization import route_filter
+from edge.localization import tracker
 from edge.localization.drive_file import DriveFile
 from sim.research.trial.ablate_command import CONSTANTS, Answers, table
 from tests.golden.harness import HERE
@@ -17,7 +17,7 @@ from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 
 EXCERPT = HERE / "drives" / "ardupilot_night"
-GATE, LEAVES = "less accurate than the autopilot", "route_filter.STOOD_NS"
+GATE, LEAVES = "less accurate than the autopilot", "tracker.STOOD_NS"
 
 
 def run(*words: str) -> int:
@@ -33,10 +33,10 @@ def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: py
     for t_ns, entry in bench.events:
         file.write(t_ns, entry)
     file.close()
-    before = route_filter.STOOD_NS
+    before = tracker.STOOD_NS
     without = [word for name in (GATE, "too old", LEAVES) for word in ("--without", name)]
     assert run(str(tmp_path), str(EXCERPT.parent), *without) == 0
-    assert before == route_filter.STOOD_NS
+    assert before == tracker.STOOD_NS
     lines = capsys.readouterr().out.splitlines()
     counts = {row[1].strip(): int(row[2]) for row in (line.split("|") for line in lines[4:-2])}
     assert lines[0] == "1 drives:" and lines[-1] == f"The same without: too old; `{LEAVES}`."

@@ -1,0 +1,387 @@
+"""One Kalman filter of all that is unknown of a vehicle, of its sensors and of the map. Pure.
+
+    state       position; errors of the velocity (heading, scale), of the gyros and of the compass; the share of
+                doubtful meters that were none; the error of GPS, and how fast it is dragged; and for each of the last
+                drives of the map: its error (what wanders, what is off as a whole), those of sequence matches with it
+                (what stays, what changes), and how its camera is mounted
+    prediction  position += (1 + scale) * R(heading) * displacement by the autopilot's velocity. The heading error turns
+                by what the autopilot's heading turned otherwise than the gyros. Other errors are first-order
+                Gauss-Markov processes over the way or over time
+    correction  by one measurement, see `measurements`; the log likelihoods of all are summed, for the `hypotheses`
+
+What two measurements share is a state, so that it counts once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.localization.odometer import Scale
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+POSITION, HEADING, SCALE, DOUBT, GYRO, COMPASS, GPS, DRAG = slice(0, 2), 2, 3, 4, 5, 6, slice(7, 9), slice(9, 11)
+"""Where the states are that do not belong to a drive of the map."""
+DRIVES, OF_DRIVE = 3, 7
+"""Drives of the map whose errors are kept, and states of each."""
+OF_ALL = 11
+"""States that do not belong to a drive of the map, and come first."""
+CORRELATION_M = 60.0
+"""Meters driven within which the errors of two sequence matches are about the same."""
+LINE_M = 45.0
+"""Correlation length of the error of sequence matches that changes, measured on three roads in five lights."""
+AGREE_SIGMAS = 3.0
+"""Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
+GATE = {1: 9.0, 2: 11.83}
+"""Square of that, by the number of dimensions."""
+MAP_M = 200.0
+"""Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
+HEADING_M, COMPASS_M, SCALE_M = 250.0, 400.0, 700.0
+"""Of heading errors without gyros, of the compass, and of the scale. How far the displacement was off across after 50
+to 800 m on 25 recorded drives of ArduPilot fits 200 m and 1.5 degrees; the headings of PX4 on two, 220 to 360 m and
+2.3. Wheels slip on another surface: with 10 km for the scale, 4 of 8 such drives had positions beyond four sigma."""
+COMPASS_RAD, GYRO_RADPS = math.radians(1.5), math.radians(0.15)
+"""One standard deviation of a heading that has no GPS, and of the bias of gyros. On 14 recorded drives of ArduPilot
+headings were off by 0.8 to 1.4 degrees, and gyros by 0.06 to 0.15 degrees a second."""
+TURNED_RAD, BIAS_RADPS = math.radians(0.05), math.radians(0.004)
+"""By how much a heading by gyros and their bias change in a root second. On the same drives such headings are 1.1 to
+1.8 degrees from a constant bias within 240 s."""
+GPS_M, GPS_S = 2.0, 60.0
+"""One standard deviation of an honest GPS in each direction, and the time in which it changes."""
+WANDER = 0.03
+"""Meters of error per square root of a meter driven that heading and scale do not explain."""
+DOUBTFUL = -0.5, 0.5
+"""Mean and standard deviation of the share of doubtful meters, since they are all true or none is."""
+OUTLIERS = 1e-3
+"""Share of measurements that say nothing."""
+
+
+@dataclass(frozen=True)
+class DriveErrors:
+    """Standard deviations of what is wrong of one drive of the map, in meters and radians.
+
+    map_m: what wanders of its positions, in each direction. whole: covariance (2, 2) of what they are off by together.
+    stays_m, changes_m: of sequence matches along the road, for the whole drive and within CORRELATION_M. lane_m: of the
+    vehicle's lane. aim_rad: of how looks are turned.
+    """
+
+    map_m: float
+    whole: Matrix
+    stays_m: float
+    changes_m: float
+    lane_m: float
+    aim_rad: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """From one frame to the next.
+
+    moved_m, doubtful_m: (2,) by the autopilot's velocity, and what of it is in doubt. turned_rad, turned_var: what its
+    heading turned otherwise than by gyros, and the variance of that; None without gyros. unknown_m2: variance of the
+    position, by what was driven while the velocity was unknown. bridged_m2: of the length, while it was bridged.
+    """
+
+    moved_m: Vector
+    doubtful_m: Vector
+    seconds: float
+    turned_rad: float | None = None
+    turned_var: float = 0.0
+    unknown_m2: float = 0.0
+    bridged_m2: float = 0.0
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where the states of one drive of the map are."""
+
+    row: int
+
+    @property
+    def map(self) -> slice:
+        """What wanders, east and north."""
+        return slice(self.row, self.row + 2)
+
+    @property
+    def whole(self) -> slice:
+        """What all positions are off by."""
+        return slice(self.row + 2, self.row + 4)
+
+    @property
+    def stays(self) -> int:
+        """Of matches along the road, for the drive."""
+        return self.row + 4
+
+    @property
+    def changes(self) -> int:
+        """Of matches along the road, within CORRELATION_M."""
+        return self.row + 5
+
+    @property
+    def aim(self) -> int:
+        """How looks are turned, clockwise."""
+        return self.row + 6
+
+
+class Filter:
+    """Mean, covariance, and the log likelihood of all that was measured; positions are in meters of any local frame."""
+
+    def __init__(self, heading_rad: float, scale: float) -> None:
+        """Standard deviations of the autopilot's velocity. The position is not known before `place`."""
+        self.mean, self.covariance = np.zeros(OF_ALL), np.zeros((OF_ALL, OF_ALL))
+        self.likelihood = 0.0
+        self.since_look_m = math.inf
+        """Driven since the last correction by a look."""
+        self.since_lane_m = math.inf
+        """Driven since a lane counted for or against it."""
+        self._heading_rad, self._scale = heading_rad, Scale(0.0, scale)
+        self._gps_m, self.keeps_gps = GPS_M, False  # whether its error stays as it is
+        self._drives: list[tuple[Hashable, DriveErrors]] = []  # by slot, see `slot`
+        self._order: list[int] = []  # slots, the one that was used longest ago first
+        self._is_doubtful = False
+        for at, sigma in ((HEADING, heading_rad), (SCALE, scale), (GYRO, GYRO_RADPS), (COMPASS, COMPASS_RAD)):
+            self.covariance[at, at] = sigma**2
+        self.lose_gps()
+
+    def copy(self) -> Filter:
+        """One that goes its own way."""
+        other = object.__new__(Filter)
+        other.__dict__.update(self.__dict__)
+        other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
+        other._drives, other._order = self._drives.copy(), self._order.copy()
+        return other
+
+    @property
+    def position_m(self) -> Vector:
+        """Meters (2,)."""
+        return self.mean[POSITION]
+
+    @property
+    def spread(self) -> Matrix:
+        """Covariance (2, 2) of the position."""
+        return self.covariance[POSITION, POSITION]
+
+    def sigma(self, at: int) -> float:
+        """One standard deviation of a state."""
+        return math.sqrt(self.covariance[at, at])
+
+    def is_found(self, states: slice) -> bool:
+        """Whether two states are beyond doubt not 0."""
+        mean = self.mean[states]
+        return bool(mean @ np.linalg.solve(self.covariance[states, states], mean) > GATE[2])
+
+    def set(self, states: slice | int, mean: Vector | float, covariance: Matrix | float) -> None:
+        """Replace what is known of some states, whatever the others showed of them."""
+        self.mean[states] = mean
+        self.covariance[states, :] = self.covariance[:, states] = 0.0
+        self.covariance[states, states] = covariance
+
+    def place(self, position_m: Vector, spread: Matrix) -> None:
+        """Be there; what is known of the velocity stays."""
+        self.set(POSITION, position_m, spread)
+        self.since_look_m = math.inf
+
+    def widen(self, states: slice, sigma: float) -> None:
+        """They may have become anything else within that standard deviation."""
+        self.covariance[states, states] += sigma**2 * np.eye(2)
+
+    def expect_scale(self, scale: Scale) -> None:
+        """This was shown of the velocity's scale, about which it changes."""
+        self._scale = scale
+        self.set(SCALE, scale.mean, scale.later**2)
+
+    def doubt_scale(self, sigma: float) -> None:
+        """The scale is as uncertain as if nothing had been shown of it; all that was owed to it as well."""
+        found, self._scale = self.covariance[SCALE, SCALE], Scale(0.0, sigma)
+        if 0 < found < sigma**2:
+            by_scale = self.covariance[:, SCALE] / found
+            self.covariance += (sigma**2 - found) * np.outer(by_scale, by_scale)
+
+    def expect_gps(self, sigma_m: float) -> None:
+        """The standard deviation of its error."""
+        self._gps_m = sigma_m
+
+    def lose_gps(self) -> None:
+        """Its error will be another one."""
+        self.set(GPS, 0.0, self._gps_m**2 * np.eye(2))
+        self.set(DRAG, 0.0, 0.0)
+
+    def slot(self, drive: Hashable, errors: DriveErrors) -> Slot:
+        """Of a drive, whose errors begin where the filter has not kept them."""
+        number = next((at for at, (name, _) in enumerate(self._drives) if name == drive), None)
+        if number is None:
+            number = self._begin_drive(drive, errors)
+        slot = Slot(OF_ALL + OF_DRIVE * number)
+        if errors is not self._drives[number][1]:
+            self._grow(slot, number, errors)
+        if not self._order or self._order[-1] != number:
+            self._order = [*(one for one in self._order if one != number), number]
+        return slot
+
+    def _begin_drive(self, drive: Hashable, errors: DriveErrors) -> int:
+        """Make room for a drive, in place of the one that was matched longest ago."""
+        number = len(self._drives)
+        if number < DRIVES:
+            self._drives.append((drive, errors))
+            self.mean = np.append(self.mean, np.zeros(OF_DRIVE))
+            self.covariance = np.pad(self.covariance, (0, OF_DRIVE))
+        else:
+            number = self._order[0]
+            self._drives[number] = drive, errors
+        slot = Slot(OF_ALL + OF_DRIVE * number)
+        covariance = np.zeros((OF_DRIVE, OF_DRIVE))
+        covariance[:2, :2], covariance[2:4, 2:4] = errors.map_m**2 * np.eye(2), errors.whole
+        covariance[range(4, 7), range(4, 7)] = np.square([errors.stays_m, errors.changes_m, errors.aim_rad])
+        self.set(slice(slot.row, slot.row + OF_DRIVE), 0.0, covariance)
+        return number
+
+    def _grow(self, slot: Slot, number: int, errors: DriveErrors) -> None:
+        """At another place of a drive, its map may be less certain."""
+        name, before = self._drives[number]
+        if errors.map_m > before.map_m:
+            self.covariance[slot.map, slot.map] += (errors.map_m**2 - before.map_m**2) * np.eye(2)
+        if errors.whole[0, 0] + errors.whole[1, 1] > before.whole[0, 0] + before.whole[1, 1] + 1e-9:
+            self.covariance[slot.whole, slot.whole] += errors.whole - before.whole
+        else:
+            errors = replace(errors, whole=before.whole)
+        self._drives[number] = name, errors
+
+    @property
+    def newest(self) -> Slot | None:
+        """Of the drive that was matched last."""
+        return Slot(OF_ALL + OF_DRIVE * self._order[-1]) if self._order else None
+
+    def truly(self, moved_m: Vector, doubtful_m: Vector) -> Vector:
+        """Meters (2,) of a displacement without the errors that were found."""
+        return (1 + float(self.mean[SCALE])) * turned(moved_m + self.mean[DOUBT] * doubtful_m, self.mean[HEADING])
+
+    def slopes(self, moved_m: Vector, doubtful_m: Vector) -> Matrix:
+        """Of `truly` against heading error, scale error and the share of what is doubtful, (2, 3)."""
+        scale, sin, cos = 1 + self.mean[SCALE], math.sin(self.mean[HEADING]), math.cos(self.mean[HEADING])
+        to_east, to_north = (cos * doubtful_m[0] + sin * doubtful_m[1], cos * doubtful_m[1] - sin * doubtful_m[0])
+        share = self.mean[DOUBT]
+        east_m = cos * moved_m[0] + sin * moved_m[1] + share * to_east
+        north_m = cos * moved_m[1] - sin * moved_m[0] + share * to_north
+        return np.array([[scale * north_m, east_m, scale * to_east], [-scale * east_m, north_m, scale * to_north]])
+
+    def predict(self, step: Step) -> None:
+        """Move on."""
+        driven_m = float(np.hypot(*step.moved_m))
+        self.since_look_m += driven_m
+        self.since_lane_m += driven_m
+        was_doubtful, self._is_doubtful = self._is_doubtful, bool(step.doubtful_m.any())
+        if self._is_doubtful and not was_doubtful:
+            self.set(DOUBT, DOUBTFUL[0], DOUBTFUL[1] ** 2)
+        size = len(self.mean)
+        kept, noise, change = np.ones(size), np.zeros(size), np.zeros(size)
+
+        def changes(at: int | slice, share: float, sigma: float, about: float = 0.0) -> None:
+            """A Gauss-Markov process about a mean."""
+            kept[at], noise[at] = share, sigma**2 * (1 - share**2)
+            change[at] = (1 - share) * (about - self.mean[at])
+
+        noise[POSITION] = WANDER**2 * driven_m + step.unknown_m2
+        change[POSITION] = self.truly(step.moved_m, step.doubtful_m)
+        changes(SCALE, math.exp(-driven_m / SCALE_M), self._scale.later, self._scale.mean)
+        changes(COMPASS, math.exp(-driven_m / COMPASS_M), COMPASS_RAD)
+        if not self.keeps_gps:
+            changes(GPS, math.exp(-step.seconds / GPS_S), self._gps_m)
+        if step.turned_rad is None:
+            changes(HEADING, math.exp(-driven_m / HEADING_M), self._heading_rad)
+        else:
+            change[HEADING] = self.mean[GYRO] * step.seconds - step.turned_rad
+            noise[HEADING] = step.turned_var + TURNED_RAD**2 * step.seconds
+            noise[GYRO] = BIAS_RADPS**2 * step.seconds
+        change[GPS] += step.seconds * self.mean[DRAG]
+        of_map, of_line = math.exp(-driven_m / MAP_M), math.exp(-driven_m / LINE_M)
+        for number, (_, errors) in enumerate(self._drives):
+            slot = Slot(OF_ALL + OF_DRIVE * number)
+            changes(slot.map, of_map, errors.map_m)
+            changes(slot.changes, of_line, errors.changes_m)
+        transition = np.diag(kept)
+        transition[POSITION, HEADING:GYRO] = self.slopes(step.moved_m, step.doubtful_m)
+        transition[HEADING, GYRO] = step.seconds if step.turned_rad is not None else 0.0
+        transition[7, 9] = transition[8, 10] = step.seconds
+        self.mean = self.mean + change
+        self.covariance = transition @ self.covariance @ transition.T
+        self.covariance[np.diag_indices(size)] += noise
+        if step.bridged_m2:
+            along = step.moved_m / max(driven_m, 1e-9)
+            self.covariance[POSITION, POSITION] += step.bridged_m2 * np.outer(along, along)
+
+    def rows(self, *parts: tuple[slice | int, Matrix | Sequence[float] | Sequence[Vector]]) -> Matrix:
+        """A Jacobian of so many measurements, by the states that they depend on."""
+        rows = np.zeros((len(parts[0][1]), len(self.mean)))
+        for at, values in parts:
+            rows[:, at] = values
+        return rows
+
+    def weigh(
+        self, spread: Matrix, innovation: Vector, anywhere: float, second: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """Add the likelihood of an innovation with its covariance; the others: see `correct`."""
+        share, wrong_m = second
+        density = (1 - share) * _normal(spread, innovation)[2]
+        if share:
+            density += share * _normal(spread + wrong_m**2 * np.eye(len(innovation)), innovation)[2]
+        self.likelihood += math.log((1 - OUTLIERS) * density + OUTLIERS * anywhere)
+
+    def pull(self, rows: Matrix, innovation: Vector, variance: float) -> None:
+        """Correct the position alone, whatever else would explain the innovation."""
+        shared = self.covariance @ rows.T
+        gain = shared / (rows @ shared + variance)
+        gain[DOUBT + 1 :] = gain[HEADING : DOUBT + 1] = 0.0
+        self.mean = self.mean + gain @ innovation
+        kept = np.eye(len(self.mean)) - gain @ rows
+        self.covariance = kept @ self.covariance @ kept.T + variance * gain @ gain.T
+
+    def correct(
+        self,
+        rows: Matrix,
+        innovation: Vector,
+        noise: Matrix,
+        anywhere: float = 0.0,
+        second: tuple[float, float] = (0.0, 0.0),
+    ) -> bool:
+        """Correct by a measurement (n,), unless it is an outlier; whether it was used.
+
+        rows: its Jacobian (n, SIZE). noise: covariance (n, n). anywhere: density of one that says nothing, in 1 over
+        the units of all n; 0 of one that is no evidence for any hypothesis. second: share of those that are wrong by
+        little, and by how much, one standard deviation in each direction.
+        """
+        shared = self.covariance @ rows.T
+        spread = rows @ shared + noise
+        if anywhere:
+            self.weigh(spread, innovation, anywhere, second)
+        chi2, inverse, _ = _normal(spread, innovation)
+        if chi2 > GATE[len(innovation)]:
+            return False
+        gain = shared @ inverse
+        self.mean = self.mean + gain @ innovation
+        covariance = self.covariance - gain @ shared.T
+        self.covariance = (covariance + covariance.T) / 2
+        return True
+
+
+def _normal(spread: Matrix, off: Vector) -> tuple[float, Matrix, float]:
+    """Of one or two dimensions: the square in standard deviations, the inverse of the covariance, and the density."""
+    if len(off) == 1:
+        determinant, inverse = float(spread[0, 0]), 1 / spread
+    else:
+        determinant = float(spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0])
+        inverse = np.array([[spread[1, 1], -spread[0, 1]], [-spread[1, 0], spread[0, 0]]]) / determinant
+    chi2 = float(off @ inverse @ off)
+    return chi2, inverse, math.exp(-chi2 / 2) / math.sqrt(math.tau ** len(off) * determinant)
+
+
+def turned(vector: Vector, clockwise_rad: float) -> Vector:
+    """East and north (..., 2) of vectors that are turned clockwise."""
+    sin, cos = math.sin(clockwise_rad), math.cos(clockwise_rad)
+    result: Vector = vector @ np.array([[cos, -sin], [sin, cos]])
+    return result

@@ -1,0 +1,125 @@
+"""What may be wrong: one filter for each hypothesis, and how likely each is by what was measured. Pure.
+
+    right          all is as it seems
+    burst          right, but multipath displaces GPS for a while
+    gps dragged    GPS moves away at a speed that nobody knows
+    gps elsewhere  GPS is somewhere else, and stays so
+    map elsewhere  the drive of the map that is matched is somewhere else
+    lost           the vehicle is somewhere else: it was carried, or followed a false place
+    beside         the vehicle is where a second solution of looks has it
+    slips          the scale of the velocity is another one
+
+A hypothesis begins as a copy of the right filter in which one thing is unknown. One that jumps begins anew whenever it
+is less likely than the right one: Page's rule, with the innovations of Kalman filters. One that creeps begins every few
+seconds, and the likeliest beginning counts: a generalized likelihood ratio (Willsky and Jones 1976). What GPS and
+places contradict each other by is alike for both; the vehicle's own motion, which all share, tells them apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import chain
+from typing import Literal, TypeAlias
+
+from edge.localization.claims import STRETCH_WRONG
+from edge.localization.filter import DRAG, GPS, POSITION, Filter
+
+Name: TypeAlias = Literal["burst", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
+DRAG_MPS = 1.0
+"""One standard deviation of the speed at which GPS is dragged, in each direction."""
+ELSEWHERE_M, MAP_ELSEWHERE_M, LOST_M = 100.0, 30.0, 1000.0
+"""The same of how far off GPS or a drive of the map is, and a vehicle that is lost."""
+BESIDE_M = 2.5
+"""The same of a position that began with a second solution."""
+BURST_SHARE, BURST_M = 0.05, 7.0
+"""Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
+BURST_COST = math.log(BURST_SHARE)
+COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
+"""Logarithm of how probable hypotheses are beside the others, where that is known."""
+BEGINS_S, BEGUN = 5.0, 4
+"""Seconds after which what creeps may have begun again, and how many beginnings are kept: a drag of 1 m/s is called
+within 15 s."""
+SLIP = 0.15
+"""One standard deviation of the scale of wheels that slip."""
+
+
+class Bank:
+    """The right filter, and those of the other hypotheses."""
+
+    def __init__(self, right: Filter) -> None:
+        self.begin(right)
+
+    def begin(self, right: Filter, before: Filter | None = None) -> None:
+        """All hypotheses begin with this filter. before: the one that was right until the vehicle was lost."""
+        self.right, self.before = right, before
+        self._jumped: dict[Name, Filter] = {}
+        self._crept: dict[Name, list[Filter]] = {name: [] for name in CREEPS}
+        self._began_s = -math.inf
+        self.judge(0.0)
+
+    def each(self, use: Callable[[Filter], bool | None]) -> bool:
+        """Predict or correct all of them; what the right one returned."""
+        kept = () if self.before is None else (self.before,)
+        for one in (*kept, *self._jumped.values(), *chain.from_iterable(self._crept.values())):
+            use(one)
+        return bool(use(self.right))
+
+    def of(self, name: Name) -> Filter:
+        """The likeliest filter of a hypothesis; the right one where it is none."""
+        if name in self._crept:
+            # One that has found nothing to be otherwise is only less certain.
+            begun = [one for one in self._crept[name] if name != "gps dragged" or one.is_found(DRAG)]
+            return max(begun, key=lambda one: one.likelihood, default=self.right)
+        return self._jumped.get(name, self.right)
+
+    def evidence(self, *names: Name) -> float:
+        """Logarithm of how much likelier the likeliest of some hypotheses is than that all is right; 0 at least."""
+        right = self.right.likelihood
+        return max(0.0, *(self.of(name).likelihood + COSTS.get(name, 0.0) - right for name in names))
+
+    def judge(self, now_s: float) -> None:
+        """After all that was measured by a time in seconds."""
+        burst = self._jumped.get("burst")
+        if burst is not None and burst.likelihood + BURST_COST > self.right.likelihood:
+            burst.likelihood += BURST_COST  # honest, but seldom
+            self.right = burst
+            del self._jumped["burst"]
+        for name, jump in JUMPS.items():
+            other = self._jumped.get(name)
+            if other is None or other.likelihood <= self.right.likelihood:
+                other = self._jumped[name] = self.right.copy()
+                jump(other)
+        if now_s - self._began_s < BEGINS_S and now_s > 0:
+            return
+        self._began_s = now_s
+        for name, creep in CREEPS.items():
+            begun = self._crept[name]
+            if len(begun) == BEGUN:  # the oldest that is not the likeliest
+                likeliest = max(begun, key=lambda one: one.likelihood)
+                begun.remove(next(one for one in begun if one is not likeliest))
+            begun.append(self.right.copy())
+            creep(begun[-1])
+
+
+def _gps_elsewhere(state: Filter) -> None:
+    state.widen(GPS, ELSEWHERE_M)
+    state.keeps_gps = True
+
+
+def _map_elsewhere(state: Filter) -> None:
+    if state.newest is not None:
+        state.widen(state.newest.whole, MAP_ELSEWHERE_M)
+
+
+JUMPS: dict[Name, Callable[[Filter], None]] = {
+    "burst": lambda state: state.widen(GPS, BURST_M),
+    "gps elsewhere": _gps_elsewhere,
+    "map elsewhere": _map_elsewhere,
+    "lost": lambda state: state.widen(POSITION, LOST_M),
+    "beside": lambda state: state.widen(POSITION, BESIDE_M),
+}
+CREEPS: dict[Name, Callable[[Filter], None]] = {
+    "gps dragged": lambda state: state.widen(DRAG, DRAG_MPS),
+    "slips": lambda state: state.doubt_scale(SLIP),
+}

@@ -1,0 +1,103 @@
+"""What each kind of measurement says of the state of a `Filter`: one function for each. Pure.
+
+A function has the rows of the measurement's Jacobian, the innovation, and the noise that no state explains; it says
+whether the measurement was used, or is an outlier. A further kind is one more function.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from edge.localization.filter import (
+    COMPASS,
+    CORRELATION_M,
+    DOUBT,
+    GATE,
+    GPS,
+    HEADING,
+    POSITION,
+    Filter,
+    Matrix,
+    Slot,
+    Vector,
+)
+from edge.localization.look import SHARED_M, STANDS_M, Look
+from edge.localization.sighting import Sighting, left_of
+
+GPS_NOISE_M = 0.8
+"""Of a receiver from one fix to the next."""
+COMPASS_NOISE_RAD = math.radians(0.7)
+"""Of an autopilot's heading from one frame to the next."""
+LOOK_NOISE_M = 0.05
+"""Of a look, beside its covariance."""
+SECOND = 0.1, 2.5
+"""Share of looks that are a second solution of their geometry, and how far off these are."""
+WITHIN_M = 300.0
+"""Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
+
+
+def by_gps(state: Filter, gps_m: Vector) -> bool:
+    """Where GPS has the vehicle (2,)."""
+    rows = state.rows((POSITION, np.eye(2)), (GPS, np.eye(2)))
+    return state.correct(rows, gps_m - rows @ state.mean, GPS_NOISE_M**2 * np.eye(2), WITHIN_M**-2)
+
+
+def by_compass(state: Filter) -> bool:
+    """The heading in which the velocity is, of an autopilot without GPS: it has the error of its compass."""
+    row = state.rows((HEADING, [1.0]), (COMPASS, [1.0]))
+    return state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
+
+
+def by_look(state: Filter, slot: Slot, look: Look, *, is_evidence: bool) -> bool:
+    """Where one picture has the vehicle, of which it shares a part with the last one, and how the velocity is turned.
+
+    is_evidence: whether it counts for a hypothesis; not what is only believed with where the vehicle is reckoned.
+    """
+    shared = max(1.0, SHARED_M / max(state.since_look_m, STANDS_M))
+    rows = state.rows((POSITION, np.eye(2)), (slot.map, np.eye(2)), (slot.whole, np.eye(2)))
+    noise = shared * look.covariance + LOOK_NOISE_M**2 * np.eye(2)
+    if not state.correct(rows, look.position_m - rows @ state.mean, noise, is_evidence * WITHIN_M**-2, SECOND):
+        return False
+    state.since_look_m = 0.0
+    if look.course is not None:
+        course_rad, variance = look.course
+        row = state.rows((HEADING, [1.0]), (slot.aim, [1.0]))
+        # A vehicle that goes backwards heads the other way.
+        turned_rad = math.remainder(look.heading_rad - course_rad, math.pi) - row @ state.mean
+        state.correct(row, turned_rad, np.array([[shared * look.pose[2, 2] + variance]]))
+    return True
+
+
+def by_line(state: Filter, slot: Slot, line: Sighting, *, is_evidence: bool) -> bool:
+    """How far along the road the middle of a sequence match is, of a vehicle that may be on that road."""
+    rows, off_m, noise = line_of(state, slot, line)
+    spread = rows @ state.covariance @ rows.T
+    if is_evidence and state.since_lane_m >= CORRELATION_M:  # a vehicle stays beside its lane
+        state.since_lane_m = 0.0
+        state.weigh(spread + noise, off_m, WITHIN_M**-2)
+    elif is_evidence:
+        state.weigh((spread + noise)[:1, :1], off_m[:1], 1 / WITHIN_M)
+    if off_m[1] ** 2 > GATE[1] * (spread[1, 1] + noise[1, 1]):
+        return False
+    if not state.correct(rows[:1], off_m[:1], noise[:1, :1]):
+        return False
+    rows, off_m, noise = line_of(state, slot, line)
+    variance, lane = float(rows[1] @ state.covariance @ rows[1]), float(noise[1, 1])
+    if variance > lane:  # only as far as nothing else says how far across it is; the lane shows no velocity
+        state.pull(rows[1:], off_m[1:], 1 / (1 / lane - 1 / variance))
+    return True
+
+
+def line_of(state: Filter, slot: Slot, line: Sighting) -> tuple[Matrix, Vector, Matrix]:
+    """Rows, innovation and noise of a sequence match, along the road and across it."""
+    along, since_m, doubtful_m = line.passed.along, line.passed.since_m[:2], line.passed.since_m[2:]
+    axes = np.array([along, left_of(along)])
+    rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
+    rows[:, HEADING : DOUBT + 1] = -axes @ state.slopes(since_m, doubtful_m)
+    rows[0, slot.stays], rows[0, slot.changes] = 1.0, line.faint
+    of_map_m = state.mean[slot.map] + state.mean[slot.whole]
+    off_m = axes @ (line.passed.place_m - (state.position_m - state.truly(since_m, doubtful_m)) - of_map_m)
+    off_m[0] -= state.mean[slot.stays] + line.faint * state.mean[slot.changes]
+    return rows, off_m, np.diag([(line.faint * line.sigma_m) ** 2, line.errors.lane_m**2])

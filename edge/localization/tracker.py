@@ -1,0 +1,532 @@
+"""From matches to a position that follows the vehicle on the ground. Pure: no link, no clock.
+
+All that is estimated is in one filter (`filter`), run for each hypothesis of what may be wrong (`hypotheses`). Here
+each frame becomes a prediction and its measurements, and what the right filter knows becomes a position: while a match
+that agreed is near, and nothing disputes it. A position that is lost goes on in the filter by the vehicle's motion
+alone, and is published again once a match agrees with it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import UNSET
+from msgspec.structs import replace
+
+from edge.config import Config
+from edge.geodesy import east_north_of, moved
+from edge.journal.records import PlaceFix
+from edge.localization import measurements
+from edge.localization.claims import SPREAD_M, STRETCH_WRONG
+from edge.localization.dead_reckoning import Displacement
+from edge.localization.events import Frame, GpsFix, Own
+from edge.localization.filter import (
+    AGREE_SIGMAS,
+    COMPASS,
+    CORRELATION_M,
+    GATE,
+    GPS_M,
+    HEADING,
+    POSITION,
+    SCALE,
+    Filter,
+    Step,
+    Vector,
+)
+from edge.localization.hypotheses import Bank, Name
+from edge.localization.odometer import Scale
+from edge.localization.place_fix import LEAST_SHARPNESS
+from edge.localization.sighting import Sighting, Sightings, left_of
+from edge.sequence import PlaceMatch
+
+STOOD_NS = 10_000_000_000
+"""A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that.
+Without it, vehicles that reversed for long or were ferried were up to 5 and 501 standard deviations off. After 30 s
+instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
+FAR_M = 1000.0
+"""Distance from the origin of local meters at which a new origin is chosen."""
+LOOKED_NS = 1_000_000_000
+"""After a look, in which a position that is moved on still counts as what it showed."""
+GOES_M = 0.3
+"""Meters driven from which on a displacement since the newest frame shows where the vehicle goes."""
+USUAL = 0.03
+"""One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
+wrong, and of 50 m GPS shows it to 3 %. At dusk four recorded drives are 7.0 / 14.1 / 15.4 m off (median, 95 %, most),
+and 7.3 / 14.8 / 17.3 with 6 % in place of it and what was shown lost within 700 m."""
+UNEXPECTED_SIGMAS = 2.0
+"""How far GPS may be from what wheels usually are."""
+DISAGREE = 3
+"""Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
+CALL = 6.9
+"""Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
+FIRST = 2
+"""Looks that agree with each other before the first one counts: a geometry may have two solutions."""
+SAME_PLACE_M = 10.0
+"""What is further from an estimate is another place, at which matches must agree for long."""
+KNOWN_SCALE = 0.015
+"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
+place."""
+UNDATED_M = 5.0
+"""A match whose place is uncertain by more, since its picture has no time, is evidence for no hypothesis."""
+UNKNOWN_M = 100.0
+"""Standard deviation of a position along the road that nothing bounds: more than a line of 40 frames is long."""
+NEAR = 4.0
+"""Square of the standard deviations within which a GPS that was called wrong agrees again: drags are called 5 m off."""
+GPS_FAR_M = 200.0
+"""GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
+GPS_SHARE = 2 / 3
+"""Of what a receiver reports as its standard deviation: how much of it changes within `GPS_S`."""
+MISLED_RAD = math.radians(15)
+"""One standard deviation of the heading of an autopilot that followed a wrong GPS: 7 to 18 degrees on six drives."""
+BY_CHANCE = STRETCH_WRONG  # probability of agreeing with reckoning by chance, up to which a first match is certain
+
+
+class Track:
+    """The newest match that agreed with the filter, when, and what was driven since it and since the first one.
+
+    by_chance: how probable it was for the first to agree by chance. confidence: the greatest of all.
+    """
+
+    def __init__(self, by_chance: float) -> None:
+        self.newest: Sighting | None = None
+        self.stamp_ns = self.matches = self.disagreeing = self.points = 0
+        self.since_m = self.driven_m = self.confidence = 0.0
+        self.by_chance, self.goes_back = by_chance, False
+
+    def add(self, sighting: Sighting, stamp_ns: int) -> None:
+        """One more that agreed."""
+        look = sighting.look
+        self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
+        self.matches, self.confidence = self.matches + 1, max(self.confidence, sighting.match.confidence)
+        self.points = 0 if look is None else look.points
+        if look is not None:
+            self.goes_back = look.goes_back
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether reckoning makes its first match as certain as any stretch of a map is assumed to be, or matches have
+        agreed with it for a correlation length.
+
+        After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
+        recorded drive from 20 m off to 41 (fc6, confidence 0.92).
+        """
+        is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
+        return is_likely or self.driven_m - self.since_m >= CORRELATION_M
+
+
+class Tracker:
+    """Follows the vehicle over the ground along the drives of a map."""
+
+    def __init__(self, sightings: Sightings, config: Config) -> None:
+        self._config, self._rig, self._sightings = config.tracking, config.rig, sightings
+        self._assumed = self._config.scale_error_percent / 100
+        self.bank = Bank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
+        self.follows_gps = True
+        """Whether GPS counts as a measurement: it was not called wrong."""
+        self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
+        self.reset()
+
+    def reset(self) -> None:
+        """No frame from before counts (after a blindness, or where the motion is not known), nor where it was."""
+        self._sightings.clear()
+        self._is_checked = False  # whether the drive of the newest match moved as its vehicle did
+        self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
+        self._gps_m: Vector | None = None
+        self._at: Frame | None = None
+        self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
+        self._course_rad: float | None = None  # in which the vehicle reckoned to go at the newest frame
+        self._last_ns = 0
+        self._exposure: PlaceFix | None = None
+        self._track: Track | None = None
+        self.aside: tuple[float, float] | None = None
+        """How far beside the road of the matches own motion since GPS has the vehicle, and one standard deviation."""
+
+    def update(self, frame: Frame, looked: Sighting | None, own: Own, undated_m: float = 0.0) -> bool:
+        """Use a frame; whether a place was compared with what is known. looked: what its picture says.
+
+        own: what the autopilot says, as far as it is believed.
+        """
+        motion, match = frame.motion, frame.match
+        before = self._at
+        if motion is None:
+            self.reset()
+            return False
+        if before is not None and before.motion is not None and motion.leg != before.motion.leg:
+            self._sightings.clear()
+            self._track = self._exposure = None
+        if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._sightings.length // 2:
+            self._sightings.clear()
+        self._at, self._last_ns = frame, frame.stamp_ns
+        if before is not None and before.motion is not None:
+            self._move(before, frame)
+        if frame.in_line:
+            self._sightings.add(_vector(motion))
+        course = self._sightings.course(_vector(motion))
+        self._course_rad = course and course[0]
+        gps_m = self._gps_m = self._gps(frame, own)
+        if gps_m is not None and self.follows_gps:
+            if not self._is_placed:
+                self._place(gps_m)
+            fix_m = gps_m
+            self.bank.each(lambda state: measurements.by_gps(state, fix_m))
+        if own.gps_sigma_m is None and before is not None:
+            self.bank.each(measurements.by_compass)
+        track = self._track
+        if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
+            self._track, self._exposure = None, None
+        sighting = None
+        is_evidence = match is not None and match.alone.accepted and undated_m <= UNDATED_M
+        if match is not None and match.accepted and (undated_m <= UNDATED_M or gps_m is None):
+            sighting = self._sighting(match, looked and looked.on_course(course), undated_m)
+        if sighting is not None:
+            self._use(sighting, frame.stamp_ns, is_evidence=is_evidence)
+        self.bank.judge(frame.stamp_ns / 1e9)
+        if (gps_m is None or not self.follows_gps) and self._corrects_itself() and sighting is not None:
+            self._add(self._track or Track(0.0), sighting, frame.stamp_ns)
+        self._choose_origin()
+        return sighting is not None and is_evidence
+
+    def _gps(self, frame: Frame, own: Own) -> Vector | None:
+        """Where GPS has the vehicle at a frame; None without GPS."""
+        gps = frame.gps
+        if gps is None and own.gps_sigma_m is not None and own.position is not None:
+            position, apart_s = own.position, (frame.stamp_ns - own.position.stamp_ns) / 1e9
+            where = moved(position.lat_deg, position.lon_deg, position.east_mps * apart_s, position.north_mps * apart_s)
+            gps = GpsFix(*where, own.gps_sigma_m)
+        if gps is None:
+            return None
+        for_all = gps.sigma_m * GPS_SHARE
+        self.bank.each(lambda state: state.expect_gps(for_all))
+        origin = self._sightings.origin = self._sightings.origin or (gps.lat_deg, gps.lon_deg)
+        gps_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, origin))
+        off_m = gps_m - self.bank.right.position_m
+        far_m = float(np.hypot(*off_m)) if self._is_placed and self.follows_gps else 0.0
+        return gps_m if far_m <= GPS_FAR_M else self.bank.right.position_m + off_m * (GPS_FAR_M / far_m)
+
+    def _place(self, position_m: Vector) -> None:
+        self.bank.right.place(position_m, UNKNOWN_M**2 * np.eye(2))
+        self.bank.begin(self.bank.right)
+        self._is_placed = True
+
+    def lose_gps(self, shown: Scale | None) -> None:
+        """GPS is lost. shown: what it has shown of the velocity that counts from now on."""
+        if self._is_bound and shown is not None:
+            usual = min(USUAL, self._assumed)
+            is_usual = abs(shown.mean) <= UNEXPECTED_SIGMAS * math.hypot(usual, shown.sigma)
+            scale = Scale(0.0, usual if is_usual else self._assumed).and_also(shown)
+            self._is_shown = scale.later < self._assumed
+            if self._is_shown:
+                self.bank.each(lambda state: state.expect_scale(scale))
+        self._is_bound = False
+
+    def bind(self) -> None:
+        """GPS bounds the autopilot's position, and corrects its velocity."""
+        self._is_bound, self.aside = True, None
+
+    @property
+    def gps_off_m(self) -> Vector | None:
+        """GPS less where the vehicle is, meters (2,); None where one of them is not known."""
+        return None if self._gps_m is None or not self._is_placed else self._gps_m - self.bank.right.position_m
+
+    @property
+    def gps_from_places_m(self) -> Vector | None:
+        """GPS less where places have the vehicle, if they are elsewhere."""
+        state = self.bank.of("map elsewhere")
+        if self._gps_m is None or state.newest is None:
+            return None
+        return self._gps_m - state.position_m - state.mean[state.newest.whole]
+
+    @property
+    def gps_is_near(self) -> bool:
+        """Whether GPS is where the vehicle is, by the standard deviations of both."""
+        off_m, state = self.gps_off_m, self.bank.right
+        return off_m is not None and float(off_m @ np.linalg.solve(state.spread + GPS_M**2 * np.eye(2), off_m)) <= NEAR
+
+    def gps_off(self, name: Name) -> float:
+        """How far GPS is from where a hypothesis has the vehicle."""
+        return 0.0 if self._gps_m is None else float(np.hypot(*(self._gps_m - self.bank.of(name).position_m)))
+
+    @property
+    def is_looked(self) -> bool:
+        """Whether a look has shown lately where the vehicle is."""
+        return self.bank.right.since_look_m < CORRELATION_M
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the drive of the newest match moved as its vehicle did."""
+        return self._is_checked
+
+    def call_gps(self, name: Name) -> None:
+        """GPS is wrong as a hypothesis has it, and may have turned the heading of the autopilot."""
+        state = self.bank.of(name)
+        state.lose_gps()
+        state.keeps_gps = False
+        state.set(COMPASS, 0.0, MISLED_RAD**2)
+        self.follows_gps = self._is_shown = False
+        self.bank.begin(state)
+
+    def doubt_scale(self) -> None:
+        """What GPS has shown of the velocity's scale does not hold."""
+        if self._is_shown:
+            self._is_shown = False
+            self.bank.each(lambda state: state.doubt_scale(self._assumed))
+
+    @property
+    def velocity_errors(self) -> tuple[float, float] | None:
+        """What scale and heading, in radians, are expected to be wrong by; None where GPS has shown nothing of them."""
+        if not self._is_shown or self._is_bound:
+            return None
+        state = self.bank.right
+        scale, heading_rad = (math.hypot(state.mean[at], state.sigma(at)) for at in (SCALE, HEADING))
+        return scale, heading_rad
+
+    @property
+    def heading_error(self) -> tuple[float, float] | None:
+        """Radians by which the vehicle heads further clockwise than its displacement says, and one standard deviation.
+
+        None where no look has shown it lately.
+        """
+        state = self.bank.right
+        is_known = self._track is not None and state.since_look_m < CORRELATION_M
+        return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
+
+    def _sighting(self, match: PlaceMatch, looked: Sighting | None, undated_m: float) -> Sighting | None:
+        """What a match says of where the vehicle is: by one look, or else by its line."""
+        if looked is not None:
+            return looked
+        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
+        if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
+            return None
+        return self._sightings.of(match, undated_m)
+
+    def _use(self, sighting: Sighting, stamp_ns: int, *, is_evidence: bool) -> None:
+        if not self._is_placed:
+            self._begin(sighting)
+        track = self._track
+        if track is None:
+            track = Track(self._by_chance(sighting))
+        look, drive, errors = sighting.look, sighting.drive, sighting.errors
+
+        def use(state: Filter) -> bool:
+            slot = state.slot(drive, errors)
+            if look is not None:
+                return measurements.by_look(state, slot, look, is_evidence=is_evidence)
+            return measurements.by_line(state, slot, sighting, is_evidence=is_evidence)
+
+        self._compare_across(sighting)
+        if self.bank.each(use):
+            self._add(track, sighting, stamp_ns)
+        else:
+            track.disagreeing += 1
+
+    def _add(self, track: Track, sighting: Sighting, stamp_ns: int) -> None:
+        """A match agreed."""
+        self._track, self._is_checked = track, sighting.checked_m > 0
+        track.add(sighting, stamp_ns)
+        if track.is_confirmed and self.aside is None:
+            self.bank.before = None
+        if track.matches >= FIRST or sighting.look is None:
+            self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._course_rad)
+
+    def _begin(self, sighting: Sighting) -> None:
+        """Be where the first match is."""
+        state, since_m = self.bank.right, sighting.passed.since_m
+        moved_m = state.truly(since_m[:2], since_m[2:])
+        state.place(sighting.passed.place_m + moved_m, UNKNOWN_M**2 * np.eye(2))
+        self.bank.begin(state)
+        self._is_placed = True
+        self._is_begun = True
+
+    def _by_chance(self, sighting: Sighting) -> float:
+        """Probability that a match anywhere along the road would be where it is expected.
+
+        0 while what is known says which place within a correlation length it is.
+        """
+        if self._is_begun:
+            self._is_begun = False
+            return 0.0
+        along = sighting.passed.along
+        reach_m = AGREE_SIGMAS * math.sqrt(float(along @ self.bank.right.spread @ along))
+        return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
+
+    def _compare_across(self, sighting: Sighting) -> None:
+        """A vehicle that went aside is there until its motion contradicts that: no position follows a false street."""
+        state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.passed.along)
+        slot = state.slot(sighting.drive, sighting.errors)
+        if sighting.look is not None:
+            off_m = float(left @ (sighting.look.position_m - state.position_m))
+            rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
+            noise = float(left @ sighting.look.covariance @ left)
+        else:
+            both, innovation, noises = measurements.line_of(state, slot, sighting)
+            rows, off_m, noise = both[1:], float(innovation[1]), float(noises[1, 1])
+        sigma_m = math.sqrt(float((rows @ state.covariance @ rows.T)[0, 0]) + noise)
+        if abs(off_m) > AGREE_SIGMAS * sigma_m:
+            self.aside = abs(off_m), sigma_m
+        elif self.aside is not None and self.aside[0] - abs(off_m) > AGREE_SIGMAS * sigma_m:
+            self.aside = None
+
+    def _corrects_itself(self) -> bool:
+        """Without GPS, the vehicle is elsewhere, or its wheels slip, once that is a thousand times likelier."""
+        bank = self.bank
+        # By lines alone, no vehicle is a lane further.
+        names: tuple[Name, ...] = ("lost", "beside", "slips") if self.is_looked else ("lost", "slips")
+        if not self._is_placed or bank.evidence(*names) < CALL:
+            return False
+        name = max(names, key=bank.evidence)
+        before, right = bank.right, bank.of(name)
+        if name == "slips":
+            self._is_shown = False
+            bank.begin(right, bank.before)
+            return True
+        if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
+            bank.begin(bank.before)
+            self._track = Track(0.0)
+        else:
+            is_elsewhere = float(np.hypot(*(right.position_m - before.position_m))) > SAME_PLACE_M
+            bank.begin(right, (bank.before or before) if is_elsewhere else bank.before)
+            self._track = Track(math.inf if is_elsewhere else 0.0)
+        self._track.matches = FIRST - 1  # those that outvoted what was known
+        return True
+
+    def at_exposure(self) -> PlaceFix | None:
+        """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
+        exposure = self._exposure
+        return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
+
+    @property
+    def _is_disputed(self) -> bool:
+        """Whether reckoning or matches disagree with the estimate."""
+        track = self._track
+        return track is not None and (not track.is_confirmed or track.disagreeing >= DISAGREE)
+
+    def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
+        """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
+        track, before = self._track, self._at
+        motion = None if before is None else before.motion
+        if track is None or self._exposure is None or before is None or motion is None or displacement is None:
+            return None
+        if displacement.leg != motion.leg:
+            return None
+        step = self._step(motion, displacement, (stamp_ns - before.stamp_ns) / 1e9)
+        driven_m = float(np.hypot(*step.moved_m))
+        if self._is_lost(track, stamp_ns, driven_m):
+            return None
+        state = self.bank.right.copy()
+        state.predict(step)
+        course_rad = math.atan2(step.moved_m[0], step.moved_m[1]) if driven_m >= GOES_M else self._course_rad
+        return self._fix(track, state, stamp_ns, track.since_m + driven_m, course_rad)
+
+    def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
+        is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
+        return is_silent or track.since_m + driven_m > self._config.lost_after_m
+
+    def _move(self, before: Frame, now: Frame) -> None:
+        assert before.motion is not None and now.motion is not None
+        step = self._step(before.motion, now.motion, (now.stamp_ns - before.stamp_ns) / 1e9, before, now)
+        unknown_m = now.motion.unknown_since(before.motion)
+        self._bridged_m = self._bridged_m + unknown_m if unknown_m > 0 else 0.0
+        driven_m = float(np.hypot(*step.moved_m))
+        self.bank.each(lambda state: state.predict(step))
+        if self._track is not None:
+            self._track.since_m += driven_m
+            self._track.driven_m += driven_m
+        if step.doubtful_m.any():  # wheels that spin or lock
+            self.doubt_scale()
+
+    def _step(
+        self,
+        then: Displacement,
+        now: Displacement,
+        seconds: float,
+        before: Frame | None = None,
+        frame: Frame | None = None,
+    ) -> Step:
+        moved_m = _vector(now) - _vector(then)
+        unknown_m, bridged_m2, unknown_m2 = now.unknown_since(then), 0.0, 0.0
+        if now.leg != then.leg:
+            unknown_m2 = unknown_m**2 / 3
+        else:  # from first to last, a speed that was bridged is off in one way
+            bridged_m2 = ((self._bridged_m + unknown_m) ** 2 - self._bridged_m**2) / 3
+        one = None if before is None or before.without_gps is None else before.without_gps
+        other = None if frame is None or frame.without_gps is None else frame.without_gps
+        turned_rad, variance = None, 0.0
+        if one is not None and other is not None and one.gyros and other.gyros and one.leg == other.leg:
+            turned_rad = math.remainder(other.gyros.compass_rad - one.gyros.compass_rad, math.tau)
+            variance = max(0.0, other.gyros.turned_rad2 - one.gyros.turned_rad2)
+        return Step(moved_m[:2], moved_m[2:], max(0.0, seconds), turned_rad, variance, unknown_m2, bridged_m2)
+
+    def _choose_origin(self) -> None:
+        """A new origin for local meters where the last one is far away."""
+        origin, shift_m = self._sightings.origin, self.bank.right.position_m.copy()
+        if origin is None or float(np.hypot(*shift_m)) < FAR_M:
+            return
+        self._sightings.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
+        self.bank.each(lambda state: _shift(state, shift_m))
+
+    def _fix(
+        self, track: Track, state: Filter, stamp_ns: int, since_m: float, course_rad: float | None
+    ) -> PlaceFix | None:
+        newest, origin = track.newest, self._sightings.origin
+        assert newest is not None
+        match, sign = newest.match, 1 if newest.match.direction == "forward" else -1
+        found = self._sightings.position(match, newest.along_m + sign * since_m)
+        if found is None or found.heading_deg is None or origin is None:
+            return None
+        lat_deg, lon_deg = moved(*origin, float(state.position_m[0]), float(state.position_m[1]))
+        heading_rad, is_looked = math.radians(found.heading_deg), state.since_look_m < CORRELATION_M
+        slot = state.newest
+        if is_looked and course_rad is not None and slot is not None:
+            heading_rad = course_rad + state.mean[HEADING] + state.mean[slot.aim] + math.pi * track.goes_back
+        along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
+        covariance = state.spread
+        if newest.look is None:
+            covariance = covariance + _line_variance(state, newest) * np.outer(along, along)
+        along_var = float(along @ covariance @ along)
+        return PlaceFix(
+            stamp_ns=stamp_ns,
+            place=match.place,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            heading_deg=math.degrees(heading_rad) % 360,
+            sigma_along_m=math.sqrt(along_var),
+            sigma_across_m=math.sqrt(float(np.trace(covariance)) - along_var),
+            direction=match.direction,
+            order=match.order,
+            uniqueness=match.uniqueness,
+            matches=track.matches,
+            segment=newest.segment,
+            recording=newest.recording,
+            checked_m=newest.checked_m or UNSET,
+            confidence=match.confidence,
+            velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
+            disputed=self._is_disputed,
+            by_lane=not is_looked,
+            points=(track.points or UNSET) if stamp_ns - track.stamp_ns < LOOKED_NS else UNSET,
+            map=UNSET if match.map is None else match.map,
+        )
+
+
+def _line_variance(state: Filter, line: Sighting) -> float:
+    """Square meters along the road that the state lacks: an odometer that is wrong moves a line's middle as well.
+
+    The displacement since the middle is in the state; the other half of the line, which is as long, has the same error.
+    """
+    since_m = line.passed.since_m[:2]
+    return max(0.0, state.sigma(SCALE) ** 2 - KNOWN_SCALE**2) * (2**2 - 1**2) * float(since_m @ since_m)
+
+
+def _apart(one: Filter, other: Filter) -> float:
+    """How far the positions of two filters are apart: squared, in standard deviations."""
+    off_m = one.position_m - other.position_m
+    return float(off_m @ np.linalg.solve(one.spread + other.spread, off_m))
+
+
+def _shift(state: Filter, by_m: Vector) -> None:
+    state.mean[POSITION] -= by_m
+
+
+def _vector(displacement: Displacement) -> Vector:
+    doubtful_m = displacement.doubtful_east_m, displacement.doubtful_north_m
+    return np.array([displacement.east_m, displacement.north_m, *doubtful_m])
