@@ -352,6 +352,9 @@ class Tracker:
 
     def _compare_across(self, sighting: Sighting) -> None:
         """A vehicle that went aside is there until its motion contradicts that: no position follows a false street."""
+        if sighting.look is not None and self.bank.before is None:
+            self.aside = None  # it has said how far across the vehicle is
+            return
         state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.passed.along)
         slot = state.slot(sighting.drive, sighting.errors)
         if sighting.look is not None:
