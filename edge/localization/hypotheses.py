@@ -28,7 +28,7 @@ from edge.localization.filter import DRAG, GPS, POSITION, Filter
 Name: TypeAlias = Literal["burst", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
 DRAG_MPS = 1.0
 """One standard deviation of the speed at which GPS is dragged, in each direction."""
-ELSEWHERE_M, MAP_ELSEWHERE_M, LOST_M = 100.0, 30.0, 1000.0
+ELSEWHERE_M, MAP_ELSEWHERE_M, LOST_M = 100.0, 60.0, 1000.0
 """The same of how far off GPS or a drive of the map is, and a vehicle that is lost."""
 BESIDE_M = 2.5
 """The same of a position that began with a second solution."""

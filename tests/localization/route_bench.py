@@ -44,9 +44,13 @@ from edge.telemetry.acknowledgements import Sent
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
+OPPOSITE_M, SAME_M, STAYS_M = 8.0, 2.5, (2.5, 1.5)
+"""Errors of matches along the road where the cameras look opposite ways, as on these drives but those with looks, and
+where they look the same way: one standard deviation of what changes, and of what stays. docs/evaluation.md measures
+them."""
 REVERSE_AHEAD_M = 3.0
 """Of the camera on a drive that the map has the other way: its own mounting and the map's."""
-CORRELATED_M, GPS_M, LANE_M = 60.0, 72.0, 0.7
+CORRELATED_M, GPS_M, LANE_M = 50.0, 72.0, 0.7
 STEERS_S = 1.0
 """In which a driver is where he steers to: faster, the velocity would change as that of no vehicle does."""
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
@@ -81,10 +85,11 @@ class Bounded(NamedTuple):
 class Result:
     """What was sent, or confirmed the autopilot: error over sigma of each, and the meters driven until then.
 
-    own_m, alone_m: the autopilot's own error each second, with and without what was sent. bounded: see `Bounded`.
+    off_m: their errors. own_m, alone_m: the autopilot's own error each second, with and without what was sent. bounded: see `Bounded`.
     """
 
     sigmas: list[float] = field(default_factory=list)
+    off_m: list[float] = field(default_factory=list)
     known_at_m: list[float] = field(default_factory=list)
     own_m: list[float] = field(default_factory=list)
     alone_m: list[float] = field(default_factory=list)
@@ -120,7 +125,7 @@ class Bench:
         )
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(
-            sigma_along_m=course.match_sigma_m,
+            sigma_along_m=SAME_M,
             sigma_across_m=2.5,
             look_sigma_m=0.05,
             look_ahead_reverse_m=REVERSE_AHEAD_M,
@@ -134,8 +139,9 @@ class Bench:
         self.motion, self.shown = DeadReckoning(), ShownScale()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
-        self.bias_m = rng.uniform(-1.73, 1.73) * course.bias_m
-        self.wander_m = rng.normal(0.0, course.match_sigma_m)
+        self.changes_m, stays_m = (SAME_M, STAYS_M[1]) if course.looks else (OPPOSITE_M, STAYS_M[0])
+        self.bias_m = rng.uniform(-1.73, 1.73) * stays_m
+        self.wander_m = rng.normal(0.0, self.changes_m)
         self.lane_m = rng.normal(0.0, LANE_M) if course.lane_m is None else course.lane_m
         self.history: list[tuple[int, float] | None] = []
         self.result = Result()
@@ -284,6 +290,7 @@ class Bench:
             scale=self.shown.scale,
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
+            drives_itself=self.course.steers,
             system_id=1,
             booted_ns=0,
         )
@@ -308,8 +315,7 @@ class Bench:
     def _match(self, s: float) -> PlaceMatch | None:
         """The best line through the last frames, as the recognizer would find it."""
         kept = math.exp(-SPACING_M / CORRELATED_M)
-        sigma = self.course.match_sigma_m
-        self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, sigma)
+        self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, self.changes_m)
         shown = self._shown(s)
         self.history.append(shown)
         del self.history[:-LENGTH]
@@ -414,6 +420,7 @@ class Bench:
 
     def _score(self, place: PlaceFix, off_m: float) -> None:
         self.result.sigmas.append(off_m / place.sigma_m)
+        self.result.off_m.append(off_m)
         self.result.known_at_m.append(self.driven_m)
 
     def _follow(self, now_ns: int, own: VehiclePosition, sent: Sent) -> None:

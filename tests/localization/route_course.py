@@ -67,8 +67,6 @@ class Course:
     alias_from_m: float = 0.0
     steers: bool = False
     speed_mps: float = 8.0
-    bias_m: float = 1.5
-    match_sigma_m: float = 2.5
     laps: int = 1
     looks: bool = False
     looks_at: tuple[int, ...] = (0,)

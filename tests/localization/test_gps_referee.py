@@ -63,14 +63,19 @@ def drive(
     seed: int = 1,
     sees: Callable[[float], PlaceMatch | None] | None = None,
     odometer: float | None = 0.97,
+    aside: float = 0.0,
 ) -> list[GpsVerdict]:
-    """The verdict at each frame. odometer: what it measures of a meter; None: own motion is not known without GPS."""
+    """The verdict at each frame.
+
+    odometer: what it measures of a meter; None: own motion is not known without GPS. aside: see `departs`.
+    """
     one, verdicts = Vehicle(road, SETTINGS), []
     one.frame = {} if odometer else {"without_gps": None}
     one.odometer = odometer or 1.0
     for error in honest(seed, int(meters / SPACING_M)):
         one.move()
         off_m, seen = offset(one.north_m), (sees or road.match)(one.north_m + error[2])
+        one.motion = one.moved(east_m=aside * SPACING_M * (one.north_m > 600.0))
         gps = None if off_m is None else gps_at(one.north_m + off_m[1] + error[1], off_m[0] + error[0])
         verdicts.append(one.show(seen, gps))
     return verdicts
@@ -221,13 +226,13 @@ def test_another_place_is_no_evidence_against_gps(mapped: MakeRoad) -> None:
 def test_a_false_place_where_the_vehicle_did_not_drive_is_no_evidence_against_gps(
     mapped: MakeRoad, odometer: float | None, last: str
 ) -> None:
-    """100 m after the last place, 130 m beside the vehicle, for 40 m."""
-    road = mapped(part(0, 400), part(460, 600, 130.0))
+    """100 m after the last place, 130 m beside the vehicle, for 200 m."""
+    road = mapped(part(0, 400), part(460, 760, 130.0))
 
     def sees(at_m: float) -> PlaceMatch | None:
         return None if 400.0 < at_m <= 500.0 else road.match(at_m)
 
-    found = states(drive(road, right, 540.0, 5, sees, odometer))
+    found = states(drive(road, right, 700.0, 5, sees, odometer))
     assert "wrong" not in found
     assert found[-1] == last
 
@@ -238,9 +243,11 @@ def test_without_places_nothing_is_said(long_road: Road) -> None:
     assert verdicts[-1].state == "cannot say"
 
 
-def departs(road: Road, offset: Offset, sees: Callable[[float], PlaceMatch | None] | None = None) -> list[GpsVerdict]:
-    """Without own motion."""
-    return drive(road, offset, 1400.0, sees=sees, odometer=None)
+def departs(
+    road: Road, offset: Offset, sees: Callable[[float], PlaceMatch | None] | None = None, aside: float = 0.0
+) -> list[GpsVerdict]:
+    """Without own motion. aside: meters to the east for each to the north that it goes from 600 m on."""
+    return drive(road, offset, 1400.0, sees=sees, odometer=None, aside=aside)
 
 
 @pytest.mark.parametrize("share", [0.12, 0.25])
@@ -279,7 +286,7 @@ def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(mapped: MakeRoad) -> N
     def sees(at_m: float) -> PlaceMatch | None:
         return road.match(at_m) if at_m < 600.0 + 6 * 20.0 else None
 
-    assert "wrong" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees))
+    assert "wrong" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees, 1 / 6))
 
 
 @pytest.mark.parametrize("share", [1.0, pytest.param(0.75, marks=pytest.mark.long)])

@@ -150,9 +150,10 @@ def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_of
     begins_m: float, gps: bool, has_odometer: bool, tmp_path: Path
 ) -> None:
     """It confirms itself over hundreds of meters; with the sigma of a known one positions are 7 of them off."""
-    result = Bench(unaligned(begins_m, 30.0, gps, has_odometer), 0, tmp_path).run()
-    assert result.sigmas and max(result.sigmas) <= 4.0
-    assert result.bounded and not any(one.is_exceeded for one in result.bounded)
+    results = [Bench(unaligned(begins_m, 30.0, gps, has_odometer), seed, tmp_path).run() for seed in range(3)]
+    sigmas, bounded = (sum((getattr(one, name) for one in results), []) for name in ("sigmas", "bounded"))
+    assert sigmas and max(sigmas) <= 4.0
+    assert bounded and not any(one.is_exceeded for one in bounded)
 
 
 @IN_FULL
@@ -220,10 +221,10 @@ def test_looks_at_any_drive_of_a_road_are_as_good_as_at_the_only_one(
     one = Stretch(0.0, 1200.0)
     stretches = one, *(replace(one, backward=backward) for backward in others)
     alone, together = (
-        np.concatenate([Bench(course, seed, tmp_path / name).run().own_m for seed in range(2)])
+        np.concatenate([Bench(course, seed, tmp_path / name).run().off_m for seed in range(2)])
         for name, course in (
             ("alone", Course(looks=True)),
             ("together", Course(looks=True, stretches=stretches, looks_at=looks_at)),
         )
     )
-    assert np.percentile(together, 95) < np.percentile(alone, 95) + 0.3
+    assert np.percentile(together, 95) < np.percentile(alone, 95) + 0.5

@@ -160,7 +160,7 @@ def test_a_line_that_leads_another_way_than_the_vehicle_went_is_not_used(
     one = Vehicle(road, north_m=120.0)
     one.aside_m = aside_m
     one.go(LINE_M, nothing)
-    one.go(40, shown(road, direction=direction))
+    one.go(8, shown(road, direction=direction))
     assert (one.place is not None) == is_used
 
 
