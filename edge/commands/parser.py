@@ -45,6 +45,7 @@ DEV_COMMANDS = {
     "drive": "sim.trial.drive_command",
     "flights": "sim.research.trial.flights_command",
     "mcap": "sim.datasets.mcap_file",
+    "noises": "sim.research.trial.noises_command",
     "sim": "sim.commands",
 }
 """The same, below `lookback dev`."""

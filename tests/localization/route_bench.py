@@ -85,7 +85,8 @@ class Bounded(NamedTuple):
 class Result:
     """What was sent, or confirmed the autopilot: error over sigma of each, and the meters driven until then.
 
-    off_m: their errors. own_m, alone_m: the autopilot's own error each second, with and without what was sent. bounded: see `Bounded`.
+    off_m: their errors. own_m, alone_m: the autopilot's own error each second, with and without what was sent.
+    bounded: see `Bounded`.
     """
 
     sigmas: list[float] = field(default_factory=list)

@@ -151,7 +151,8 @@ def test_a_recording_that_nobody_aligned_is_never_more_certain_than_it_may_be_of
 ) -> None:
     """It confirms itself over hundreds of meters; with the sigma of a known one positions are 7 of them off."""
     results = [Bench(unaligned(begins_m, 30.0, gps, has_odometer), seed, tmp_path).run() for seed in range(3)]
-    sigmas, bounded = (sum((getattr(one, name) for one in results), []) for name in ("sigmas", "bounded"))
+    sigmas = [sigma for result in results for sigma in result.sigmas]
+    bounded = [one for result in results for one in result.bounded]
     assert sigmas and max(sigmas) <= 4.0
     assert bounded and not any(one.is_exceeded for one in bounded)
 

@@ -1,0 +1,241 @@
+"""`lookback dev noises`: how far off measurements are on recorded drives, and the estimate that is made of them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from edge import __version__
+from edge.config import Config
+from edge.errors import FeedError
+from edge.geodesy import moved
+from edge.localization import PositionEstimator
+from edge.localization.drive_file import read_drive
+from edge.localization.events import Frame, Maps
+from edge.localization.position_estimator import Asked, Entry, Restored
+from edge.localization.sighting import Sightings
+from edge.reference_map import Route
+from sim.research.trial import recorded_drive
+from sim.research.trial.flight_score import off_truth
+from sim.research.trial.recorded_drive import LINK, RecordedDrive
+from sim.research.trial.table import put_between
+from sim.trial.records import Array
+from sim.vehicle.position_inputs import east_north_m
+
+SECTION = "noises"
+LEG_M = 25.0
+"""Meters of the way over which a displacement is compared with the truth."""
+FEWEST = 20
+"""Measurements below which a group has no row."""
+APART_M = 40.0
+"""Meters of the way after which errors are compared, to show how long they stay."""
+HEADER = "| what | drives | measured | rms | of it for the drive | alike after 40 m | rms over its sigma |"
+
+
+@dataclass
+class Errors:
+    """Of one kind of measurement on one drive, in its unit: how far off, over which sigma, after how many meters."""
+
+    off: list[float] = field(default_factory=list)
+    sigmas: list[float] = field(default_factory=list)
+    at_m: list[float] = field(default_factory=list)
+
+    def add(self, off: float, at_m: float, sigma: float = math.nan) -> None:
+        """One measurement."""
+        self.off.append(off)
+        self.sigmas.append(sigma)
+        self.at_m.append(at_m)
+
+
+Noises = dict[str, Errors]
+"""By kind of measurement, with its unit."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback dev noises`."""
+    parser.add_argument("lists", type=Path, metavar="LISTS", help="output of `lookback dev flights`, with its lists")
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="the recorded drives, for the truth")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="drives replayed side by side (default 1)")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    folders = [path.parent for given in args.flights for path in sorted(given.glob(f"**/{LINK}"))]
+    drives = [folder for folder in folders if list((args.lists / folder.name).glob("*.drive"))]
+    if not drives:
+        raise FeedError(
+            f"{args.lists}: no list of these drives; `lookback dev flights FOLDER -o {args.lists}` makes it"
+        )
+    with get_context("spawn").Pool(args.jobs) as pool:
+        found = pool.map(partial(noises_of, args.lists), drives, chunksize=1)
+    text = table(found)
+    if args.page is not None:
+        names = ", ".join(folder.name for folder in drives)
+        made = f"`lookback dev noises LISTS FOLDER` of version {__version__}; {len(drives)} drives: {names}."
+        put_between(SECTION, args.page, f"{made}\n\n{text}")
+    print(text)
+    return 0
+
+
+def noises_of(lists: Path, folder: Path) -> Noises:
+    """Of one drive, from the loss of GPS on."""
+    truth, found = recorded_drive.read_drive(folder), Noises()
+    for path in sorted((lists / folder.name).glob("*.drive")):
+        compare(*read_drive(path), truth, found)
+    return found
+
+
+def compare(config: Config, entries: Iterable[tuple[int, Entry]], truth: RecordedDrive, found: Noises) -> None:
+    """Add what the list of a drive has after the loss of GPS."""
+    one = _Drive(config, truth, found)
+    for t_ns, entry in entries:
+        if isinstance(entry, Restored):
+            one.estimator.restore(t_ns, entry.kept)
+        elif not isinstance(entry, Asked):
+            one.estimator.update(t_ns, entry)
+            if isinstance(entry, Maps):
+                one.search(entry)
+            elif isinstance(entry, Frame):
+                one.use(entry)
+
+
+class _Drive:
+    """Compares what a drive's list says with the truth."""
+
+    def __init__(self, config: Config, truth: RecordedDrive, found: Noises) -> None:
+        self.estimator = PositionEstimator(config)
+        self.sightings: Sightings | None = None
+        self._config, self._truth, self._found = config, truth, found
+        self._firmware = "PX4" if truth.name.startswith("px4") else "ArduPilot"
+        self._leg: tuple[float, Array, int, float | None] | None = None
+
+    def search(self, maps: Maps) -> None:
+        """Matches are of these from now on."""
+        if maps.has_grown and self.sightings is not None:
+            self.sightings.route.grow(maps.map_set)
+        else:
+            self.sightings = Sightings(Route(maps.map_set), self._config)
+
+    def use(self, frame: Frame) -> None:
+        """After the estimator has used it."""
+        at_s, motion = frame.stamp_ns / 1e9, frame.motion
+        if self.sightings is None or motion is None:
+            self._leg = None
+            if self.sightings is not None:
+                self.sightings.clear()
+            return
+        moved_m = np.array([motion.east_m, motion.north_m])
+        doubtful_m = motion.doubtful_east_m, motion.doubtful_north_m
+        if frame.in_line:
+            self.sightings.add(np.array([*moved_m, *doubtful_m, at_s]))
+        if at_s <= self._truth.gps_lost_s:
+            return
+        at_m = self._truth.driven_m(at_s)
+        self._use_leg(frame, at_s, at_m, moved_m, motion.leg)
+        self._use_match(self.sightings, frame, at_s, at_m)
+        self._use_estimate(frame, at_s, at_m)
+
+    def _of(self, kind: str) -> Errors:
+        return self._found.setdefault(kind, Errors())
+
+    def _use_leg(self, frame: Frame, at_s: float, at_m: float, moved_m: Array, leg: int) -> None:
+        """Heading and length of a displacement, and by how much gyros drift meanwhile."""
+        gyros = None if frame.without_gps is None or frame.without_gps.gyros is None else frame.without_gps.gyros
+        compass_rad = None if gyros is None else gyros.compass_rad
+        if self._leg is None or self._leg[2] != leg:
+            self._leg = at_s, moved_m, leg, compass_rad
+            return
+        then_s, then_m, _, then_rad = self._leg
+        true_m = self._truth.true_m(at_s) - self._truth.true_m(then_s)
+        length_m = float(np.hypot(*true_m))
+        if length_m < LEG_M:
+            return
+        step_m = moved_m - then_m
+        turned = math.remainder(math.atan2(*step_m) - math.atan2(*true_m), math.tau)
+        self._of(f"{self._firmware}: heading of the velocity, degrees").add(math.degrees(turned), at_m)
+        self._of(f"{self._firmware}: scale of the velocity, %").add(
+            100 * (length_m / float(np.hypot(*step_m)) - 1), at_m
+        )
+        if compass_rad is not None and then_rad is not None:
+            true_deg = self._truth.heading_deg(at_s) - self._truth.heading_deg(then_s)
+            off_deg = math.remainder(math.degrees(compass_rad - then_rad) - true_deg, 360.0)
+            self._of(f"{self._firmware}: gyros, degrees a second").add(off_deg / (at_s - then_s), at_m)
+        self._leg = at_s, moved_m, leg, compass_rad
+
+    def _use_match(self, sightings: Sightings, frame: Frame, at_s: float, at_m: float) -> None:
+        """A look by its covariance and the map's, and a line along the road, at its middle."""
+        match = frame.match
+        if match is None or not match.accepted:
+            return
+        seen = self._truth.seen(at_s, "front")
+        where = f"{seen.light}, {'home' if seen.direction == 'reverse' else 'again'}"
+        looked, line = sightings.looked(match, 0.0), sightings.of(match, 0.0)
+        if looked is not None and looked.look is not None:
+            map_m = math.hypot(looked.errors.map_m, math.sqrt(float(np.trace(looked.errors.whole)) / 2))
+            spread = looked.look.covariance + map_m**2 * np.eye(2)
+            off_m = self._off(sightings, looked.look.position_m, at_s)
+            for axis, name in enumerate(("along", "across")):
+                self._of(f"looks {name}, {where}, m").add(off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2))
+        if line is not None:
+            middle_s = at_s - float(line.passed.since_m[4])
+            along_m = self._off(sightings, line.passed.place_m, middle_s)[0]
+            errors = line.errors
+            sigma_m = math.hypot(errors.stays_m, line.faint * errors.changes_m, errors.map_m)
+            self._of(f"lines along, {where}, m").add(along_m, at_m, sigma_m)
+
+    def _use_estimate(self, frame: Frame, at_s: float, at_m: float) -> None:
+        """What the filter says of where the vehicle is."""
+        place = self.estimator.known.position
+        if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
+            return
+        _, along_m, across_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
+        self._of(f"{self._firmware}: estimate along, m").add(along_m, at_m, place.sigma_along_m)
+        self._of(f"{self._firmware}: estimate across, m").add(across_m, at_m, place.sigma_across_m)
+
+    def _off(self, sightings: Sightings, position_m: Array, at_s: float) -> tuple[float, float]:
+        """Along and across of meters from the origin of local ones, less the truth."""
+        assert sightings.origin is not None
+        where = moved(*sightings.origin, float(position_m[0]), float(position_m[1]))
+        return off_truth(self._truth, east_north_m(*where), at_s)[1:]
+
+
+def table(drives: Sequence[Noises]) -> str:
+    """A row for each kind: rms, of the drives' means, correlation after APART_M, and rms in standard deviations."""
+    rows = [HEADER, "|---" * HEADER.count(" | ") + "|---|"]
+    for kind in sorted({kind for one in drives for kind in one}):
+        of = [one[kind] for one in drives if kind in one]
+        off, sigmas = (np.concatenate([getattr(one, name) for one in of]) for name in ("off", "sigmas"))
+        if len(off) < FEWEST:
+            continue
+        stays = math.sqrt(float(np.mean([np.mean(one.off) ** 2 for one in of])))
+        ratios = off / sigmas
+        within = "-" if np.isnan(ratios).any() else f"{math.sqrt(float(np.mean(ratios**2))):.2f}"
+        numbers = f"{_rms(off):.2f} | {stays:.2f} | {_alike(of)} | {within}"
+        rows.append(f"| {kind} | {len(of)} | {len(off)} | {numbers} |")
+    return "\n".join(rows)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _alike(drives: Sequence[Errors]) -> str:
+    """Correlation of errors APART_M apart, about 0."""
+    pairs = []
+    for one in drives:
+        at_m, off = np.array(one.at_m), np.array(one.off)
+        after = np.searchsorted(at_m, at_m + APART_M)
+        known = after < len(at_m)
+        known[known] &= at_m[after[known]] - at_m[known] < 2 * APART_M
+        pairs.append(np.stack([off[known], off[after[known]]]))
+    first, second = np.concatenate(pairs, axis=1)
+    scale = math.sqrt(float(np.sum(first**2)) * float(np.sum(second**2))) if len(first) >= FEWEST else 0.0
+    return f"{float(first @ second) / scale:.2f}" if scale else "-"
