@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import gzip
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from edge.config import Config
 from edge.errors import FeedError
-from edge.localization.drive_file import DriveFile, read_drive, replay
+from edge.localization.drive_file import LENGTH, DriveFile, read_drive, replay
 from edge.localization.events import Frame
 from edge.sequence import PlaceMatch, Seen
 from sim.evaluation.memoizing_network import MemoizingNetwork
@@ -46,6 +48,17 @@ def test_the_list_of_a_computer_that_lost_its_power_ends_with_its_last_whole_ent
     _, read = read_drive(cut)
     assert len(entries) // 4 < len(read) < len(entries)
     assert [t_ns for t_ns, _ in read] == [t_ns for t_ns, _ in entries[: len(read)]]
+
+
+def test_a_list_with_keys_of_an_earlier_version_is_read(path: Path, tmp_path: Path) -> None:
+    data = gzip.decompress(path.read_bytes())
+    (size,) = LENGTH.unpack(data[: LENGTH.size])
+    end = LENGTH.size + size
+    header = msgspec.msgpack.decode(data[LENGTH.size : end])
+    header["sequence"]["slopes"] = 21
+    earlier = msgspec.msgpack.encode(header)
+    (tmp_path / "list.drive").write_bytes(gzip.compress(LENGTH.pack(len(earlier)) + earlier + data[end:]))
+    assert read_drive(tmp_path / "list.drive") == read_drive(path)
 
 
 @pytest.mark.parametrize("data", [b"", b"drive", b"\x1f\x8b\x08\x00"], ids=["empty", "text", "cut off"])

@@ -38,6 +38,10 @@ log = logging.getLogger(__name__)
 LENGTH = struct.Struct("<I")
 
 
+GONE = {"sequence": ("slopes", "region_order")}
+"""Keys of lists that earlier versions wrote, by which no position was ever estimated."""
+
+
 class Format(msgspec.Struct, frozen=True):
     """Of the file, and the version of Lookback that wrote it."""
 
@@ -148,7 +152,10 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
         first = next(chunks)
         if (found := msgspec.msgpack.decode(first, type=Format).format) != FORMAT:
             raise FeedError(f"{path}: format {found}, this version of Lookback reads {FORMAT}")
-        header = msgspec.msgpack.decode(first, type=Header)
+        sections = msgspec.msgpack.decode(first)
+        for section, keys in GONE.items():
+            sections[section] = {key: value for key, value in sections[section].items() if key not in keys}
+        header = msgspec.convert(sections, Header)
         decoder = msgspec.msgpack.Decoder(_Written, dec_hook=_decoded)
         written = [decoder.decode(chunk) for chunk in chunks]
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:

@@ -36,7 +36,7 @@ FEWEST = 20
 """Measurements below which a group has no row."""
 APART_M = 40.0
 """Meters of the way after which errors are compared, to show how long they stay."""
-HEADER = "| what | drives | measured | rms | of it for the drive | alike after 40 m | rms over its sigma |"
+HEADER = "| what | drives | measured | rms | rms for the drive | alike 40 m apart | rms over its sigma |"
 
 
 @dataclass
