@@ -13,8 +13,8 @@ from edge.geodesy import east_north, moved
 from edge.reference_map import MapSet
 from edge_plugins.home import HomeConfig, checks
 from edge_plugins.home.checks import Finding
-from edge_plugins.home.drive_line import DriveLine, along, drive_line, simplified
-from edge_plugins.home.passes import SAME_PASS_M, SIGMAS, chosen, passes_by
+from edge_plugins.home.drive_line import DriveLine, along, drive_line, nearest_on, simplified
+from edge_plugins.home.passes import first_row
 
 MIN_LEG_M = 0.5
 """A leg to the first place that is shorter has no direction."""
@@ -87,9 +87,8 @@ def plan_way_home(
     line = drive_line(maps, drive)
     start = start or Start(*_degrees(line, line.points_m[-1]), route_m=float(line.driven_m[-1]))
     here_m = east_north(np.array([start.lat_deg]), np.array([start.lon_deg]), line.origin)[0]  # as the line's points
-    passes = passes_by(line, here_m, start.sigma_m or 0.0)
-    first, unsure = chosen(line, passes, start.route_m, max(SAME_PASS_M, SIGMAS * (start.sigma_m or 0.0)))
-    row, nearest_m = first.row, first.point_m
+    row, unsure = first_row(line, here_m, start.sigma_m or 0.0, start.route_m)
+    nearest_m = nearest_on(here_m, *line.points_m[[row, row + 1]])
     points_m = np.vstack([nearest_m, line.points_m[row::-1]])
     sigma_m = np.r_[line.sigma_m[row], line.sigma_m[row::-1]]
     if np.hypot(*(points_m[1] - points_m[0])) < MIN_LEG_M and len(points_m) > 2:
@@ -99,8 +98,8 @@ def plan_way_home(
     waypoints_m = shifted_left(points_m[kept], left_m)
     turn_rad = _turn_rad(start.heading_deg, waypoints_m)
     findings = (
-        *checks.pass_check([float(line.along_m[one.row]) for one in unsure]),
-        *checks.start_check(first.away_m, start.sigma_m, turn_rad, config),
+        *checks.pass_check([float(line.along_m[one]) for one in unsure]),
+        *checks.start_check(float(np.hypot(*(nearest_m - here_m))), start.sigma_m, turn_rad, config),
         *checks.length_check(way_m, len(kept), config),
         *checks.short_check(line.short_m, float(way_m[-1]), config, is_named=drive is not None),
         *checks.gap_check(way_m, config),
