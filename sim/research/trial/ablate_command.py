@@ -79,24 +79,35 @@ class Answers(NamedTuple):
     verdicts: list[str]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Of `lookback dev ablate`."""
+def add_lists(parser: argparse.ArgumentParser) -> None:
+    """Arguments of a command that replays the lists of recorded drives and writes a table."""
     parser.add_argument("lists", type=Path, metavar="LISTS", help="output of `lookback dev flights`, with its lists")
     parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="the recorded drives, for the truth")
-    one = "a rule or a constant, as often as wanted (default: each of all)"
-    parser.add_argument("--without", action="append", choices=[*NAMES], metavar="NAME", help=one)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="drives replayed side by side (default 1)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
-    parser.set_defaults(run=_run)
 
 
-def _run(args: argparse.Namespace) -> int:
+def listed(args: argparse.Namespace) -> tuple[list[Path], list[Path]]:
+    """The folders of the drives, and those of which there are lists; FeedError where there are none."""
     folders = [path.parent for given in args.flights for path in sorted(given.glob(f"**/{LINK}"))]
     drives = [folder for folder in folders if list((args.lists / folder.name).glob("*.drive"))]
     if not drives:
         raise FeedError(
             f"{args.lists}: no list of these drives; `lookback dev flights FOLDER -o {args.lists}` makes it"
         )
+    return folders, drives
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Of `lookback dev ablate`."""
+    add_lists(parser)
+    one = "a rule or a constant, as often as wanted (default: each of all)"
+    parser.add_argument("--without", action="append", choices=[*NAMES], metavar="NAME", help=one)
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    folders, drives = listed(args)
     without = args.without or NAMES
     with get_context("spawn").Pool(args.jobs) as pool:
         found = pool.map(partial(ablated, args.lists, without), drives, chunksize=1)
