@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,16 +16,7 @@ from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import CourseRun
 from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_keypoints
-from sim.research.trial.table import (
-    HEADER,
-    CourseScore,
-    in_short,
-    known_table,
-    line,
-    looks_table,
-    odometers_table,
-    put_between,
-)
+from sim.research.trial.table import TABLES, CourseScore, in_short, line, put_between, shown, side_by_side
 from sim.trial.views import RoadLibrary
 
 WORLDS = (21, 5, 11, 303, 911)
@@ -86,14 +75,13 @@ def _run(args: argparse.Namespace) -> int:
     _check(args)
     runs = drive_all(plan(args), args)
     scores = compare(runs) if args.keypoints or len(args.odometer) > 1 else judge(runs)
-    name, table = "results", in_short(scores)
+    name = "results"
     if len(args.odometer) > 1:
-        name, table = "odometers", odometers_table(scores)
-    elif args.keypoints and all(COURSES[one.course].case == "L" for one in runs):
-        name, table = "known", known_table(scores)
+        name = "odometers"
     elif args.keypoints:
-        name, table = "keypoints", looks_table(scores)
-    print("\n" + "\n".join([HEADER, *(score.row() for score in scores), *(["", table] if name != "results" else [])]))
+        name = "known" if all(COURSES[one.course].case == "L" for one in runs) else "keypoints"
+    table = shown(scores, TABLES[name]) if name in TABLES else in_short(scores)
+    print("\n" + "\n".join([shown(scores), *(["", table] if name in TABLES else [])]))
     if args.page is not None:
         roads = ", ".join(str(world) for world in args.worlds)
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
@@ -156,17 +144,12 @@ def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
 
 
 def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, CourseRun]:
-    """Drive one after the other, or several roads side by side; print a line for each drive."""
+    """Drive several roads side by side, and those on one road one after the other; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
-    worlds = list(dict.fromkeys(one.world for one in planned))
-    parts = [[one for one in planned if one.world in worlds[job :: args.jobs]] for job in range(args.jobs)]
-    of_part = partial(drive_part, length_m=args.length_m, folder=args.output)
-    if args.jobs == 1:
-        found = [of_part(planned)]
-    else:
-        with ProcessPoolExecutor(args.jobs, get_context("spawn")) as pool:
-            found = list(pool.map(of_part, parts))
-    return {one: run for runs in found for one, run in runs.items()}
+    roads = [[one for one in planned if one.world == world] for world in dict.fromkeys(one.world for one in planned)]
+    of_road = partial(drive_part, length_m=args.length_m, folder=args.output)
+    found = {one: run for runs in side_by_side(of_road, roads, args.jobs) for one, run in runs.items()}
+    return {one: found[one] for one in planned}
 
 
 def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -136,7 +137,7 @@ def score(
     known = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
     positions = [one for at_s, message in messages if (one := _position(drive, at_s, message, known)) is not None]
     positions = sorted([*positions, *(_confirmed(drive, one) for one in confirmed)], key=lambda one: one.time_s)
-    moments_s = np.array([0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s])
+    moments_s = [0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s]
     texts = [
         Text(round(at_s - lost_s, 2), message.text) for at_s, message in messages if message.get_type() == "STATUSTEXT"
     ]
@@ -145,8 +146,15 @@ def score(
         math.dist(east_north_m(one.lat_deg or 0.0, one.lon_deg or 0.0), drive.true_m(one.stamp_ns / 1e9).tolist())
         for one in believed
     ]
-    silent_s = float(np.diff(moments_s).max())
-    return Score(positions, round(silent_s, 2), len(used), len(believed), sum(off > FALSE_M for off in off_m), texts)
+    return scored(positions, moments_s, len(used), off_m, texts)
+
+
+def scored(
+    positions: list[SentPosition], moments_s: Sequence[float], used: int, off_m: Sequence[float], texts: list[Text]
+) -> Score:
+    """moments_s: from the loss of GPS to the end, with those of positions. off_m: of each frame that was believed."""
+    silent_s = round(float(np.diff(moments_s).max()), 2)
+    return Score(positions, silent_s, used, len(off_m), sum(off > FALSE_M for off in off_m), texts)
 
 
 def _position(
@@ -156,55 +164,37 @@ def _position(
     if position is None:
         return None
     *here_m, _, age_s = position
-    is_command = message.get_type() == "COMMAND_INT"
-    fix = known.get((message.x, message.y) if is_command else (message.lat, message.lon))
-    error_m, along_m, across_m = (round(one, 3) for one in off_truth(drive, here_m, sent_s - age_s))
-    found = SentPosition(
-        round(sent_s - drive.gps_lost_s, 3),
-        round(drive.driven_m(sent_s) - drive.driven_m(drive.gps_lost_s), 2),
-        message.command if is_command else message.get_msgId(),
-        error_m,
-        along_m,
-        across_m,
-    )
-    if is_command:
-        own_m = drive.own_m(sent_s - age_s)
-        found = msgspec.structs.replace(
-            found,
-            own_m=round(off_truth(drive, own_m.tolist(), sent_s - age_s)[0], 3),
-            moves_m=round(math.dist(here_m, own_m.tolist()), 3),
-        )
-    if fix is None:
-        return found
-    return msgspec.structs.replace(
-        found,
-        sigma_m=fix.sigma_m,
-        level_along_m=fix.level_along_m,
-        level_across_m=fix.level_across_m,
-        sigma_along_m=fix.sigma_along_m or None,
-        keeps=fix.keeps or None,
-        by_look=bool(fix.points),
-    )
+    of_s, said = sent_s - age_s, dict[str, Any]()
+    if message.get_type() == "COMMAND_INT":
+        fix, number, own_m = known.get((message.x, message.y)), message.command, drive.own_m(of_s).tolist()
+        said["own_m"] = round(off_truth(drive, own_m, of_s)[0], 3)
+        said["moves_m"] = round(math.dist(here_m, own_m), 3)
+    else:
+        fix, number = known.get((message.lat, message.lon)), message.get_msgId()
+    if fix is not None:
+        said |= {**_said(fix), "by_look": bool(fix.points)}
+    return _judged(drive, here_m, of_s, sent_s, number, said)
 
 
 def _confirmed(drive: RecordedDrive, one: FixConfirmed) -> SentPosition:
     at_s = one.stamp_ns / 1e9
-    error_m, along_m, across_m = (
-        round(off_m, 3) for off_m in off_truth(drive, east_north_m(one.lat_deg, one.lon_deg), at_s)
-    )
-    return SentPosition(
-        round(at_s - drive.gps_lost_s, 3),
-        round(drive.driven_m(at_s) - drive.driven_m(drive.gps_lost_s), 2),
-        0,
-        error_m,
-        along_m,
-        across_m,
-        one.sigma_m,
-        one.level_along_m,
-        one.level_across_m,
-        one.sigma_along_m or None,
-        one.keeps or None,
-    )
+    return _judged(drive, east_north_m(one.lat_deg, one.lon_deg), at_s, at_s, 0, _said(one))
+
+
+def _said(fix: FixSent | FixConfirmed) -> dict[str, Any]:
+    """What the journal says of a position."""
+    levels = {"level_along_m": fix.level_along_m, "level_across_m": fix.level_across_m}
+    return {"sigma_m": fix.sigma_m, "sigma_along_m": fix.sigma_along_m or None, "keeps": fix.keeps or None, **levels}
+
+
+def _judged(
+    drive: RecordedDrive, here_m: Sequence[float], of_s: float, at_s: float, message: int, said: dict[str, Any]
+) -> SentPosition:
+    """A position of one moment that was sent at another."""
+    lost_s = drive.gps_lost_s
+    error_m, along_m, across_m = (round(one, 3) for one in off_truth(drive, here_m, of_s))
+    driven_m = round(drive.driven_m(at_s) - drive.driven_m(lost_s), 2)
+    return SentPosition(round(at_s - lost_s, 3), driven_m, message, error_m, along_m, across_m, **said)
 
 
 def off_truth(drive: RecordedDrive, here_m: Sequence[float], time_s: float) -> tuple[float, float, float]:

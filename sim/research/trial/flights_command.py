@@ -8,7 +8,6 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import msgspec
@@ -23,22 +22,20 @@ from sim.research.trial.flight_score import MOVES_M, Score, autopilot_errors, de
 from sim.research.trial.listed_drive import ListedDrive
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
-from sim.research.trial.table import put_between
+from sim.research.trial.table import as_row, markdown, put_between, side_by_side, spread
 from sim.trial.records import Array
 from sim.trial.run import JOURNAL
 from sim.trial.views import RoadLibrary
 
-HEADER = (
-    "| drive | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
-    " | levels, exceeded along, across | first after | longest silence | frames used, believed, false"
-    " | dead reckoning's error | autopilot's error | beside its lane |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|---|"
+OF_POSITIONS = (
+    *("positions", "error, median / 95 % / largest", "over sigma, rms / largest", "beyond 3, 4"),
+    "levels, exceeded along, across",
 )
-KINDS_HEADER = (
-    "| drives | positions | error, median / 95 % / largest | over sigma, rms / largest | beyond 3, 4"
-    " | levels, exceeded along, across | dead reckoning's error, median of the drives |\n"
-    "|---|---|---|---|---|---|---|"
+COLUMNS = (
+    *("drive", *OF_POSITIONS, "first after", "longest silence", "frames used, believed, false"),
+    *("dead reckoning's error", "autopilot's error", "beside its lane"),
 )
+KINDS_COLUMNS = "drives", *OF_POSITIONS, "dead reckoning's error, median of the drives"
 RESETS = "nearer_by_looks", "further_by_looks", "nearer_by_lines", "further_by_lines"
 RECORDED_M = ("reckoned_m", "autopilot_m", "lane_m")
 SECTION = "flights"
@@ -148,13 +145,12 @@ def kinds_table(flights: Sequence[Flight | Failed]) -> str:
     for flight in flights:
         if isinstance(flight, Flight):
             kinds.setdefault(flight.kind, []).append(flight)
-    lines = [KINDS_HEADER]
+    lines = []
     for kind, drives in sorted(kinds.items()):
         reckoned_m = [one.reckoned_m[0] for one in drives if one.reckoned_m]
-        row = " | ".join(_row(_pooled([one.now for one in drives])).split(" | ")[:5])
         alone = f"{np.median(reckoned_m):.1f} m" if reckoned_m else ""
-        lines.append(f"| {len(drives)} {kind} | {row} | {alone} |")
-    return "\n".join([*lines, "", summary(flights, ("now",))])
+        lines.append([f"{len(drives)} {kind}", *_cells(_pooled([one.now for one in drives]))[:5], alone])
+    return f"{markdown(KINDS_COLUMNS, lines)}\n\n{summary(flights, ('now',))}"
 
 
 def _pooled(scores: Sequence[Score]) -> Score:
@@ -186,13 +182,11 @@ def replay_all(
     found: dict[Path, Flight | Failed] = {}
     flights: list[Flight | Failed] = [*listed]
     _write(flights, output)
-    # Each road in a process of its own: a few pixels of the renderer change with what was rendered there before.
-    with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
-        replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
-        for group in pool.imap_unordered(replayed, groups):
-            found.update(group)
-            flights = [*listed, *(found[folder] for folder in folders if folder in found)]
-            _write(flights, output)
+    replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
+    for group in side_by_side(replayed, groups, jobs):
+        found.update(group)
+        flights = [*listed, *(found[folder] for folder in folders if folder in found)]
+        _write(flights, output)
     return flights
 
 
@@ -218,7 +212,7 @@ def replay_group(
 
     def add(folder: Path, flight: Flight | Failed) -> None:
         found.append((folder, flight))
-        print(rows(flight), flush=True)
+        print("\n".join(map(as_row, rows(flight))), flush=True)
 
     try:
         for folder in folders:
@@ -266,35 +260,32 @@ def _three(errors_m: Array) -> list[float]:
     return [round(float(one), 2) for one in np.percentile(errors_m, [50, 95, 100])] if len(errors_m) else []
 
 
-def _spread(median_95_largest: Sequence[float]) -> str:
-    return " / ".join(f"{one:.1f}" for one in median_95_largest) + " m" if median_95_largest else "-"
-
-
-def rows(flight: Flight | Failed) -> str:
+def rows(flight: Flight | Failed) -> list[list[str]]:
     """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
     if isinstance(flight, Failed):
-        return f"| {flight.name} | not replayed: {flight.why} |"
-    recorded = " | ".join(_spread(errors_m) for errors_m in (flight.reckoned_m, flight.autopilot_m, flight.lane_m))
-    return f"| {flight.name}, then | {_row(flight.then)} | {recorded} |\n| now | {_row(flight.now)} | | | |"
+        return [[flight.name, f"not replayed: {flight.why}"]]
+    recorded = [spread(errors_m) for errors_m in (flight.reckoned_m, flight.autopilot_m, flight.lane_m)]
+    then, now = _cells(flight.then), _cells(flight.now)
+    return [[f"{flight.name}, then", *then, *recorded], ["now", *now, "", "", ""]]
 
 
-def _row(found: Score) -> str:
+def _cells(found: Score) -> list[str]:
     one = found.row()
     cells = [
         "{sent}",
-        _spread([one[key] for key in ("median_m", "p95_m", "max_m")]),
+        spread([one[key] for key in ("median_m", "p95_m", "max_m")]),
         "{sigmas_rms:.2f} / {sigmas_max:.1f}",
         "{beyond_3}, {beyond_4}",
         "{levels}, {over_along}, {over_across}",
         "{first_m:.0f} m",
     ]
-    cells = [cell.format(**one) for cell in cells] if one["sent"] else ["0", *["-"] * 5]
-    return " | ".join([*cells, "{silent_s:.0f} s | {used}, {believed}, {false}".format(**one)])
+    cells = cells if one["sent"] else ["0", *["-"] * 5]
+    return [cell.format(**one) for cell in (*cells, "{silent_s:.0f} s", "{used}, {believed}, {false}")]
 
 
 def table(flights: Sequence[Flight | Failed]) -> str:
     """All drives, and what they say together."""
-    return "\n".join([HEADER, *map(rows, flights), f"\n{summary(flights)}"])
+    return f"{markdown(COLUMNS, [row for one in flights for row in rows(one)])}\n\n{summary(flights)}"
 
 
 def summary(flights: Sequence[Flight | Failed], times: Sequence[str] = ("then", "now")) -> str:

@@ -26,7 +26,7 @@ from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.position_sender import level_m
 from edge.telemetry.shadow import Shadow
 from sim.bundle import drive_list
-from sim.research.trial.flight_score import FALSE_M, Score, SentPosition
+from sim.research.trial.flight_score import Score, SentPosition, scored
 from sim.trial.records import Array
 
 APART_S = 1.0
@@ -62,11 +62,9 @@ class ListedDrive:
             first.setdefault(fix.place.stamp_ns, fix)
         positions = [self._position(fix) for fix in first.values()]
         ends_s = (self._ends_ns - self._begins_ns) / 1e9
-        moments_s = np.array([0.0, *sorted(one.time_s for one in positions if 0 <= one.time_s <= ends_s), ends_s])
-        believed = [one for one in frames if one is not None]
-        off_m = [self._off_m(one)[0] for one in believed]
-        silent_s = round(float(np.diff(moments_s).max()), 2)
-        return Score(positions, silent_s, len(frames), len(believed), sum(off > FALSE_M for off in off_m), [])
+        moments_s = [0.0, *sorted(one.time_s for one in positions if 0 <= one.time_s <= ends_s), ends_s]
+        off_m = [self._off_m(one)[0] for one in frames if one is not None]
+        return scored(positions, moments_s, len(frames), off_m, [])
 
     def _position(self, fix: Fix) -> SentPosition:
         since_s, at_s = (fix.place.stamp_ns - self._begins_ns) / 1e9, fix.place.stamp_ns / 1e9

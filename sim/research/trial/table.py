@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,15 +16,36 @@ from edge.errors import ConfigError
 from sim.research.trial.course_rules import WRONG_M, CourseRun
 from sim.trial.records import Array, lane_off_m
 
+Part = TypeVar("Part")
+Done = TypeVar("Done")
 BEYOND_SIGMAS, BEYOND_SHARE = 3.0, 0.003
 RMS = (0.8, 1.1)
 ENOUGH_RUNS = 20
 """Below so many drives a small rms may be chance."""
-HEADER = (
-    "| course | drives passed | positions | error, median / 95 % / largest | in sigmas, rms / largest"
-    " | autopilot's error 95 %, alone | cross-track 95 %, alone | share sent | why not |\n"
-    "|---|---|---|---|---|---|---|---|---|"
+ALL = (
+    "course",
+    "drives passed",
+    "positions",
+    "error, median / 95 % / largest",
+    "in sigmas, rms / largest",
+    "autopilot's error 95 %, alone",
+    "cross-track 95 %, alone",
+    "share sent",
+    "why not",
 )
+"""Columns of the table that is printed: cells of `CourseScore`."""
+LITTLE_SAID = "autopilot's error 95 %, alone", "share sent"
+"""Over several courses."""
+TABLES = {
+    "odometers": ("course", "autopilot's error 95 %, alone", "cross-track 95 %, alone"),
+    "known": ("course", "drives", "place believed after", "positions", "in sigmas, rms / largest", "places wrong"),
+    "keypoints": (
+        *("course", "positions", "from the taught lane: along", "across", "heading, rms", "in sigmas, rms / largest"),
+        *("cross-track 95 %, alone", "first after", "believed", "wrong"),
+    ),
+}
+"""Columns of the tables in docs, by their marks: of courses by the error of their odometers; of vehicles that nobody
+knew; and of courses on maps without and with keypoints, where the map with its GPS has the lane that was taught."""
 
 
 def line(name: str, run: CourseRun) -> str:
@@ -89,21 +112,39 @@ class CourseScore:
         """Whether each drive is as required, and no more positions than allowed are beyond three sigmas."""
         return self.passed == len(self.runs) and self.beyond <= BEYOND_SHARE
 
-    def row(self) -> str:
-        """A row of the table."""
+    @property
+    def cells(self) -> dict[str, str]:
+        """What a table may have of it, by the names of columns."""
         runs, sigmas = self.runs, self.sigmas
-        cells = (
-            self.name,
-            f"{self.passed} of {len(runs)}",
-            f"{len(sigmas)}",
-            _spread(np.concatenate([run.sent.error_m for run in runs])),
-            f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
-            _beside([run.track.error_m for run in runs], [run.alone.error_m for run in runs]),
-            _beside([abs(run.track.left_m) for run in runs], [abs(run.alone.left_m) for run in runs]),
-            f"{np.nanmean([run.share_sent for run in runs]):.2f}" if any(r.expected.any() for r in runs) else "-",
-            "; ".join(self.failures),
-        )
-        return "| " + " | ".join(cells) + " |"
+        lane_m, turned_deg = (np.concatenate([getattr(run, of) for run in runs]) for of in ("lane_m", "turned_deg"))
+        return {
+            "course": self.name,
+            "drives": f"{len(runs)}",
+            "drives passed": f"{self.passed} of {len(runs)}",
+            "positions": f"{len(sigmas)}",
+            "error, median / 95 % / largest": _spread(np.concatenate([run.sent.error_m for run in runs])),
+            "in sigmas, rms / largest": f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
+            "autopilot's error 95 %, alone": _beside([(run.track.error_m, run.alone.error_m) for run in runs]),
+            "cross-track 95 %, alone": _beside([(run.track.left_m, run.alone.left_m) for run in runs]),
+            "share sent": _mean([run.share_sent for run in runs if run.expected.any()]),
+            "why not": "; ".join(self.failures),
+            "from the taught lane: along": _halves(lane_m[:, 0]),
+            "across": _halves(lane_m[:, 1]),
+            "heading, rms": f"{_rms(turned_deg):.2f} deg" if len(turned_deg) else "-",
+            "first after": _meters(
+                np.median([m for run in runs if not math.isnan(m := run.first_after_m)] or [math.nan])
+            ),
+            "believed": f"{sum(run.believed for run in runs)} of {sum(run.used for run in runs)}",
+            "wrong": f"{sum(run.wrong for run in runs)}",
+            "place believed after": ", ".join(_meters(run.known_after_m) for run in runs),
+            "places wrong": f"{sum(int((run.known[:, 1] > WRONG_M).sum()) for run in runs)}",
+        }
+
+
+def shown(scores: Sequence[CourseScore], columns: Sequence[str] = ALL) -> str:
+    """A row for each score."""
+    cells = [one.cells for one in scores]
+    return markdown(columns, ([one[column] for column in columns] for one in cells))
 
 
 def in_short(scores: Sequence[CourseScore]) -> str:
@@ -111,90 +152,40 @@ def in_short(scores: Sequence[CourseScore]) -> str:
     several, courses = [one for one in scores if one.is_several], [one for one in scores if not one.is_several]
     passed, failed = [one for one in courses if one.passes], [one for one in courses if not one.passes]
     odd = ", ".join(f"`{one.name}` ({one.odd_rms})" for one in passed if one.odd_rms)
-    rows = [HEADER, *(one.row() for one in several or failed)]
-    lines = [*(_short(row, with_why=not several) for row in rows), ""]
+    left_out = (*LITTLE_SAID, *(["why not"] if several else []))
+    lines = [shown(several or failed, [one for one in ALL if one not in left_out]), ""]
     if several and failed:
         named = (f"`{one.name}`: {', '.join(one.failures)}" for one in failed)
         lines += [f"Not as required: {'; '.join(named)}.", ""]
     return "\n".join([*lines, f"All drives of {len(passed)} courses pass{f', {odd} among them' if odd else ''}."])
 
 
-def looks_table(scores: Sequence[CourseScore]) -> str:
-    """How far positions are from the lane that was taught, where the map with its GPS has it.
-
-    scores: pairs, of maps without and with keypoints.
-    """
-    head = (
-        "| course | positions | from the taught lane: along | across | heading, rms | in sigmas, rms / largest"
-        " | cross-track 95 %, alone | first after | believed | wrong |\n|---|---|---|---|---|---|---|---|---|---|"
-    )
-    rows = []
-    for one in scores:
-        lane_m, sigmas = np.concatenate([run.lane_m for run in one.runs]), one.sigmas
-        turned_deg, used = np.concatenate([run.turned_deg for run in one.runs]), sum(run.used for run in one.runs)
-        cells = (
-            one.name,
-            f"{len(sigmas)}",
-            _halves(lane_m[:, 0]),
-            _halves(lane_m[:, 1]),
-            f"{_rms(turned_deg):.2f} deg" if len(turned_deg) else "-",
-            f"{_rms(sigmas):.2f} / {sigmas.max():.1f}" if len(sigmas) else "-",
-            _beside([abs(run.track.left_m) for run in one.runs], [abs(run.alone.left_m) for run in one.runs]),
-            f"{np.nanmedian([run.first_after_m for run in one.runs]):.0f} m",
-            f"{sum(run.believed for run in one.runs)} of {used}",
-            f"{sum(run.wrong for run in one.runs)}",
-        )
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join([head, *rows])
-
-
-def known_table(scores: Sequence[CourseScore]) -> str:
-    """When a place is believed where nobody knew the vehicle; scores: pairs, of maps without and with keypoints."""
-    rows = [
-        "| course | drives | place believed after | positions | in sigmas, largest | wrong |\n|---|---|---|---|---|---|"
-    ]
-    for one in scores:
-        cells = (
-            one.name,
-            f"{len(one.runs)}",
-            ", ".join("-" if math.isnan(run.known_after_m) else f"{run.known_after_m:.0f} m" for run in one.runs),
-            f"{len(one.sigmas)}",
-            f"{one.sigmas.max():.1f}" if len(one.sigmas) else "-",
-            f"{sum(int((run.known[:, 1] > WRONG_M).sum()) for run in one.runs)}",
-        )
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join(rows)
-
-
-def odometers_table(scores: Sequence[CourseScore]) -> str:
-    """What the autopilot made of positions, by lines, by looks where there are any, and without Lookback.
-
-    scores: of a course and an odometer, without and perhaps with keypoints: one row.
-    """
-    drives: dict[str, dict[str, tuple[CourseRun, ...]]] = {}
-    for one in scores:
-        name, _, what = one.name.rpartition(", ")
-        drives.setdefault(name, {})[what] = one.runs
-    said = "95 %: " + ", ".join([*next(iter(drives.values())), "alone"])
-    rows = [f"| course | autopilot's error {said} | cross-track {said} |\n|---|---|---|"]
-    for name, both in drives.items():
-        tracks = [[run.track for run in runs] for runs in both.values()]
-        tracks.append([run.alone for run in next(iter(both.values()))])
-        error_m = ([track.error_m for track in of] for of in tracks)
-        left_m = ([np.abs(track.left_m) for track in of] for of in tracks)
-        cells = (", ".join(_most(one) for one in of) for of in (error_m, left_m))
-        rows.append(f"| {name} | {' m | '.join(cells)} m |")
-    return "\n".join(rows)
-
-
 def _halves(off_m: Array) -> str:
     return " / ".join(f"{one:.2f}" for one in np.percentile(np.abs(off_m), (50, 95))) + " m" if len(off_m) else "-"
 
 
-def _short(rows: str, *, with_why: bool) -> str:
-    """Rows without the autopilot's error, which says little over several courses, and the share sent."""
-    cells = (row.split("|") for row in rows.splitlines())
-    return "\n".join("|".join([*one[:6], one[7], *one[9 if with_why else 10 :]]) for one in cells)
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    return "\n".join([as_row(columns), "|" + "---|" * len(columns), *map(as_row, rows)])
+
+
+def as_row(cells: Sequence[str]) -> str:
+    """Of a table."""
+    return f"| {' | '.join(cells)} |"
+
+
+def spread(median_95_largest: Sequence[float]) -> str:
+    """Of errors in meters; of none there is nothing."""
+    return " / ".join(f"{one:.1f}" for one in median_95_largest) + " m" if median_95_largest else "-"
+
+
+def side_by_side(work: Callable[[Part], Done], parts: Sequence[Part], jobs: int) -> Iterator[Done]:
+    """What comes of each part, as soon as it does; each road in a process of its own.
+
+    A few pixels of the renderer change with what was rendered in the process before.
+    """
+    with get_context("spawn").Pool(jobs, maxtasksperchild=1) as pool:
+        yield from pool.imap_unordered(work, parts)
 
 
 def put_between(name: str, page: Path, text: str) -> None:
@@ -212,14 +203,17 @@ def _rms(values: Array) -> float:
 
 
 def _spread(errors_m: Array) -> str:
-    if not len(errors_m):
-        return "-"
-    return " / ".join(f"{one:.1f}" for one in np.percentile(errors_m, (50, 95, 100))) + " m"
+    return spread(np.percentile(errors_m, (50, 95, 100)).tolist() if len(errors_m) else [])
 
 
-def _beside(ours: Sequence[Array], alone: Sequence[Array]) -> str:
-    return " m, ".join(_most(values) for values in (ours, alone)) + " m"
+def _beside(pairs: Sequence[tuple[Array, Array]]) -> str:
+    """With Lookback, and alone."""
+    return ", ".join(f"{np.percentile(np.abs(np.concatenate(of)), 95):.1f} m" for of in zip(*pairs, strict=True))
 
 
-def _most(off_m: Sequence[Array]) -> str:
-    return f"{np.percentile(np.concatenate(off_m), 95):.1f}"
+def _mean(shares: Sequence[float]) -> str:
+    return f"{np.nanmean(shares):.2f}" if shares else "-"
+
+
+def _meters(value: float | np.floating) -> str:
+    return "-" if math.isnan(value) else f"{value:.0f} m"

@@ -25,14 +25,12 @@ from sim.research.trial.courses import CASES, COURSES, courses_of
 from sim.research.trial.courses.maps import on_keypoints
 from sim.research.trial.table import (
     ENOUGH_RUNS,
-    HEADER,
+    TABLES,
     CourseScore,
     in_short,
-    known_table,
     line,
-    looks_table,
-    odometers_table,
     put_between,
+    shown,
 )
 from sim.research.trial.ways import joined, placed
 from sim.trial.driver import Driver, Leg
@@ -230,8 +228,8 @@ def test_the_table_counts_failures_and_judges_all_drives_together() -> None:
     failed = replace(failed, failures=failures(failed, (course_rules.close, course_rules.within_sigmas)))
     score = CourseScore("home", (run_of(), failed))
     assert score.failures == ["close (1)", "500 in 1,000 beyond 3 sigma", "rms 2.40 sigma"]
-    assert score.row().startswith("| home | 1 of 2 | 100 | 6.0 / 10.0 / 10.0 m | 2.4 / 3.3 | 5.0 m, 5.0 m |")
-    assert score.row().count("|") == HEADER.splitlines()[0].count("|")
+    row = shown([score]).splitlines()[2]
+    assert row.startswith("| home | 1 of 2 | 100 | 6.0 / 10.0 / 10.0 m | 2.4 / 3.3 | 5.0 m, 5.0 m |")
     assert "close: median after 10.0 m" in line("home", failed)
 
 
@@ -328,7 +326,7 @@ def test_keypoints_are_compared_course_by_course_with_lines() -> None:
     lane_m = np.column_stack([np.full(50, 0.2), np.full(50, -0.1)])
     runs = {one: run_of(lane_m=lane_m if one.keypoints else 10 * lane_m) for one in planned}
     names = [f"{name}, {what}" for name in ("home", "person") for what in ("lines", "looks")]
-    table = [row.split(" | ") for row in looks_table(command.compare(runs)).splitlines()[2:]]
+    table = [row.split(" | ") for row in shown(command.compare(runs), TABLES["keypoints"]).splitlines()[2:]]
     assert [row[0].lstrip("| ") for row in table] == names
     assert [row[2:4] for row in table[:2]] == [
         ["2.00 / 2.00 m", "1.00 / 1.00 m"],
@@ -338,14 +336,14 @@ def test_keypoints_are_compared_course_by_course_with_lines() -> None:
 
 def test_headings_and_beliefs_of_drives_are_counted_together() -> None:
     runs = tuple(run_of(turned_deg=np.full(2, one), used=50, believed=40, wrong=3) for one in (-1.0, 7.0))
-    row = looks_table([CourseScore("home, looks", runs)]).splitlines()[2].split(" | ")
+    row = shown([CourseScore("home, looks", runs)], TABLES["keypoints"]).splitlines()[2].split(" | ")
     assert row[4] == "5.00 deg" and row[-2:] == ["80 of 100", "6 |"]
 
 
 def test_of_vehicles_that_nobody_knew_it_is_said_after_which_way_a_place_was_believed() -> None:
     runs = run_of(known=BELIEVED), run_of(known=BELIEVED[:1])
-    row = known_table([CourseScore("kidnapped, looks", runs)]).splitlines()[2]
-    assert row == "| kidnapped, looks | 2 | 72 m, - | 100 | 0.7 | 2 |"
+    row = shown([CourseScore("kidnapped, looks", runs)], TABLES["known"]).splitlines()[2]
+    assert row == "| kidnapped, looks | 2 | 72 m, - | 100 | 0.7 / 0.7 | 2 |"
 
 
 def test_odometers_are_compared_course_by_course() -> None:
@@ -354,10 +352,10 @@ def test_odometers_are_compared_course_by_course() -> None:
     assert [one.world for one in planned[:4]] == [7, 7, 8, 8]
     track = replace(straight(), error_m=np.full(600, 4.0))
     runs = {one: run_of(track=track) if one.odometer == 8.0 else run_of() for one in planned}
-    table = [row.split(" | ") for row in odometers_table(command.compare(runs)).splitlines()[2:]]
-    names = [f"| {name}, {odometer} %" for name in ("home", "person") for odometer in ("0.3", "8")]
+    table = [row.split(" | ") for row in shown(command.compare(runs), TABLES["odometers"]).splitlines()[2:]]
+    names = [f"| {name}, {odometer} %, lines" for name in ("home", "person") for odometer in ("0.3", "8")]
     assert [row[0] for row in table] == names
-    assert [row[1] for row in table[:2]] == ["5.0, 5.0 m", "4.0, 5.0 m"]
+    assert [row[1] for row in table[:2]] == ["5.0 m, 5.0 m", "4.0 m, 5.0 m"]
 
 
 @pytest.mark.long
