@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
-from edge.localization.place_fix import LEAST_SHARPNESS
 from edge.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
-from edge.sequence import Agreeing, PlaceMatch, Seen
+from edge.sequence import LEAST_SHARPNESS, Agreeing, PlaceMatch, Seen
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.looks import ALONE, APART_M, KEPT, REACH_M, Looks, PriorOf, Sighted, joined, sign_of
 from edge.sequence.place_search import NearestOf

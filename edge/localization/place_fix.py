@@ -28,10 +28,6 @@ PUSHED = 3.0
 """Places from an end of the drive within which a line may have been pushed."""
 JITTER_M = 1.5
 """What else differs from match to match."""
-LEAST_SHARPNESS = 0.05
-"""A line that is less sharp says nothing of where the vehicle is. 52 recorded drives on maps with keypoints have 7,565
-positions, none beyond 3 sigma, and with 0.02 7,987, none either. But on five simulated roads at dusk, autopilots
-with wheels 0.3 % wrong, 3.6 m off alone (95 %), are 12 to 13 m off with 0.02, on three of them 6.1 m with 0.05."""
 MAP_LEAST_M = 1.0
 """The least error of the map's positions in each direction: of the antenna's place, time, and optimistic receivers."""
 

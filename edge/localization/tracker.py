@@ -37,9 +37,8 @@ from edge.localization.filter import (
 )
 from edge.localization.hypotheses import Bank, Name
 from edge.localization.odometer import Scale
-from edge.localization.place_fix import LEAST_SHARPNESS
 from edge.localization.sighting import Sighting, Sightings, left_of
-from edge.sequence import PlaceMatch
+from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that.

@@ -32,6 +32,11 @@ MOST_ASIDE_RAD = math.radians(60)
 """Between the way that the vehicle goes and that of the road that it matches. Where a mapped drive turned round and the
 vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
 
+LEAST_SHARPNESS = 0.05
+"""A line that is less sharp says nothing of where the vehicle is. 52 recorded drives on maps with keypoints have 7,565
+positions, none beyond 3 sigma, and with 0.02 7,987, none either. But on five simulated roads at dusk, autopilots
+with wheels 0.3 % wrong, 3.6 m off alone (95 %), are 12 to 13 m off with 0.02, on three of them 6.1 m with 0.05."""
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:

@@ -44,7 +44,6 @@ CONSTANTS: dict[str, object] = {
     "integrity.MAP_SHIFTED": 0.0,
     "integrity.ONE_MORE": 1.0,
     "look.SHARED_M": 0.0,
-    "place_fix.LEAST_SHARPNESS": 0.0,
     "place_fix.PUSHED": -math.inf,
     "place_fix.heads_along": lambda road_rad, heading_rad: True,
     "sighting.SHARP": 1e-9,
@@ -52,6 +51,7 @@ CONSTANTS: dict[str, object] = {
     "tracker.CALL": math.inf,
     "tracker.DISAGREE": math.inf,
     "tracker.FIRST": 1,
+    "tracker.LEAST_SHARPNESS": 0.0,
     "tracker.STOOD_NS": math.inf,
     "tracker.UNEXPECTED_SIGMAS": math.inf,
 }
