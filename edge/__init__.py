@@ -8,6 +8,7 @@ A frame goes through these stages in this order, and none calls back; each passe
     keypoints/      -> Verified         points of two pictures that one geometry explains
     reference_map/  -> (2, N) int32     cosine cost of the query to each of N places, in both region orders
     sequence/       -> PlaceMatch       the best line through the last L cost rows, accepted or off the map
+    recognition/    joins the stages up to here: one frame in, one match out; the room to read first
     localization/   -> PlaceFix         the vehicle's position along the map's drive, and whether it may be sent
     telemetry/      -> the autopilot    MAVLink 2: positions, lines for people, values to plot
     journal/        what happened, one record per line
@@ -16,17 +17,12 @@ A frame goes through these stages in this order, and none calls back; each passe
 
 The files beside them:
 
-    recognizer        one frame in, one match out: the file to read first
-    sequence_matcher  descriptors in, matches out
-    place_looks       which frames' keypoints are compared, and with which places
-    place_verification  keypoints of a picture against those of some places
     daemon            the loop that moves frames through the stages
     opened_parts      what the loop needs, opened as the config names it
     plugin            guests of the daemon: the parts in `edge_plugins/`, which only some vehicles need, or of others
     config            the one TOML file
     map_verification  which maps are used
     feed_start        when a feed begins that a vehicle follows
-    warm_start        what is kept from one run to the next
     errors            everything that can go wrong, in three kinds
     geodesy           degrees and local meters
     toml_file         a TOML file as a typed record
@@ -52,7 +48,7 @@ _HOMES = {
     "ReferenceMap": "edge.reference_map",
     "load_config": "edge.config",
     "open_map": "edge.reference_map",
-    "open_recognizer": "edge.recognizer",
+    "open_recognizer": "edge.recognition.recognizer",
 }
 
 

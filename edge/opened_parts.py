@@ -22,9 +22,9 @@ from edge.journal.records import Record
 from edge.localization import Entry, Maps, PositionEstimator
 from edge.map_verification import MapVerification
 from edge.plugin import Parts, Plugins, Recognized
-from edge.recognizer import network_for, open_recognizer
+from edge.recognition.recognizer import network_for, open_recognizer
+from edge.recognition.warm_start import WarmStart
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.warm_start import WarmStart
 
 if TYPE_CHECKING:
     from edge.telemetry.shadow import Shadow

@@ -27,7 +27,7 @@ from edge.health.health import Health
 from edge.health.monitor import StageTimes
 from edge.journal.records import FrameUsed, PlaceFix, PluginFailed, Record
 from edge.localization import PositionEstimator
-from edge.recognizer import PlaceRecognizer
+from edge.recognition.recognizer import PlaceRecognizer
 from edge.reference_map import MapSet, MapSoFar
 from edge.reference_map.place_records import PLACE
 from edge.sequence import Agreeing, PlaceMatch

@@ -19,7 +19,7 @@ from edge.feed import View, decode_picture
 from edge.keypoints import Camera
 from edge.keypoints.mount import turned_aside
 from edge.keypoints.pose import Pose, look
-from edge.recognizer import model_key, open_recognizer
+from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge.sequence import PlaceMatch, Travel

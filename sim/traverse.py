@@ -24,7 +24,7 @@ from edge.feed.reader import Feed, FeedImages, Frame
 from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
 from edge.localization.dead_reckoning import Displacement, TurnAround
-from edge.recognizer import PlaceRecognizer
+from edge.recognition.recognizer import PlaceRecognizer
 from edge.reference_map import MapHeader
 from edge.sequence import PlaceMatch, Travel
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 2400,
+    "edge": 1550,
     "edge/camera": 800,
     "edge/commands": 300,
     "edge/descriptor": 500,
@@ -18,6 +18,7 @@ ROOMS = {
     "edge/journal": 400,
     "edge/keypoints": 600,
     "edge/localization": 2950,
+    "edge/recognition": 850,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
     "edge/telemetry": 2800,

@@ -25,7 +25,7 @@ from edge.feed import FeedImages, read_feed
 from edge.journal.records import MapExcluded, PlaceFix, StateChanged
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map import open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import DESCRIPTORS, HEADER

@@ -68,6 +68,14 @@ def test_stages_import_only_themselves_shared_tools_and_the_front_doors_of_earli
     assert not found - DEBTS, f"forbidden: {sorted(found - DEBTS)}"
 
 
+def test_recognition_imports_no_stage_after_sequence() -> None:
+    """It joins the stages up to there, and may import any file of theirs."""
+    allowed = {*STAGES[: STAGES.index("sequence") + 1], *SHARED_TOOLS, "recognition"}
+    for file in (ROOT / "edge/recognition").glob("*.py"):
+        others = {name.split(".")[1] for name in ours(file)}
+        assert others <= allowed, f"{file} imports {others - allowed}"
+
+
 def test_shared_tools_import_only_shared_tools() -> None:
     allowed = {f"edge.{name}" for name in SHARED_TOOLS}
     for name in SHARED_TOOLS:
@@ -252,7 +260,7 @@ def test_a_vehicle_loads_what_its_config_names_and_no_more(tmp_path: Path) -> No
     config.write_text(f"{least}[page]\nport = 0\n", encoding="utf-8")
     lines = lines_loaded(config)
     print(sum(lines.values()), "lines")
-    assert {"edge.camera.v4l2", "edge.telemetry.autopilot", "edge.recognizer"} <= set(lines)
+    assert {"edge.camera.v4l2", "edge.telemetry.autopilot", "edge.recognition.recognizer"} <= set(lines)
     assert not [name for name in lines if name.startswith("edge_plugins.") and name.count(".") > 1]
     assert sum(lines.values()) < REPORT_LINES_MOST
     of_camera = least.replace("[map]", "fov_deg = 80.0\n[map]")

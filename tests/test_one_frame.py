@@ -178,7 +178,7 @@ def report(what: str, files: Counter[str]) -> str:
 
 def test_one_used_frame_visits_few_files(visited: Files) -> None:
     print(report("from the frame to its match, its position and the journal", visited.used_frame))
-    assert {"recognizer.py", "descriptor/network.py", "journal/journal.py"} <= set(visited.used_frame)
+    assert {"recognition/recognizer.py", "descriptor/network.py", "journal/journal.py"} <= set(visited.used_frame)
     assert len(visited.used_frame) <= USED_FRAME_FILES_MOST
 
 
@@ -190,9 +190,9 @@ def test_a_whole_turn_visits_few_files(visited: Files) -> None:
 
 def test_a_turn_without_a_frame_keeps_nothing_for_the_next_run(visited: Files) -> None:
     """Statistics that are written anew while the vehicle is parked would look as fresh as the file."""
-    assert "warm_start.py" in visited.used_frame
+    assert "recognition/warm_start.py" in visited.used_frame
     assert "daemon.py" in visited.idle_turn
-    assert "warm_start.py" not in visited.idle_turn
+    assert "recognition/warm_start.py" not in visited.idle_turn
 
 
 def attributes_of(one: ast.ClassDef) -> set[str]:

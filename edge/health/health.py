@@ -64,7 +64,7 @@ class Health:
 class HealthInputs:
     """States that the stages report.
 
-    recognizer: its state, as in `edge.recognizer`. frames_used: since the start, or since the last blindness.
+    recognizer: its state, as in `recognition.recognizer`. frames_used: since the start, or since the last blindness.
     camera: opening | running | lost | ended, with the reason. picture: the image's fault, "" if none. link: closed |
     waiting | up, with the reason and for how long it has not been up. journal: why it cannot be written. frame_s: how
     long the last frame took. gps: what is wrong with it by the places, "" if nothing is. withheld: why no position is

@@ -19,7 +19,7 @@ from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
 from edge.journal.records import StateChanged
-from edge.recognizer import network_for, open_recognizer
+from edge.recognition.recognizer import network_for, open_recognizer
 from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection

@@ -23,7 +23,7 @@ from edge.camera.picture_check import PictureCheck
 from edge.feed.sampling import Sampler
 from edge.health.monitor import notify
 from edge.plugin import Parts, Plugin, UsedFrame
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map import MapSoFar, RegionsKey
 from edge.telemetry.position_history import Awaiting
 from edge_plugins.mapping import MappingConfig

@@ -23,7 +23,7 @@ import cv2
 from edge.config import NETWORKS, RigConfig
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, ModelError
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from sim.bench.frames import SIZE_PX, run_frames
 from sim.bench.simulated_map import write_simulated_map
 from sim.bench.table import cells, machine_name, page, table

@@ -22,7 +22,7 @@ from edge.errors import LookbackError
 from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
 from edge.geodesy import VehiclePosition, moved
-from edge.recognizer import model_key, open_recognizer
+from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import ModelKey, RegionsKey, open_map_set
 from edge.sequence import Near, PlaceMatch, Travel
 from edge.sequence.place_search import PlaceSearch

@@ -11,7 +11,7 @@ import numpy as np
 
 from edge.config import Config, DescriptorConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
-from edge.recognizer import open_recognizer
+from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import open_map_set
 from edge.sequence import Travel
 

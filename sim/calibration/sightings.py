@@ -15,7 +15,7 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
 from edge.localization.place_fix import LineReadings, line_middle
-from edge.recognizer import open_recognizer
+from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
 from edge.sequence import Direction, Order, PlaceMatch

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.sequence import PlaceMatch, Travel
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
 from sim.compare.matching import Matches, OfFrame, gathered, line_ranking, no_match
 from sim.compare.plan import Pair

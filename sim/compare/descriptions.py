@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from edge.descriptor.network import Network, Regions, pictures_for, region_count
 from edge.errors import ConfigError, FrameError
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map import ModelKey
 from sim.compare.networks import open_network
 from sim.compare.plan import Plan

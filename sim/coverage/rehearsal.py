@@ -31,9 +31,9 @@ from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed import View
 from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
 from edge.sequence import PlaceMatch, Travel
-from edge.sequence_matcher import SequenceMatcher
 from sim.coverage.passes import Pass, road_between_m
 from sim.world.scenario import LightName
 

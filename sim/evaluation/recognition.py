@@ -15,7 +15,7 @@ from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
 from edge.journal.records import FrameUsed
-from edge.recognizer import State, open_recognizer
+from edge.recognition.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
 from edge.sequence import Seen
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision

@@ -19,7 +19,7 @@ from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Route, open_map_set
 from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader

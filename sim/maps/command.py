@@ -19,7 +19,7 @@ from edge.descriptor.open_network import open_network
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedOptions, read_feed
 from edge.geodesy import POSITION_SOURCES
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key

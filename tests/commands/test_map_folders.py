@@ -18,7 +18,7 @@ from edge.config import FIRST_NETWORK, MapConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.journal.records import MapExcluded, PlaceFix
-from edge.recognizer import open_recognizer
+from edge.recognition.recognizer import open_recognizer
 from edge.reference_map.map_folder import SIGNATURE, open_map_set
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS, open_map
 from edge_plugins.page.snapshot import map_view

@@ -18,10 +18,10 @@ from edge.descriptor.model_file import GRID, read_model_file
 from edge.descriptor.network import IMAGE, Network, cut_regions, open_session, pictures_for
 from edge.descriptor.open_network import normalized_set
 from edge.keypoints.network import KeypointNetwork
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence import Travel
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 

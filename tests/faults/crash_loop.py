@@ -26,10 +26,10 @@ from edge.errors import LookbackError
 from edge.files import KeptFile
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
+from edge.recognition.warm_start import Moment, StateFile, StateKey
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
-from edge.warm_start import Moment, StateFile, StateKey
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.journal import records_of
 

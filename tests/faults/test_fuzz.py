@@ -24,7 +24,7 @@ from edge.descriptor.model_file import FC6_FILE, read_model_file, resolve_model
 from edge.descriptor.network import Network
 from edge.errors import FrameError, LookbackError
 from edge.feed import FeedImages, read_feed
-from edge.recognizer import PlaceRecognizer
+from edge.recognition.recognizer import PlaceRecognizer
 from edge.reference_map import MapSet
 from edge.reference_map.store import open_map
 

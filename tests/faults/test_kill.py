@@ -15,7 +15,7 @@ import pytest
 from edge.descriptor import RunningStatistics
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
-from edge.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import Moment, StateFile, StateKey
 from sim.journal import records_of
 
 pytestmark = pytest.mark.long

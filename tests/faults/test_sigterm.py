@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from edge.files import KeptFile
-from edge.warm_start import Stored
+from edge.recognition.warm_start import Stored
 from sim.journal import read_journal
 
 LATEST_S = 2.0

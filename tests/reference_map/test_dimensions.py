@@ -9,10 +9,10 @@ import pytest
 
 from edge.config import Config, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics
+from edge.recognition.sequence_matcher import SequenceMatcher
+from edge.recognition.warm_start import Moment, StateFile, StateKey
 from edge.reference_map import MapSet, open_map
 from edge.sequence import Travel
-from edge.sequence_matcher import SequenceMatcher
-from edge.warm_start import Moment, StateFile, StateKey
 from edge_plugins.mapping.builder import Place
 from sim.maps.shrinking import shrink_to
 from tests.map_of import map_of

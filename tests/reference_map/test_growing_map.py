@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig, SequenceConfig
 from edge.descriptor.normalize import normalize
 from edge.errors import MapError
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route
 from edge.sequence import Travel
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.growing_map import GrowingMap
 from tests.map_of import map_of

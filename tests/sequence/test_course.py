@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.sequence import Travel
 from edge.sequence.consensus import FEWER_LINES
 from edge.sequence.evidence import Roads
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config, SamplingConfig
 from edge.feed.sampling import Steps
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.sequence import Travel
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 

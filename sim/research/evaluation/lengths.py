@@ -19,11 +19,11 @@ from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.descriptor.network import Network
 from edge.localization import Displacement
 from edge.localization.dead_reckoning import TurnAround
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
 from edge.sequence import Travel
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.prior import Prior
-from edge.sequence_matcher import SequenceMatcher
 from sim.compare.scores import at_threshold, joined
 from sim.research.evaluation.belief import GROUPS, wrong_frames
 from sim.research.evaluation.roads import (

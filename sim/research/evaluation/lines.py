@@ -22,9 +22,9 @@ from edge.descriptor.network import Network
 from edge.localization import Displacement
 from edge.localization.dead_reckoning import TurnAround
 from edge.localization.place_fix import line_middle
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Route
 from edge.sequence import Direction, Travel
-from edge.sequence_matcher import SequenceMatcher
 from sim.research.evaluation.roads import (
     CALIBRATION,
     DEFAULT_SAMPLING,

@@ -20,7 +20,7 @@ from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.localization import Displacement
 from edge.localization.dead_reckoning import TurnAround
-from edge.recognizer import open_recognizer
+from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import MapSet, ReferenceMap
 from edge.sequence import PlaceMatch, Reckoning, Travel
 from sim.evaluation.memoizing_network import MemoizingNetwork

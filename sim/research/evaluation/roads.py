@@ -22,9 +22,9 @@ from edge.descriptor.network import Network, pictures_for
 from edge.geodesy import moved
 from edge.localization import GPS_SIGMA_M, Displacement
 from edge.localization.dead_reckoning import TurnAround
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Direction, Reckoning, Travel
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import NAN, Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within

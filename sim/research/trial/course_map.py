@@ -12,7 +12,7 @@ import numpy as np
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.keypoints.network import KeypointNetwork
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key

@@ -21,7 +21,7 @@ from edge.descriptor.network import Network
 from edge.feed import read_feed
 from edge.journal.records import FrameUsed
 from edge.localization.place_fix import frame_used
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, Route, open_map
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView

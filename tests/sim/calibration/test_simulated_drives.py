@@ -25,7 +25,7 @@ from edge.localization import Displacement
 from edge.localization.events import Frame, Own
 from edge.localization.sighting import Sightings
 from edge.localization.tracker import Tracker
-from edge.recognizer import open_recognizer
+from edge.recognition.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map

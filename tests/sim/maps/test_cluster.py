@@ -16,7 +16,7 @@ from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import FeedOptions
-from edge.recognizer import model_key
+from edge.recognition.recognizer import model_key
 from edge.reference_map import RegionsKey, read_header
 from edge_plugins.mapping.builder import MapBuilder
 from sim.maps.describing import Work, add_by_cluster

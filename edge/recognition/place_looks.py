@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
-from edge.place_verification import MOST_AHEAD_M, PlaceVerification
+from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
 from edge.sequence import LEAST_SHARPNESS, Agreeing, PlaceMatch, Seen
 from edge.sequence.consensus import PlaceBelief

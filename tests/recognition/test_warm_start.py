@@ -12,11 +12,11 @@ from edge.config import AcceptanceConfig, Config, DescriptorConfig, SamplingConf
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.files import wait_for_writes
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognition.sequence_matcher import MAP_COUNTS_AS
+from edge.recognition.warm_start import COUNTS_AS_MOST, WarmStart
 from edge.reference_map import MapSet
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.sequence_matcher import MAP_COUNTS_AS
-from edge.warm_start import COUNTS_AS_MOST, WarmStart
 from tests.files_written import wait_for_files
 
 

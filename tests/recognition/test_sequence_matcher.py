@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import Config, SamplingConfig
+from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey
 from edge.sequence import Travel
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence.submap import MEASURED_SLOPE_RAD, MEASURED_SLOPES
-from edge.sequence_matcher import SequenceMatcher
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 

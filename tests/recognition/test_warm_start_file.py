@@ -10,7 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from edge.descriptor import RunningStatistics
-from edge.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import Moment, StateFile, StateKey
 
 KEY = StateKey("m" * 64, "fc6", "left-right", 0.4, "h" * 64)
 SHAPE = (2, 16)

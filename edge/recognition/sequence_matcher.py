@@ -30,7 +30,7 @@ from edge.sequence.prior import Prior
 
 if TYPE_CHECKING:
     from edge.keypoints.network import KeypointNetwork
-    from edge.place_looks import PlaceLooks
+    from edge.recognition.place_looks import PlaceLooks
 
 PriorOf: TypeAlias = Callable[[int, float], float]
 """The odds of being at a point along a drive."""
@@ -79,7 +79,7 @@ class SequenceMatcher:
         """None where no map has keypoints, which needs none of their code."""
         if all(header.keypoints_key is None for header in map_set.headers):
             return None
-        from edge.place_looks import PlaceLooks
+        from edge.recognition.place_looks import PlaceLooks
 
         return PlaceLooks(map_set, self._drives, self._config, self._keypoints)
 

@@ -16,7 +16,7 @@ import numpy as np
 from edge.config import Config
 from edge.descriptor import RunningStatistics
 from edge.files import BOOT_ID, KeptFile
-from edge.recognizer import PlaceRecognizer
+from edge.recognition.recognizer import PlaceRecognizer
 
 WRITTEN_EACH_S = 60.0
 COUNTS_AS_MOST = 300

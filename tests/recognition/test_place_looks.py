@@ -21,8 +21,8 @@ from edge.feed import Feed, FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
-from edge.place_looks import PlaceLooks
-from edge.recognizer import PlaceRecognizer, open_recognizer
+from edge.recognition.place_looks import PlaceLooks
+from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.store import KEYPOINTS
 from edge.sequence import PlaceMatch, Travel
@@ -30,7 +30,7 @@ from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
 
-RECORDINGS = Path(__file__).parent / "golden/recordings"
+RECORDINGS = Path(__file__).parents[1] / "golden/recordings"
 SECOND_NS = 1_000_000_000
 TWICE_DEG = 0.01
 BESIDE_M = 9.0

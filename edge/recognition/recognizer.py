@@ -28,10 +28,10 @@ from edge.descriptor.network import Network, pictures_for
 from edge.descriptor.open_network import open_network
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
+from edge.recognition.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
 from edge.reference_map import MapSet, MapSoFar, ModelKey, maps_in, open_map_set, read_header
 from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
 from edge.sequence.evidence import HoldOff
-from edge.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
 
 log = logging.getLogger(__name__)
 

@@ -24,11 +24,11 @@ from edge.descriptor.network import Network
 from edge.errors import MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.localization.place_fix import match_position
-from edge.recognizer import PlaceRecognizer, model_key, network_for, open_recognizer
+from edge.recognition.recognizer import PlaceRecognizer, model_key, network_for, open_recognizer
+from edge.recognition.sequence_matcher import WAY_OUT_COUNTS_AS
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.sequence import PlaceMatch, Travel
-from edge.sequence_matcher import WAY_OUT_COUNTS_AS
 from edge_plugins.mapping.builder import Place
 from sim.maps.command import build_map
 from tests.map_of import map_of
