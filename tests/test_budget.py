@@ -18,7 +18,7 @@ ROOMS = {
     "edge/journal": 400,
     "edge/keypoints": 600,
     "edge/localization": 2950,
-    "edge/recognition": 850,
+    "edge/recognition": 900,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
     "edge/telemetry": 2800,

@@ -166,15 +166,26 @@ class SequenceMatcher:
         self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
         prior = self._prior(travel.reckoned)
         belief = self._consensus.update(self._vote(match), odometer_m, step, *(prior or ()))
-        of_halves = self._of_halves.update(self._vote(self.search.shorter), odometer_m, step, *(prior or ()))
-        if prior and of_halves and (belief is None or of_halves.confidence > belief.confidence):
-            belief = of_halves
+        belief = max(
+            filter(None, (belief, self._belief_of_halves(odometer_m, step, prior))),
+            key=lambda one: one.confidence,
+            default=None,
+        )
         if image is not None and self._looks is not None and self._looks.is_due():
             self._look(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
         return believed
+
+    def _belief_of_halves(
+        self, odometer_m: float | None, step: float, prior: tuple[Prior, AwayOf] | None
+    ) -> PlaceBelief | None:
+        """What the votes of half sequences say, which count with a reckoning alone: so long they are not searched."""
+        if prior is None:
+            self._of_halves.reset()
+            return None
+        return self._of_halves.update(self._vote(self.search.shorter), odometer_m, step, *prior)
 
     def _vote(self, line: PlaceMatch | None) -> PlaceVote | None:
         return PlaceVote.of(line, self._drives, self._config.rig) if line else None

@@ -214,10 +214,10 @@ class Drives:
         """Meters east and north (n, 2) of points along some drives; NaN where the map knows no positions."""
         found = np.full((len(drives), 2), np.nan)
         if self.is_metric:
-            for drive in np.unique(drives):
-                here = drives == drive
-                route_m, east_north_m = self.line(int(drive))[0], self._ground(int(drive))
-                found[here] = np.column_stack([np.interp(along_m[here], route_m, line) for line in east_north_m])
+            for drive in set(drives.tolist()):
+                here, route_m = drives == drive, self.line(drive)[0]
+                for axis, line in enumerate(self._ground(drive)):
+                    found[here, axis] = np.interp(along_m[here], route_m, line)
         return found
 
     def away_m(

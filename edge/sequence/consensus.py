@@ -225,8 +225,8 @@ class PlaceConsensus:
         self.driven_m = self.uncertain_m = 0.0
         """Driven by the newest frame, and how uncertain that is."""
         self._odometer_m: float | None = None
-        half = max(1, self.settings.length // 2)
-        self._newest = deque[int](maxlen=half)  # slots
+        self._newest = np.zeros(0, np.intp)
+        """Slots of the newest votes, of half a sequence."""
         self._roads = deque[float](maxlen=self.settings.length)  # of the newest frames, see _VOTE
         self._votes = np.zeros(CAPACITY, dtype=_VOTE)
         self._votes["at_m"] = -np.inf  # an empty slot is out of reach
@@ -250,8 +250,10 @@ class PlaceConsensus:
         self._was_measured |= odometer_m is not None
         self._move(odometer_m, places, None if vote is None or self._was_measured else vote.spacing_m)
         self._roads.append(prior.road if prior else 1.0)
-        if vote is not None:
-            self._add(vote)
+        slot = None if vote is None else self._place(vote)
+        self._now_m = self._moved_m()
+        if slot is not None:
+            self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
         evidence = self._evidence()
         leader = int(evidence.live.argmax())
         case = self._case(evidence, leader)
@@ -284,17 +286,19 @@ class PlaceConsensus:
         self.driven_m += step_m
         self.uncertain_m += drift * step_m
 
-    def _add(self, vote: PlaceVote) -> None:
+    def _place(self, vote: PlaceVote) -> int:
+        """Put a vote into its slot."""
         votes, slot = self._votes, self._count % len(self._votes)
         self._count += 1
-        self._newest.append(slot)
+        half = max(1, self.settings.length // 2)
+        self._newest = np.arange(max(0, self._count - half), self._count) % len(self._votes)
         sign = 1.0 if vote.direction == "forward" else -1.0
         offset_m = vote.along_m - sign * self.driven_m
         lengths_m = self.driven_m, self.uncertain_m, offset_m, vote.start_m, vote.end_m, vote.lap_m, vote.ahead_m
         road = sum(self._roads) / len(self._roads)
         votes[slot] = (*lengths_m, vote.drive, sign, 0.0, vote.row_share, False, road)
         votes["weight"][slot] = self._weight(vote)
-        self._agree[slot] = self._agree[:, slot] = self._on_one_pass(slot) | self._on_one_spot(slot)
+        return slot
 
     def _apart_m(self, slot: int) -> Floats:
         """By how much each vote may differ from one."""
@@ -313,7 +317,7 @@ class PlaceConsensus:
         near = np.zeros(len(self._votes), dtype=bool)
         if self._positions_of is None:
             return near
-        own, now_m, most_m = self._votes[slot], self._now_m(), self._apart_m(slot)
+        own, now_m, most_m = self._votes[slot], self._now_m, self._apart_m(slot)
         apart_m = np.abs(_within_lap(now_m - now_m[slot], own["lap_m"]))
         # Twice, since a bend brings what disagrees on one pass together: it did on a recorded street.
         others = (self._votes["drive"] != own["drive"]) | (apart_m > 2 * most_m)
@@ -324,7 +328,7 @@ class PlaceConsensus:
             near[at[:-1]] = np.hypot(*(spots_m[:-1] - spots_m[-1]).T) <= most_m[at[:-1]]
         return near
 
-    def _now_m(self) -> Floats:
+    def _moved_m(self) -> Floats:
         """Where each vote puts the vehicle now, along its drive."""
         votes = self._votes
         middle_m = (votes["start_m"] + votes["end_m"]) / 2
@@ -336,15 +340,15 @@ class PlaceConsensus:
         return np.asarray(self.driven_m - self._votes["at_m"] <= lines * self.settings.line_m)
 
     def _weight(self, vote: PlaceVote) -> float:
-        shares = self._votes["row_share"][np.array(self._newest)]
-        support = float((shares < LIKE_NEWEST).mean())
+        shares = self._votes["row_share"][self._newest]
+        support = float(np.count_nonzero(shares < LIKE_NEWEST)) / len(shares)
         uniqueness = min(max(0.0, vote.uniqueness - 1), MOST_UNIQUE)
         return uniqueness * max(0.0, vote.sharpness) * math.sqrt(support)
 
     def _evidence(self, joined: NDArray[np.floating] | None = None) -> _Evidence:
         """What the votes add up to; joined: by what each of them counts less."""
         settings, votes = self.settings, self._votes
-        in_reach, now_m = self._within(settings.reach_lines), self._now_m()
+        in_reach, now_m = self._within(settings.reach_lines), self._now_m
         counted = votes["weight"] if joined is None else votes["weight"] * joined
         weights, recent = counted * in_reach, counted * self._within(settings.recent_lines)
         overrun_m = self._overrun_m(now_m)
@@ -368,7 +372,7 @@ class PlaceConsensus:
         ahead_m = _within_lap(now_m[same] - now_m[leader], own["lap_m"])
         middle_m = (own["start_m"] + own["end_m"]) / 2
         along_m = now_m[leader] + weights[same] @ ahead_m / weights[same].sum()
-        along_m = float(middle_m + _within_lap(along_m - middle_m, own["lap_m"]))
+        along_m = float(middle_m + math.remainder(along_m - middle_m, own["lap_m"]))
         # A drive that was believed and has been driven to its end says nothing against the one that follows.
         others = in_reach & ~group & ~(votes["was_believed"] & (overrun_m > settings.slack_m))
         beyond_m = max(0.0, float(own["start_m"]) - along_m, along_m - float(own["end_m"]))
@@ -399,19 +403,19 @@ class PlaceConsensus:
         odds = np.ones(len(self._votes))
         at = np.flatnonzero(evidence.weights > 0)
         if at.size:
-            votes = self._votes[at]
-            odds[at] = prior.odds(away_of(votes["drive"], evidence.now_m[at] - votes["ahead_m"]))
+            drives, ahead_m = self._votes["drive"][at], self._votes["ahead_m"][at]
+            odds[at] = prior.odds(away_of(drives, evidence.now_m[at] - ahead_m))
         return odds
 
     def _support(self, leader: int, one_pass: NDArray[np.bool_], along_m: float, now_m: Floats) -> float:
         """Share of the newest votes, of half a sequence, at the place, and of frames that are like it."""
-        slots = np.array(self._newest, dtype=np.intp)
+        slots = self._newest
         votes, own = self._votes[slots], self._votes[leader]
         in_drive = votes["drive"] == own["drive"]
         is_near = np.abs(_within_lap(now_m[slots] - along_m, own["lap_m"])) <= self.settings.slack_m
         there = in_drive & (votes["sign"] == own["sign"]) & is_near
         there |= (self._agree[leader, slots] > 0) & ~one_pass[slots]
-        return float((there & (votes["row_share"] < STILL_LIKE)).mean()) if slots.size else 0.0
+        return float(np.count_nonzero(there & (votes["row_share"] < STILL_LIKE))) / max(1, len(slots))
 
     def _pace(self, slots: NDArray[np.int64]) -> float:
         """Share of what was driven between some votes of one drive that their places went along with.
@@ -442,4 +446,4 @@ def probability(agreement: float, odds: float = 1.0) -> float:
 
 def _within_lap(apart_m: Floats, lap_m: Floats | float) -> Floats:
     """Meters between places, the shorter way round where the drive is a closed lap."""
-    return apart_m - np.round(apart_m / lap_m) * lap_m
+    return apart_m - np.rint(apart_m / lap_m) * lap_m

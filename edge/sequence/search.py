@@ -11,7 +11,8 @@ Costs are integers, so the running sums equal the direct ones to the bit for eve
 same search in mirrored rows. Places before the first count as cost 0 in the sums; lines that would need them, or would
 cross from one map segment into the next, are excluded in the end. That is the paper's search. With `open_ends` lines
 may also begin before their segment does and before the first frame: each place and frame of which nothing is known
-costs COST_ONE, as a place with nothing in common would. Shorter lines have running sums of their own in the same ring.
+costs COST_ONE, as a place with nothing in common would. Shorter lines have running sums of their own in the same ring,
+as long as they are asked for after each row.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from types import MappingProxyType
 from typing import Any
 
@@ -120,10 +120,10 @@ class SequenceSearch:
         """
         self.length = length
         self.planes = tuple(planes)
-        self._slopes = tuple(slopes)
+        self._slopes = np.array(slopes)
         self._impossible = None if possible is None or possible.all() else ~possible
         self._span = length if span is None else span
-        reach = math.ceil(max(self._slopes) * self._span) + 1
+        reach = math.ceil(max(slopes) * self._span) + 1
         self._margin = reach if open_ends else 0
         self._nothing = COST_ONE if open_ends else 0  # cost of a row before the first
         self._open_ends = open_ends
@@ -142,8 +142,12 @@ class SequenceSearch:
         self._near_start = np.nonzero((self._room < reach) & (not open_ends))
         self._ring = np.zeros((length, len(self.planes), self._places), dtype=np.int32)
         lengths = [length, *([shorter] if shorter else [])]
-        self._sums = {rows: _Sums(len(self._slopes), len(self.planes), self._places) for rows in lengths}
-        self._driven = [0.0] * (length + 1)  # places, at each row of the ring and the one before, the oldest first
+        self._sums = {rows: _Sums(len(slopes), len(self.planes), self._places) for rows in lengths}
+        self._kept: set[int] = set()
+        """Lengths of which the sums are those of the ring."""
+        self._asked_for: set[int] = set()
+        """Lengths of which lines were asked for since the last row."""
+        self._drive([0.0] * (length + 1))
         self._newest = 0  # slot of the ring
         self.clear()
 
@@ -151,10 +155,32 @@ class SequenceSearch:
         """Discard all rows: the next line begins with the next row."""
         self._rows = 0
         # All rows before the first are alike everywhere, so that it does not matter where they were.
-        self._driven = [self._driven[-1]] * (self.length + 1)
+        self._drive([self._driven[-1]] * (self.length + 1))
         self._ring[:] = self._nothing
-        for length, sums in self._sums.items():
-            sums.fill(self._nothing * length)
+        self._sums[self.length].fill(self._nothing * self.length)
+        self._kept = {self.length}
+
+    def _drive(self, driven: list[float]) -> None:
+        """Note the places driven at each row of the ring and the one before, (length + 1,), the oldest first.
+
+        _offsets: (length + 1, slopes), how many places lines have passed since the row pushed so many rows ago.
+        """
+        self._driven = driven
+        passed = np.floor(np.outer(driven[::-1], self._slopes) + 0.5).astype(np.intp)
+        self._offsets: NDArray[np.intp] = passed[0] - passed
+
+    def _sum_up(self, length: int) -> None:
+        """Keep the sums of lines of this length from now on."""
+        self._kept.add(length)
+        self._sums[length].fill(0)
+        for age in range(length):
+            self._add(self._sums[length], age, self._ring[(self._newest - age) % self.length])
+
+    def _add(self, sums: _Sums, age: int, row: NDArray[np.int32]) -> None:
+        """Add a row (planes, padded N) to the lines through that which was pushed `age` rows ago."""
+        for k, offset in enumerate(self._offsets[age].tolist()):
+            if offset < self._places:
+                sums.of(k)[:, offset:] += row[:, : self._places - offset]
 
     def push(self, costs: NDArray[np.int32], driven: float | None = None) -> None:
         """Add the newest cost row (orders, N) and move every running sum on by one frame.
@@ -162,17 +188,18 @@ class SequenceSearch:
         driven: x of it, in all; a place further than the last if None.
         """
         self._newest = (self._newest + 1) % self.length
-        self._driven = [*self._driven[1:], self._driven[-1] + 1 if driven is None else driven]
-        before, newest = self._driven[-2], self._driven[-1]
-        entering = self._by_plane(costs)
-        for (length, of_length), (k, slope) in product(self._sums.items(), enumerate(self._slopes)):
+        self._drive([*self._driven[1:], self._driven[-1] + 1 if driven is None else driven])
+        self._kept &= {self.length, *self._asked_for}
+        self._asked_for.clear()
+        entering, steps = self._by_plane(costs), self._offsets[1].tolist()
+        for length in self._kept:
             # The row of frame T-L, all zero while the ring is filling; that of the longest is replaced below.
             leaving = self._ring[(self._newest - length) % self.length]
-            span = _rounded(slope, newest) - _rounded(slope, self._driven[-1 - length])
-            sums = of_length.shift(k, _rounded(slope, newest) - _rounded(slope, before))
-            sums += entering
-            if span < self._places:
-                sums[:, span:] -= leaving[:, : self._places - span]
+            for k, (step, span) in enumerate(zip(steps, self._offsets[length].tolist(), strict=True)):
+                sums = self._sums[length].shift(k, step)
+                sums += entering
+                if span < self._places:
+                    sums[:, span:] -= leaving[:, : self._places - span]
         self._ring[self._newest] = entering
         self._rows = min(self._rows + 1, self.length)
 
@@ -182,32 +209,21 @@ class SequenceSearch:
         driven: x of each, a place further than the last one's if None.
         """
         known = np.arange(len(rows)) + (self._driven[-1] + 2 - len(rows)) if driven is None else driven
-        self.clear()
-        self._driven = [*[float(known[0])] * (self.length + 1 - len(rows)), *(float(x) for x in known)]
-        self._rows = len(rows)
-        passed = np.floor(np.outer(self._slopes, self._driven[:0:-1]) + 0.5).astype(np.intp)  # as `_rounded`
-        all_offsets = passed[:, :1] - passed
-        for (length, sums), (k, offsets) in product(self._sums.items(), enumerate(all_offsets)):
-            # Lines that end so near to the first place do not reach back to all rows.
-            reached = offsets[:length]
-            begins = np.less.outer(np.arange(reached.max()), reached).sum(axis=1)
-            sums.of(k)[:, : len(begins)] -= (self._nothing * begins[: self._places]).astype(np.int32)
-        for age, (costs, offsets) in enumerate(zip(rows[::-1], all_offsets.T.tolist(), strict=False)):
-            self._replace(age, costs, offsets)
+        self._drive([*[float(known[0])] * (self.length + 1 - len(rows)), *(float(x) for x in known)])
+        self._ring[:] = self._nothing
+        for age, costs in enumerate(rows[::-1]):
+            self._ring[(self._newest - age) % self.length] = self._by_plane(costs)
+        self._rows, self._kept = len(rows), set()
+        self._sum_up(self.length)
 
     def replace(self, age: int, costs: NDArray[np.int32]) -> None:
         """Replace the cost row (orders, N) that was pushed `age` rows ago, and correct every running sum by it."""
-        self._replace(age, costs, [self._offset(slope, age) for slope in self._slopes])
-
-    def _replace(self, age: int, costs: NDArray[np.int32], offsets: Sequence[int]) -> None:
-        """The same; offsets: `_offset` of each slope."""
         row = self._ring[(self._newest - age) % self.length]
-        entering = self._by_plane(costs)
-        change = entering - row
-        row[:] = entering
-        for (length, sums), (k, offset) in product(self._sums.items(), enumerate(offsets)):
-            if age < length and offset < self._places:
-                sums.of(k)[:, offset:] += change[:, : self._places - offset]
+        change = self._by_plane(costs) - row
+        row += change
+        for length in self._kept:
+            if age < length:
+                self._add(self._sums[length], age, change)
 
     def take_over(self, before: SequenceSearch, costs: NDArray[np.int32]) -> None:
         """Go on from a search with the same planes, of which these places are the first; its rows become these.
@@ -229,6 +245,9 @@ class SequenceSearch:
         length = length or self.length
         if self._rows < (min(length, FIRST_FRAMES) if self._open_ends else length):
             return None
+        if length not in self._kept:
+            self._sum_up(length)
+        self._asked_for.add(length)
         sums = self._sums[length]
         best = sums.of(0).copy()
         for k in range(1, len(self._slopes)):
@@ -254,13 +273,10 @@ class SequenceSearch:
         best: NDArray[np.int32] = np.where(is_whole, self._sums[length].at(*self._near_start), NO_LINE).min(axis=0)
         return best
 
-    def _reaches(self, length: int) -> NDArray[np.int32]:
+    def _reaches(self, length: int) -> NDArray[np.intp]:
         """How many places the line of each slope has passed within so many rows."""
-        return np.array([self._offset(slope, length - 1) for slope in self._slopes], dtype=np.int32)
-
-    def _offset(self, slope: float, age: int) -> int:
-        """How many places the line of a slope has passed since the row that was pushed `age` rows ago."""
-        return _rounded(slope, self._driven[-1]) - _rounded(slope, self._driven[-1 - age])
+        reaches: NDArray[np.intp] = self._offsets[length - 1]
+        return reaches
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
@@ -311,10 +327,6 @@ class SequenceSearch:
     @staticmethod
     def _mirror(plane: Alignment, row: NDArray[Any]) -> NDArray[Any]:
         return row[..., ::-1] if plane[0] == "reverse" else row
-
-
-def _rounded(slope: float, driven: float) -> int:
-    return math.floor(slope * driven + 0.5)
 
 
 def _room(segments: Sequence[tuple[int, int]]) -> dict[Direction, NDArray[np.int32]]:

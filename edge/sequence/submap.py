@@ -32,12 +32,10 @@ MEASURED_SLOPES = 11
 class RowMatcher:
     """Matches rows of costs to places that are counted from 0; whatever the costs were made of.
 
-    lines: the best line that ends at each place, after the newest row; None before the ring is full. shorter: the best
-    line of half as many rows, None where none are searched.
+    lines: the best line that ends at each place, after the newest row; None before the ring is full.
     """
 
     lines: Lines | None = None
-    shorter: PlaceMatch | None = None
     _against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})
     """Places (N,) that the vehicle cannot pass in a direction."""
 
@@ -102,8 +100,12 @@ class RowMatcher:
 
     def _best(self) -> PlaceMatch | None:
         self.lines = self._search.lines(self._against)
-        self.shorter = self._best_of(self._search.lines(self._against, self._half)) if self._half else None
         return self._best_of(self.lines)
+
+    @property
+    def shorter(self) -> PlaceMatch | None:
+        """The best line of half as many rows; None where none are searched. It costs nothing where nobody asks."""
+        return self._best_of(self._search.lines(self._against, self._half)) if self._half else None
 
     def _best_of(self, lines: Lines | None) -> PlaceMatch | None:
         if lines is None:
@@ -120,7 +122,7 @@ class RowMatcher:
     def clear(self) -> None:
         """Remove all rows."""
         self._search.clear()
-        self.lines = self.shorter = None
+        self.lines = None
 
 
 class Submap(RowMatcher):

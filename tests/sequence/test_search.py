@@ -59,6 +59,7 @@ def searched_lines(search: SequenceSearch, length: int | None = None) -> tuple[N
     lengths=st.lists(st.integers(1, 25), min_size=1, max_size=4),
     length=st.integers(2, 9),
     shorter=st.integers(1, 8),
+    asked=st.sampled_from([0.0, 0.8, 1.0]),
     slopes=st.integers(1, 7),
     planes=st.lists(st.sampled_from(ALL_PLANES), min_size=1, max_size=4, unique=True),
     frames=st.integers(0, 30),
@@ -70,13 +71,14 @@ def test_running_sums_are_the_direct_sums(
     lengths: list[int],
     length: int,
     shorter: int,
+    asked: float,
     slopes: int,
     planes: list[Alignment],
     frames: int,
     refill_at: int,
     steps: tuple[float, float],
 ) -> None:
-    """Also where frames are as far apart as two places, or half a place, or at any distance."""
+    """Also where frames are two places, half a place, or any distance apart; shorter lines were asked for or not."""
     rng, shorter = np.random.default_rng(seed), min(shorter, length - 1)
     driven = np.cumsum(rng.uniform(*steps, length + frames)).tolist()
     ends = np.cumsum(lengths).tolist()
@@ -97,6 +99,8 @@ def test_running_sums_are_the_direct_sums(
             search.replace(age, rows[-1 - age])
         if len(rows) < length:
             assert search.lines() is None
+        if rng.random() < asked:
+            search.lines(length=shorter)
     for few in (length, shorter):
         recent = rows[-few:], driven[-few:], segments
         direct = direct_lines(*recent, all_slopes, planes)

@@ -168,12 +168,12 @@ def believe(
     *,
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
-    reckoned: Sequence[Reckoning] | None = None,
+    reckoned: Sequence[Reckoning | None] | None = None,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
-    odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None without GPS ever. The
-    course is known where positions are.
+    odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None where there was
+    no GPS yet, or never. The course is known where positions are.
     """
     config = Config(rig=rig or RigConfig(), sampling=sampling)
     found = np.full((len(query.raw), 6), np.nan)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig, RigConfig
+from edge.sequence import Reckoning
 from sim.research.evaluation.lengths import USED, WAYS, believed_by, lines_of
 from sim.research.evaluation.lines import alikeness, errors_of
 from sim.research.evaluation.roads import Cut, Described, believe, judge, kept, mapped, rig_of
@@ -61,6 +62,24 @@ def test_lines_of_half_a_sequence_are_believed_sooner_where_gps_reckoned_on_the_
     )
     assert judge(query, mapped_m, beliefs, ahead_m=0.0).first_m[0] <= 16  # 22 m by whole sequences alone
     assert judge(query, mapped_m, beliefs.alone, ahead_m=0.0).first_m == [30.0]
+
+
+def test_votes_of_halves_begin_where_the_reckoning_does() -> None:
+    """Also where it begins again; without one they neither count nor are kept."""
+    (of, query), begins = on_the_ground(), 114
+    vague = [replace(one, sigma_m=1e6) for one in query.reckoned(-1.0, seed=1)]  # no place is likelier than another
+    reckoned: dict[str, list[Reckoning | None]] = {
+        "always": [*vague],
+        "late": [None] * begins + vague[begins:],
+        "again": [*vague[: begins - 1], None, *vague[begins:]],
+    }
+    found = {name: believe(of, query, "first half", reckoned=one) for name, one in reckoned.items()}
+    np.testing.assert_allclose(found["again"].confidence[begins:], found["late"].confidence[begins:], atol=1e-6)
+    gained = {name: (one.confidence - one.by_votes)[begins:] for name, one in found.items()}
+    assert gained["always"][0] > 0.3  # by votes from before
+    assert gained["late"][0] == 0
+    assert gained["late"][:5].max() > 0.2
+    assert (found["late"].confidence[:begins] == found["late"].by_votes[:begins]).all()
 
 
 def test_the_table_of_lengths_has_the_belief_that_is_used() -> None:
