@@ -1,10 +1,13 @@
-"""What `make docs` changes of the pages: README is the first one, and links out of the docs lead to the repository.
+"""What `make docs` changes of the pages, so that they need no script and nothing from elsewhere.
 
-Where nobody knows its address (`setup.py`), they become their words.
+README is the first page. Links out of the docs lead to the repository; where nobody knows its address (`setup.py`),
+they become their words. A Mermaid figure becomes the picture that `python -m tests.docs.figures` drew of it, LaTeX
+becomes MathML. GitHub shows both by itself.
 """
 
 from __future__ import annotations
 
+import html
 import posixpath
 import re
 import runpy
@@ -12,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import griffe
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
@@ -20,6 +24,9 @@ BADGE = re.compile(r"^\[!\[.*\)\n", re.MULTILINE)
 OUTSIDE = re.compile(
     r"(?<!!)\[([^\]]+)\]\(((?:\.\./|LICENSE|CONTRIBUTING|CODE_OF|edge/|firmware_config|lookback_fc6)[^)]*)\)"
 )
+FIGURE = re.compile(r"^```mermaid\n%% (pictures/\w+\.svg): (.*)\n(?:.*\n)*?```$", re.MULTILINE)
+"""Its picture, and what that shows."""
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
 def on_files(files: Files, config: Any) -> Files:
@@ -40,7 +47,18 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
         folder = "" if page.file.src_uri == "index.md" else posixpath.dirname(f"docs/{page.file.src_uri}")
         return f"[{words}]({address}/blob/v{SETUP['VERSION']}/{posixpath.normpath(posixpath.join(folder, path))})"
 
+    markdown = FIGURE.sub(r"![\2](\1)", markdown)
     return OUTSIDE.sub(outside, markdown.replace("](../README.md", "](index.md"))
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Equations as MathML, which browsers show."""
+
+    def shown(found: re.Match[str]) -> str:
+        text = convert(html.unescape(found[3]).strip(), display="block" if found[2] == "[" else "inline")
+        return f'<div style="overflow-x: auto">{text}</div>' if found[2] == "[" else text
+
+    return EQUATION.sub(shown, content)
 
 
 class Examples(griffe.Extension):

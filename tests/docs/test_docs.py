@@ -4,7 +4,7 @@ The folder is empty, or a copy of the one in which README's commands ran where t
 begins with `# NAME.toml` is that file, any other must be a valid config. Each ```sh block is run by bash, each
 ```python block by Python, and must succeed; one that begins with `# NAME.py` is that file, and only compiled, since
 what it talks to may be a robot. A ```text block is a picture, a ```yaml block a file of another program. The README's
-sh blocks that need make or root are not run here.
+sh blocks that need make, pip or root are not run here.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [README, *DOCS]
 BESIDE_THE_CODE = [ROOT / "CONTRIBUTING.md", ROOT / "CODE_OF_CONDUCT.md", ROOT / "firmware_config/README.md"]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-KINDS_OF_BLOCKS = ("sh", "toml", "python", "text", "yaml")
+KINDS_OF_BLOCKS = ("sh", "toml", "python", "text", "yaml", "math", "mermaid")
 MOST_S = 600
 SHORTER = {
     "length_m = 400.0": "length_m = 240.0",
@@ -148,18 +148,18 @@ def test_every_command_that_is_shown_exists_with_its_options(page: Path) -> None
 
 
 def run_page(page: Path, folder: Path) -> str:
-    """The environment is active already; `make` and the steps on a vehicle are not for a test."""
+    """`make`, `pip` and the steps on a vehicle are not for a test."""
     text = BLOCK.sub(lambda block: "" if is_not_for_a_test(block) else block[0], page.read_text(encoding="utf-8"))
     for shown, tried in SHORTER.items():
         text = text.replace(shown, tried)
-    text = text.replace(". .venv/bin/activate ", ": ").replace("\nlookback run ", "\nuntil_on_the_map lookback run ")
+    text = text.replace("\nlookback run ", "\nuntil_on_the_map lookback run ")
     if found := re.search(r"^grep (\w+) journal\.jsonl", text, re.MULTILINE):
         text = text.replace("until_on_the_map", f"AWAITED={found[1]} until_on_the_map")
     return run_in(folder, PRELUDE + script_of(text, page, folder))
 
 
 def is_not_for_a_test(block: re.Match[str]) -> bool:
-    return block[1] == "sh" and re.search(r"^(make|sudo) ", block[2], re.MULTILINE) is not None
+    return block[1] == "sh" and re.search(r"^(make|pip|sudo) ", block[2], re.MULTILINE) is not None
 
 
 def run_in(folder: Path, script: str) -> str:
@@ -210,6 +210,8 @@ def test_every_state_is_explained() -> None:
 
 MOST_WORDS = 35
 """In a sentence: longer ones are read twice."""
+MOST_WORDS_IN_ALL = 26_650
+"""Of all pages in `docs/`, as `wc -w docs/*.md` counts. Whoever makes a page shorter lowers it."""
 WRITTEN = re.compile(r"<!-- (.*?): begin -->.*?<!-- \1: end -->", re.DOTALL)
 """What a command writes: tables, and lists of whatever was found."""
 
@@ -230,6 +232,12 @@ def long_sentences(text: str) -> list[str]:
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.stem)
 def test_no_sentence_is_long(page: Path) -> None:
     assert long_sentences(page.read_text(encoding="utf-8")) == []
+
+
+def test_the_docs_are_short() -> None:
+    words = {page.name: len(page.read_text(encoding="utf-8").split()) for page in DOCS}
+    assert sum(words.values()) <= MOST_WORDS_IN_ALL, dict(sorted(words.items(), key=lambda one: -one[1])[:5])
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
 WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")

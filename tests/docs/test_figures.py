@@ -1,13 +1,13 @@
-"""README's figures are those of the pages that commands wrote, and folders that a page names are there."""
+"""README's figures are those of the pages, drawings show what is there, and folders that a page names are there."""
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 
+from tests.docs.figures import METHOD, architecture, stale
+
 ROOT = Path(__file__).parents[2]
-ERRORS = ("median_m", "p95_m", "max_m", "lane_m_median", "lane_m_p95", "lane_m_max")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -24,21 +24,18 @@ def test_the_flights_of_readme_are_those_of_their_page() -> None:
     assert f"of {known} none beyond 3 sigma" in README
 
 
-def test_each_drive_of_readme_is_one_that_was_recorded() -> None:
-    with (ROOT / "docs/flights.csv").open(newline="", encoding="utf-8") as file:
-        recorded = [row for row in csv.DictReader(file) if row["when"] == "then" and row["lane_m_max"]]
-    drives = {
-        (
-            row["sent"],
-            *(f"{float(row[name]):.1f}" for name in ERRORS),
-        )
-        for row in recorded
-        if row["median_m"]
-    }
-    cells = re.findall(r"^\| .* \| (\d+) \| \**([\d. /]+) m\** \| \**([\d. /]+) m\** \|$", README, re.MULTILINE)
-    assert len(cells) > 2
-    for number, *errors_m in cells:
-        assert (number, *" / ".join(errors_m).split(" / ")) in drives
+def test_each_drive_of_readme_is_one_of_the_page() -> None:
+    """With Lookback and without, wheels right and 3 % wrong."""
+    flown = r"^\| (\d+), home at night \| (right|3 % wrong) \|[^|]*\|[^|]*\| (.* m) \| (.* m) \|$"
+    by_road = {found[:2]: found[2:] for found in re.findall(flown, page("flights.md"), re.MULTILINE)}
+    rows = re.findall(r"^\| (\d{3}) \| (.* m) \|$", README, re.MULTILINE)
+    assert len(rows) == 3
+    for road, cells in rows:
+        assert cells.split(" | ") == [*by_road[road, "right"], *by_road[road, "3 % wrong"]]
+    p95_m = [[float(cell.split(" / ")[1]) for cell in by_road[road, "3 % wrong"]] for road, _ in rows]
+    with_m, alone_m = zip(*p95_m, strict=True)
+    said = f"{min(with_m)} to {max(with_m)} m off (95 %), {min(alone_m)} to {max(alone_m)} m without"
+    assert said in README
 
 
 def test_where_a_drive_is_recognized_is_said_as_its_page_says_it() -> None:
@@ -54,3 +51,11 @@ def test_the_folders_of_the_method_are_there() -> None:
     assert [
         one for one in folders if not any((ROOT / place / one).is_dir() for place in ("", "edge", "edge_plugins"))
     ] == []
+
+
+def test_the_architecture_is_the_list_of_the_front_door() -> None:
+    assert architecture() in METHOD.read_text(encoding="utf-8"), "draw it anew: python -m tests.docs.figures"
+
+
+def test_each_picture_is_drawn_of_the_text_that_its_page_has() -> None:
+    assert stale() == [], "draw them anew: python -m tests.docs.figures"
