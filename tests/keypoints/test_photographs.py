@@ -25,6 +25,7 @@ FOCAL_PX, BASELINE, MIDDLES_X = 994.978, 1.93001, (311.193, 342.279)
 EUROC, FOV_DEG = Lens(distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)), 78.7
 """The lens of the left camera of EuRoC's MAV."""
 SIZE, STRAIGHT_SIZE, STRAIGHT_DEG = (320, 240), (480, 360), 105.0
+ROAD_M = 28.0
 
 
 def test_a_photograph_is_found_again_in_another_view_of_it() -> None:
@@ -84,7 +85,7 @@ def bent(straight: Image) -> Image:
 
 @pytest.fixture(scope="module")
 def street() -> PhotographedStreet:
-    return PhotographedStreet(40.0, seed=3)
+    return PhotographedStreet(ROAD_M, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,7 @@ def maps(
     """Of one drive without a lens, by a lens that is known, and by one that is not."""
 
     def fill(folder: Path) -> None:
-        along_m = np.arange(0.0, 40.0, 2.0)
+        along_m = np.arange(0.0, ROAD_M, 2.0)
         drive(street, folder / "straight", along_m, fov_deg=FOV_DEG)
         drive(street, folder / "wide", along_m, size=STRAIGHT_SIZE, fov_deg=STRAIGHT_DEG)
         for name, lens in (("straight", Lens()), ("known", EUROC), ("unknown", Lens())):
@@ -124,7 +125,7 @@ def lookback_feed(source: Path, path: Path, lens: Lens) -> Path:
 def error_m(made: lookback.Map, street: PhotographedStreet, *, bends: bool, lens: Lens) -> float:
     """What poses of some pictures half a meter beside and ahead of places are off by, in the median."""
     found = []
-    for place in range(3, 18, 2):
+    for place in range(3, round(ROAD_M / 2) - 2, 2):
         at_m = 2.0 * place + 0.5
         picture = street.picture(0.5, at_m, *((STRAIGHT_SIZE, STRAIGHT_DEG) if bends else (SIZE, FOV_DEG)))
         pose = made.pose(

@@ -91,7 +91,7 @@ def called_at_m(verdicts: list[GpsVerdict], *states: str) -> float:
 
 
 def test_an_honest_gps_agrees(long_road: Road) -> None:
-    found = [state for seed in range(5) for state in states(drive(long_road, right, 1990.0, seed))]
+    found = [state for seed in range(3) for state in states(drive(long_road, right, 1990.0, seed))]
     assert "wrong" not in found
     assert np.mean([state == "agrees" for state in found]) > 0.9
 
@@ -103,22 +103,22 @@ def test_bursts_of_multipath_are_no_call(long_road: Road) -> None:
         angle = at_m // 400
         return (10 * math.sin(angle), 10 * math.cos(angle)) if at_m % 400 > 320 else (0.0, 0.0)
 
-    assert all(called_at_m(drive(long_road, burst, 1990.0, seed)) == math.inf for seed in range(5))
+    assert all(called_at_m(drive(long_road, burst, 1990.0, seed)) == math.inf for seed in range(3))
 
 
 def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> None:
     """By 0.06 to 0.25 m for each meter driven: 0.5 to 2 m/s at 8 m/s. All are said before 40 m, and called."""
     offs_m = []
-    for direction, share, seed in product((0, 90, 180, 225), (0.06, 0.12, 0.25), range(2)):
+    for seed, (direction, share) in enumerate(product((0, 90, 180, 225), (0.06, 0.12, 0.25))):
         towards = np.array([math.sin(math.radians(direction)), math.cos(math.radians(direction))])
 
         def drag(at_m: float, towards: NDArray[np.float64] = towards, share: float = share) -> tuple[float, float]:
-            east_m, north_m = share * max(0.0, at_m - 600.0) * towards
+            east_m, north_m = share * max(0.0, at_m - 300.0) * towards
             return east_m, north_m
 
-        verdicts = drive(long_road, drag, 600.0 + 60.0 / share, seed)
-        assert 0 < share * (called_at_m(verdicts, "wrong", "disagrees") - 600.0) < 40
-        offs_m.append(share * (called_at_m(verdicts) - 600.0))
+        verdicts = drive(long_road, drag, 300.0 + 60.0 / share, seed)
+        assert 0 < share * (called_at_m(verdicts, "wrong", "disagrees") - 300.0) < 40
+        offs_m.append(share * (called_at_m(verdicts) - 300.0))
         called = next(one for one in verdicts if one.state == "wrong")
         assert (called.east_m, called.north_m) == pytest.approx(offs_m[-1] * towards, abs=25.0)
     assert max(offs_m) < 50
@@ -297,7 +297,7 @@ def test_a_recording_that_is_25_m_off_in_part_makes_no_gps_wrong(mapped: MakeRoa
     """
     road = mapped(part(0, 600, recording="all"), Stretch(600, 1100, 0.0, 25.0, 3.0, recording="all"))
     found = []
-    for seed in range(12):
+    for seed in range(6):
         places = honest(seed, 1000)
         one, states_of = Vehicle(road, SETTINGS), []
         for error in places[:540]:

@@ -171,30 +171,6 @@ def test_after_clear_a_line_needs_all_its_frames_again() -> None:
     np.testing.assert_array_equal(searched_lines(search)[0], direct.min(axis=0))
 
 
-def test_no_line_where_the_map_is_shorter_than_the_sequence() -> None:
-    search = SequenceSearch([(0, 3), (3, 6)], ONE_REGION, 5, (1.0,))
-    for _ in range(5):
-        search.push(np.zeros((1, 6), dtype=np.int32))
-    assert (searched_lines(search)[0] == NO_LINE).all()
-
-
-def test_each_direction_and_order_is_distinguished() -> None:
-    places, length = 50, 10
-    slopes = slopes_around_diagonal(0.2, 21)
-    for direction, order in ALL_PLANES:
-        search = SequenceSearch([(0, places)], ALL_PLANES, length, slopes)
-        for frame in range(length):
-            row = np.full((2, places), 1000, dtype=np.int32)
-            row[("same", "swapped").index(order), 20 + frame if direction == "forward" else 20 - frame] = 0
-            search.push(row)
-        costs, which = searched_lines(search)
-        place = int(costs.argmin())
-        assert place == (20 + length - 1 if direction == "forward" else 20 - length + 1)
-        assert costs[place] == 0
-        assert search.planes[which[place]] == (direction, order)
-        assert search.passed(int(which[place]), place)[-1] / (length - 1) == pytest.approx(1.0, abs=0.06)
-
-
 def test_slopes_of_the_paper() -> None:
     slopes = slopes_around_diagonal(0.2, 21)
     assert slopes[0] == pytest.approx(0.663, abs=5e-4)

@@ -342,13 +342,12 @@ def test_the_chapters_of_one_recording_have_one_track(
     refused("video-log", first, r"GX010042\.AVI: chapter 2 of it is missing, and chapter 3 is there")
 
 
-@pytest.mark.parametrize("suffix", LOGS)
 def test_a_video_is_put_along_its_log(
-    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, sim_import: Callable[..., int], suffix: str
+    tmp_path: Path, write_video: WriteVideo, degrees_at: Degrees, sim_import: Callable[..., int]
 ) -> None:
     write_video(tmp_path / "drive.avi", 20, 10.0)
-    LOGS[suffix](tmp_path / f"flight{suffix}", degrees_at, 12)
-    log, output = tmp_path / f"flight{suffix}", tmp_path / "feed"
+    log, output = tmp_path / "flight.tlog", tmp_path / "feed"
+    write_tlog(log, degrees_at, 12)
     sim_import("video-log", tmp_path / "drive.avi", "--positions", log, "--offset-s", "1", "-o", output)
     feed = read_feed(output)
     # The log ends after 2.2 s, which is 1.2 s into the video.
