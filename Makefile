@@ -18,7 +18,7 @@ CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(fi
 WITH_LONG := -m 'not hardware and not soak'
 SIDE_BY_SIDE := -n $(shell expr $$(env -u OMP_NUM_THREADS nproc) + 2) --dist worksteal --durations=10
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
-WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py warm_start_file.py
+WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
 # Drives that are computed alike on every Python: over a quarter of the time that test-python would take.
 ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
@@ -61,7 +61,8 @@ kernel-%: $(VENV)/.dev
 test-python:
 	$(PYTHON_OF_TESTS) -m pytest $(SIDE_BY_SIDE) $(WITH_LONG) $(ALIKE:%=--ignore tests/%) \
 		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
-		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py
+		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py \
+		tests/recognition/test_warm_start_file.py
 
 # The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
 LOWEST_PYTHON ?= python3.10
