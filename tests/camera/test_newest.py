@@ -117,22 +117,20 @@ def test_each_frame_of_a_real_time_feed_is_taken_once_or_counted_as_overwritten(
     assert len(taken) + newest.health.overwritten == newest.health.delivered == 12
 
 
-def test_a_bad_frame_is_counted_and_the_camera_goes_on() -> None:
-    camera = ScriptedCamera(0, FrameError("frame 1 is torn"), 2)
+@pytest.mark.parametrize(
+    ("steps", "stamps_ns", "newest_ns"),
+    [((0, FrameError("frame 1 is torn"), 2), (), None), ((0, 1, 2, 3), (10, 20, 20, 15), 20)],
+    ids=["torn", "its stamp goes back"],
+)
+def test_a_bad_frame_is_counted_and_the_camera_goes_on(
+    steps: tuple[int | Exception, ...], stamps_ns: tuple[int, ...], newest_ns: int | None
+) -> None:
+    camera = ScriptedCamera(*steps, stamps_ns=stamps_ns)
     newest = NewestFrame(opener(camera))
     assert camera.closed.wait(PATIENCE_S)
-    assert (newest.health.delivered, newest.health.bad) == (2, 1)
-    newest.close()
-
-
-def test_a_frame_whose_stamp_goes_back_is_a_bad_frame() -> None:
-    camera = ScriptedCamera(0, 1, 2, 3, stamps_ns=(10, 20, 20, 15))
-    newest = NewestFrame(opener(camera))
-    assert camera.closed.wait(PATIENCE_S)
-    assert (newest.health.delivered, newest.health.bad) == (2, 2)
+    assert (newest.health.delivered, newest.health.bad) == (2, len(steps) - 2)
     frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.stamp_ns == 20
+    assert frame is not None and newest_ns in (None, frame.stamp_ns)
     newest.close()
 
 
@@ -163,20 +161,13 @@ def test_while_the_camera_is_lost_health_says_why_and_since_when_and_close_does_
     assert "camera" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_the_back_off_starts_over_once_a_frame_came(let_go: threading.Event) -> None:
-    # 24 losses of a camera that gives a frame each time: doubling all along would wait for 1e-4 * 2**24 s in all.
-    flapping = [ScriptedCamera(0, CameraLost("gone")) for _ in range(24)]
+@pytest.mark.parametrize(("gives", "longest_s"), [((0,), 1e6), ((), 2e-4)], ids=["starts over", "has an end"])
+def test_the_back_off(gives: tuple[int, ...], longest_s: float, let_go: threading.Event) -> None:
+    """After 24 losses: doubling all along would wait for 1e-4 * 2**24 s in all."""
+    lost = CameraLost("gone")
+    gone = [ScriptedCamera(*gives, lost) if gives else lost for _ in range(24)]
     last = ScriptedCamera(0, then_wait=let_go)
-    newest = NewestFrame(opener(*flapping, last), first_back_off_s=1e-4, longest_back_off_s=1e6)
-    assert last.drained.wait(PATIENCE_S)
-    let_go.set()
-    newest.close()
-
-
-def test_the_back_off_grows_only_up_to_its_limit(let_go: threading.Event) -> None:
-    gone = [CameraLost("gone")] * 24
-    last = ScriptedCamera(0, then_wait=let_go)
-    newest = NewestFrame(opener(*gone, last), first_back_off_s=1e-4, longest_back_off_s=2e-4)
+    newest = NewestFrame(opener(*gone, last), first_back_off_s=1e-4, longest_back_off_s=longest_s)
     assert last.drained.wait(PATIENCE_S)
     let_go.set()
     newest.close()

@@ -194,37 +194,26 @@ def test_an_upload_that_never_ends_is_given_up() -> None:
     assert scripting.modes == []
 
 
-@pytest.mark.parametrize("sender", [{"component_id": 190}, {"system_id": 2}, {"command": 31010}, {"to": 190}], ids=str)
-def test_answers_of_others_are_ignored(sender: dict[str, int]) -> None:
-    scripting = requested(LKH_MODE=AUTO)
+@pytest.mark.parametrize(
+    "sender", [{"component_id": 190}, {"system_id": 2}, {"command": 31010}, {"to": 190}, None], ids=str
+)
+def test_answers_of_others_or_without_a_request_are_ignored(sender: dict[str, int] | None) -> None:
+    scripting = start(LKH_MODE=AUTO) if sender is None else requested(LKH_MODE=AUTO)
     scripting.items = 17
-    scripting.answer(0, 17, **sender)
+    if sender is None:
+        scripting.switch = MIDDLE
+    scripting.answer(0, 17, **(sender or {}))
     scripting.step(20)
     assert scripting.modes == []
-    assert scripting.texts == ["Home: mission requested"]
+    assert scripting.texts == ["Home: mission requested"] * (sender is not None)
 
 
-def test_an_answer_without_a_request_is_ignored() -> None:
-    scripting = start(LKH_MODE=AUTO)
-    scripting.items, scripting.switch = 17, MIDDLE
-    scripting.answer(0, 17)
-    scripting.step(20)
-    assert scripting.modes == []
-    assert scripting.texts == []
-
-
-def test_nothing_is_requested_unless_enabled() -> None:
-    scripting = opened()
+@pytest.mark.parametrize(("at_boot", "is_enabled"), [(LOW, 0), (HIGH, 1)], ids=["not enabled", "high at boot"])
+def test_a_switch_that_counts_for_nothing_requests_nothing(at_boot: int, is_enabled: int) -> None:
+    scripting = opened(at_boot, LKH_ENABLE=is_enabled)
     scripting.heartbeat()
     scripting.step(SETTLED)
     scripting.switch = HIGH
-    scripting.step(50)
-    assert scripting.sent == []
-
-
-def test_a_switch_that_is_high_at_boot_requests_nothing() -> None:
-    scripting = opened(HIGH, LKH_ENABLE=1)
-    scripting.heartbeat()
     scripting.step(50)
     assert scripting.sent == []
 

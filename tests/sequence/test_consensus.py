@@ -152,13 +152,6 @@ def test_a_place_that_few_frames_support_is_not_believed() -> None:
     assert beliefs[-1] is None
 
 
-def test_matches_at_a_place_that_the_frames_no_longer_show_are_not_believed() -> None:
-    consensus = PlaceConsensus(SETTINGS)
-    assert _last(_drive(consensus, _right(100.0, 60))).is_believed
-    unlike = replace(STRONG, row_share=0.3)
-    assert not _last(_drive(consensus, _right(220.0, 20, unlike), from_m=120.0)).is_believed
-
-
 def test_a_few_meters_are_not_enough_however_strong_the_matches() -> None:
     strongest = replace(STRONG, uniqueness=3.0, sharpness=1.0)
     believed = [
@@ -180,19 +173,18 @@ def test_a_drive_that_is_unlike_all_others_does_not_outweigh_them() -> None:
     assert belief.is_believed
 
 
-def test_belief_ends_when_the_matches_go_elsewhere() -> None:
-    consensus = PlaceConsensus(SETTINGS)
-    assert _last(_drive(consensus, _right(100.0, 100))).is_believed
-    belief = _last(_drive(consensus, _scattered(80), from_m=200.0))
-    assert not belief.is_believed
-
-
-def test_belief_ends_with_the_drive() -> None:
-    consensus = PlaceConsensus(SETTINGS)
-    assert _last(_drive(consensus, _right(780.0, 100))).is_believed
-    at_end = replace(STRONG, along_m=1000.0)
-    after = _drive(consensus, [at_end] * 30, from_m=200.0)
-    assert not any(belief and belief.is_believed for belief in after[20:])
+@pytest.mark.parametrize("what", ["go elsewhere", "are unlike", "stay at the end of the drive"])
+def test_belief_ends_where_matches_speak_for_it_no_longer(what: str) -> None:
+    """The drive ends at 1,000 m."""
+    consensus, at_m = PlaceConsensus(SETTINGS), 780.0 if "end" in what else 100.0
+    assert _last(_drive(consensus, _right(at_m, 100))).is_believed
+    after: list[PlaceVote | None] = [replace(STRONG, along_m=1000.0)] * 30
+    if what == "go elsewhere":
+        after = _scattered(80)
+    elif what == "are unlike":
+        after = _right(at_m + 200.0, 30, replace(STRONG, row_share=0.3))
+    beliefs = _drive(consensus, after, from_m=200.0)
+    assert not any(belief and belief.is_believed for belief in beliefs[20:])
 
 
 def test_a_believed_drive_does_not_contradict_the_one_that_follows() -> None:
@@ -220,23 +212,18 @@ def test_on_a_closed_lap_the_belief_goes_on(direction: Direction) -> None:
         assert -20.0 <= belief.along_m <= 1020.0
 
 
-def test_without_an_odometer_frames_are_counted_and_missed_ones_too() -> None:
-    consensus = PlaceConsensus(SETTINGS)
-    votes = _right(100.0, 60)
-    for vote in votes[::2]:
-        belief = consensus.update(vote, None, places=2)
-    assert belief is not None
-    assert belief.is_believed
-    assert belief.along_m == pytest.approx(218.0, abs=2.0)
-
-
-def test_an_odometer_that_reads_a_twentieth_too_much_still_agrees_with_itself() -> None:
-    consensus = PlaceConsensus(SETTINGS)
-    for frame in range(1, 121):
-        belief = consensus.update(replace(STRONG, along_m=100 + 2.0 * frame), 2.1 * frame)
-    assert belief is not None
-    assert belief.is_believed
-    assert abs(belief.along_m - 340.0) < 10.0
+@pytest.mark.parametrize(
+    ("frames", "advance_m", "odometer", "places"),
+    [(120, 2.0, 1.05, 1), (1000, 0.5, 1.0, 1), (30, 4.0, None, 2)],
+    ids=["reads a twentieth too much", "more votes than are kept", "is not there, and a frame in two was missed"],
+)
+def test_an_odometer_agrees_with_itself(frames: int, advance_m: float, odometer: float | None, places: int) -> None:
+    consensus, belief = PlaceConsensus(SETTINGS), None
+    for driven_m in advance_m * np.arange(1, frames + 1):
+        vote = replace(STRONG, along_m=100 + driven_m)
+        belief = consensus.update(vote, odometer and odometer * driven_m, places=places)
+    assert belief is not None and belief.is_believed
+    assert belief.along_m == pytest.approx(100 + driven_m, abs=2.0 if odometer != 1.05 else 10.0)
 
 
 def test_an_odometer_that_was_counted_anew_does_not_move_the_votes() -> None:
@@ -260,16 +247,6 @@ def test_reset_forgets_every_vote() -> None:
     _drive(consensus, _right(100.0, 60))
     consensus.reset()
     assert consensus.update(None, 122.0) is None
-
-
-def test_more_votes_than_are_kept_do_no_harm() -> None:
-    """A vehicle that hardly moves gives many votes within the reach."""
-    consensus = PlaceConsensus(SETTINGS)
-    for frame in range(1, 1001):
-        belief = consensus.update(replace(STRONG, along_m=100 + 0.5 * frame), 0.5 * frame)
-    assert belief is not None
-    assert belief.is_believed
-    assert belief.along_m == pytest.approx(600.0)
 
 
 def test_two_drives_over_one_road_speak_for_one_place() -> None:
@@ -305,15 +282,6 @@ def test_where_one_of_two_drives_ends_the_other_is_followed() -> None:
     assert _last(beliefs[:49]).drive == 0
     assert all(belief is not None and belief.drive == 1 for belief in beliefs[49 + 16 :])
     assert _last(beliefs).is_believed
-
-
-def test_a_vehicle_that_turned_off_the_road_is_soon_not_believed_to_be_on_it() -> None:
-    """The old votes agree for 240 m, and those of an unknown road weigh little against them."""
-    consensus = PlaceConsensus(SETTINGS)
-    assert _last(_drive(consensus, _right(100.0, 120))).is_believed
-    after = _drive(consensus, _scattered(120), from_m=240.0)
-    believed = [frame for frame, belief in enumerate(after) if belief and belief.is_believed]
-    assert len(believed) <= 20
 
 
 def test_a_place_is_that_of_votes_with_weight() -> None:

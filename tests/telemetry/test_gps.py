@@ -144,20 +144,12 @@ def test_every_good_fix_of_either_receiver_withholds(rig: Rig, fix_type: int, re
     assert rig.journalled(FixWithheld)[-1].reason == "GPS is healthy"
 
 
-@pytest.mark.parametrize("fix_type", [0, 1, 2, 9])
-def test_no_fix_and_a_fix_without_height_do_not_withhold(rig: Rig, fix_type: int) -> None:
+@pytest.mark.parametrize(("fix_type", "h_acc_mm"), [(0, 1500), (1, 1500), (2, 1500), (9, 1500), (FIX_3D, 500_000)])
+def test_no_fix_and_one_without_height_or_accuracy_do_not_withhold(rig: Rig, fix_type: int, h_acc_mm: int) -> None:
     sky = Sky(rig, fix_type)
-    sky.run(2.0)
-    assert sky.state == "not healthy"
-    assert sky.offer(3.0) >= 2
-
-
-def test_a_fix_that_is_500_m_accurate_is_none(rig: Rig) -> None:
-    sky = Sky(rig)
-    sky.h_acc_mm = 500_000
+    sky.h_acc_mm = h_acc_mm
     sky.run(3.0)
-    assert sky.state == "not healthy"
-    assert rig.bounded_m is None
+    assert sky.state == "not healthy" and rig.bounded_m is None
     assert sky.offer(3.0) >= 2
 
 
@@ -231,16 +223,24 @@ def test_gps_that_flickers_every_four_seconds_is_never_healthy_and_bounds_nothin
     assert sent > 0 if good_s < 2.0 else sent == 0
 
 
-def test_a_fix_that_was_back_for_three_seconds_is_lost_after_five(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("good_s", "then", "unknown_s", "last"),
+    [(3.0, NO_FIX, 4.0, "not healthy"), (0.0, FIX_3D, 4.5, "healthy")],
+    ids=["lost again", "stays"],
+)
+def test_a_fix_that_comes_back_counts_after_five_seconds(
+    rig: Rig, good_s: float, then: int, unknown_s: float, last: str
+) -> None:
+    """And one that was back for three seconds is lost after five."""
     sky = Sky(rig, NO_FIX)
     sky.run(3.0)
     sky.first = FIX_3D
-    sky.run(3.0)
-    sky.first = NO_FIX
-    sky.run(4.0)
+    sky.run(good_s)
+    sky.first = then
+    sky.run(unknown_s)
     assert sky.state == "unknown"
     sky.run(1.5)
-    assert sky.state == "not healthy"
+    assert sky.state == last
 
 
 def test_one_good_message_after_an_outage_bounds_nothing(rig: Rig) -> None:
@@ -255,16 +255,6 @@ def test_one_good_message_after_an_outage_bounds_nothing(rig: Rig) -> None:
     sky.run(1.5)
     assert rig.uncertainty_m >= before_m
     assert sky.state == "not healthy"
-
-
-def test_gps_is_healthy_again_after_five_good_seconds(rig: Rig) -> None:
-    sky = Sky(rig, NO_FIX)
-    sky.run(3.0)
-    sky.first = FIX_3D
-    sky.run(4.5)
-    assert sky.state == "unknown"
-    sky.run(1.0)
-    assert sky.state == "healthy"
 
 
 def test_gps_bounds_the_position_by_its_accuracy(rig: Rig) -> None:

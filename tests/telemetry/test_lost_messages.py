@@ -232,35 +232,27 @@ def test_a_silent_link_is_no_reason_to_forget_the_bound(lost_gps: Rig, silent_s:
     assert after_m > 0.05 * 1.5 * 8.0 * silent_s, "it may have taken another way"
 
 
-def test_a_bound_is_not_remembered_when_the_autopilot_rebooted(lost_gps: Rig) -> None:
-    lost_gps.crash()
-    lost_gps.autopilot.reboot()
-    lost_gps.connect()
-    assert uncertainty_after(lost_gps, 8.0) is None
+DAMAGED = b"", b"{", b'{"sigma_m": 1}', b"\xff\x00"
 
 
-def test_a_bound_is_not_remembered_after_a_reboot_while_the_link_was_silent(lost_gps: Rig) -> None:
-    lost_gps.wire.loses = lambda message: True
-    lost_gps.run(3.0)
-    lost_gps.autopilot.reboot()
-    lost_gps.run(5.0)
-    lost_gps.wire.loses = None
-    assert uncertainty_after(lost_gps, 8.0) is None
-
-
-def test_a_bound_is_not_remembered_of_another_vehicle(lost_gps: Rig) -> None:
-    lost_gps.crash()
-    lost_gps.options = {"system_id": 9, "gps": False}
-    lost_gps.plug()
-    lost_gps.connect()
-    assert uncertainty_after(lost_gps, 8.0) is None
-
-
-@pytest.mark.parametrize("damage", [b"", b"{", b'{"sigma_m": 1}', b"\xff\x00"])
-def test_a_damaged_memory_is_none(lost_gps: Rig, damage: bytes) -> None:
-    lost_gps.crash()
-    lost_gps.port.with_name("events.bound").write_bytes(damage)
-    lost_gps.connect()
+@pytest.mark.parametrize("why", ["rebooted", "rebooted in silence", "another vehicle", *DAMAGED])
+def test_a_bound_is_not_remembered_of_another_life_or_of_a_damaged_file(lost_gps: Rig, why: str | bytes) -> None:
+    if why == "rebooted in silence":
+        lost_gps.wire.loses = lambda message: True
+        lost_gps.run(3.0)
+        lost_gps.autopilot.reboot()
+        lost_gps.run(5.0)
+        lost_gps.wire.loses = None
+    else:
+        lost_gps.crash()
+        if isinstance(why, bytes):
+            lost_gps.port.with_name("events.bound").write_bytes(why)
+        elif why == "rebooted":
+            lost_gps.autopilot.reboot()
+        else:
+            lost_gps.options = {"system_id": 9, "gps": False}
+            lost_gps.plug()
+        lost_gps.connect()
     assert uncertainty_after(lost_gps, 8.0) is None
 
 

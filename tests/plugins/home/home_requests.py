@@ -45,6 +45,13 @@ def finished(rig: Rig) -> Callable[[], bool]:
     return lambda: any(result != IN_PROGRESS for result in results(rig))
 
 
+def asked(rig: Rig, seconds: float = 10.0, message: Any = None) -> list[int]:
+    """Request the way home, by default as one does, and wait for the last answer; all answers."""
+    rig.autopilot.send(message or command())
+    assert rig.run(seconds, finished(rig))
+    return results(rig)
+
+
 def accepted(rig: Rig, times: int) -> Callable[[], bool]:
     return lambda: results(rig).count(ACCEPTED) == times
 

@@ -15,6 +15,7 @@ from tests.plugins.home.home_requests import (
     ACCEPTED,
     FAILED,
     acknowledgements,
+    asked,
     command,
     finished,
     results,
@@ -22,13 +23,25 @@ from tests.plugins.home.home_requests import (
 from tests.telemetry.rig import Rig
 
 
-def test_a_mission_whose_first_item_is_not_known_to_be_next_is_cleared(home: Rig) -> None:
-    home.wire.loses = lambda message: message.get_type() == "MISSION_CURRENT"
-    home.autopilot.send(command())
-    assert home.run(40.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot does not go back to the first item"
-    assert home.autopilot.mission.items == []
+@pytest.mark.parametrize(
+    ("lost", "why", "is_cleared"),
+    [
+        (("MISSION_CURRENT",), "no way home: the autopilot does not go back to the first item", True),
+        (("third item",), "no way home: the autopilot refuses the mission: OPERATION_CANCELLED", True),
+        (("third item", "MISSION_CLEAR_ALL"), "do not start the autopilot's mission", False),
+    ],
+)
+def test_a_mission_that_stops_halfway_is_cleared_or_said_to_be_there(
+    home: Rig, lost: tuple[str, ...], why: str, is_cleared: bool
+) -> None:
+    def loses(message: Any) -> bool:
+        kind = message.get_type()
+        return ("third item" if kind == "MISSION_ITEM_INT" and message.seq == 3 else kind) in lost
+
+    home.wire.loses = loses
+    assert asked(home, 60.0)[-1] == FAILED
+    assert why in home.journalled(HomeAnswered)[-1].text
+    assert not (is_cleared and home.autopilot.mission.items)
 
 
 @pytest.mark.parametrize("lost", [0.05, 0.1, 0.2])
@@ -36,9 +49,7 @@ def test_a_link_that_loses_messages_only_delays_it(home: Rig, lost: float) -> No
     """A share of the messages of the protocol is lost, in both directions."""
     rng = np.random.default_rng(3)
     home.wire.loses = lambda message: message.get_type().startswith("MISSION") and bool(rng.random() < lost)
-    home.autopilot.send(command())
-    assert home.run(120.0, finished(home))
-    assert results(home)[-1] == ACCEPTED
+    assert asked(home, 120.0)[-1] == ACCEPTED
     assert len(home.autopilot.mission.items) == acknowledgements(home)[-1].result_param2
 
 
@@ -52,10 +63,8 @@ def test_a_lost_last_acknowledgement_is_no_failure(home: Rig) -> None:
         return bool(is_lost)
 
     home.wire.loses = loses
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
+    assert asked(home)[-1] == ACCEPTED
     assert lost
-    assert results(home)[-1] == ACCEPTED
 
 
 def test_items_that_come_twice_are_no_failure(home: Rig) -> None:
@@ -69,8 +78,7 @@ def test_items_that_come_twice_are_no_failure(home: Rig) -> None:
         return False
 
     home.wire.loses = loses
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
+    asked(home)
     assert len(twice) == len(home.autopilot.mission.items)
     assert results(home)[-1] == ACCEPTED
 
@@ -90,8 +98,7 @@ def test_a_lost_last_item_is_sent_again(home: Rig) -> None:
         return lost == 1 and kind.startswith("MISSION_REQUEST") and kind != "MISSION_REQUEST_LIST"
 
     home.wire.loses = loses
-    home.autopilot.send(command())
-    assert home.run(20.0, finished(home))
+    asked(home, 20.0)
     assert lost == 2
     assert len(home.received("MISSION_REQUEST_LIST")) == 3, "that of the mission before, and one that was denied"
     assert results(home)[-1] == ACCEPTED
@@ -111,24 +118,6 @@ def test_a_silent_autopilot_is_given_up(home: Rig, sender: int, doubt: str) -> N
     assert home.journalled(HomeAnswered)[-1].text == f"no way home: the autopilot does not answer{doubt}"
 
 
-def test_a_mission_that_stops_halfway_is_cleared(home: Rig) -> None:
-    home.wire.loses = lambda message: message.get_type() == "MISSION_ITEM_INT" and message.seq == 3
-    home.autopilot.send(command())
-    assert home.run(30.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert home.autopilot.mission.items == []
-
-
-def test_a_mission_that_cannot_be_cleared_either_is_reported(home: Rig) -> None:
-    home.wire.loses = lambda message: (
-        message.get_type() == "MISSION_CLEAR_ALL" or (message.get_type() == "MISSION_ITEM_INT" and message.seq == 3)
-    )
-    home.autopilot.send(command())
-    assert home.run(60.0, finished(home))
-    assert results(home)[-1] == FAILED
-    assert "do not start the autopilot's mission" in home.journalled(HomeAnswered)[-1].text
-
-
 def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
     """It requests the first item again and again, although it gets it."""
     transfer = MissionTransfer([MissionItem(16, 3, (0.0, 0.0, 0.0, 0.0))] * 3, 1, first_is_home=False)
@@ -146,9 +135,7 @@ def test_an_autopilot_that_requests_for_ever_is_given_up() -> None:
 @pytest.mark.parametrize("result", [mavlink.MAV_MISSION_INVALID_PARAM5_X, mavlink.MAV_MISSION_NO_SPACE, 99])
 def test_a_refused_item_ends_it(home: Rig, result: int) -> None:
     home.autopilot.mission.rejects = {2: result}
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == FAILED
+    assert asked(home)[-1] == FAILED
     assert home.autopilot.mission.items == []
     text = home.journalled(HomeAnswered)[-1].text
     assert text in {
@@ -162,9 +149,7 @@ def test_an_item_that_is_stored_otherwise_is_found(home: Rig) -> None:
         return item
 
     home.autopilot.mission.alters = alters
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == FAILED
+    assert asked(home)[-1] == FAILED
     assert home.journalled(HomeAnswered)[-1].text == "no way home: item 3 is not the one that was uploaded"
     assert home.autopilot.mission.items == []
 

@@ -20,6 +20,7 @@ from tests.plugins.home.home_requests import (
     REJECTED,
     accepted,
     acknowledgements,
+    asked,
     command,
     finished,
     results,
@@ -28,8 +29,7 @@ from tests.telemetry.rig import OpenRig, Rig
 
 
 def test_the_mission_is_uploaded_verified_and_acknowledged(home: Rig) -> None:
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
+    asked(home)
     assert results(home)[0] == IN_PROGRESS
     *_, ack = acknowledgements(home)
     assert (ack.result, ack.result_param2) == (ACCEPTED, len(home.autopilot.mission.items))
@@ -48,8 +48,7 @@ def test_the_mission_is_uploaded_verified_and_acknowledged(home: Rig) -> None:
 
 def test_nothing_else_is_commanded(home: Rig) -> None:
     """No command but requests for messages and streams leaves us: no mode, no arming, no start."""
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
+    asked(home)
     home.run(5.0)
     assert {one.command for one in home.received("COMMAND_LONG")} <= {511, 512}
     kinds = {entry.message.get_type() for entry in home.autopilot.received}
@@ -64,9 +63,7 @@ def test_the_way_home_begins_at_its_first_item(home: Rig) -> None:
         for number in range(13)
     ]
     mission.current = 12
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
-    assert results(home)[-1] == ACCEPTED
+    assert asked(home)[-1] == ACCEPTED
     assert len(mission.waypoints_deg) > 2
     assert mission.ahead_deg == mission.waypoints_deg
 
@@ -86,9 +83,7 @@ def test_the_same_way_home_begins_at_its_first_item_again(home: Rig) -> None:
 def test_a_vehicle_that_drives_itself_keeps_its_mission(home: Rig) -> None:
     home.autopilot.base_mode = DRIVING_ITSELF
     home.run(1.5)
-    home.autopilot.send(command())
-    assert home.run(2.0, finished(home))
-    assert results(home) == [REJECTED]
+    assert asked(home, 2.0) == [REJECTED]
     assert not home.received("MISSION_COUNT")
     home.autopilot.base_mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
     home.run(4.0)  # no heartbeat may contradict it
@@ -102,9 +97,7 @@ def test_no_mission_is_uploaded_before_the_mode_is_known(home: Rig) -> None:
     home.autopilot.received.clear()
     home.connect()
     assert home.run(4.0, lambda: home.connection.state == "up")
-    home.autopilot.send(command())
-    assert home.run(1.0, finished(home))
-    assert results(home) == [REJECTED]
+    assert asked(home, 1.0) == [REJECTED]
     assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot's mode is not known"
 
 
@@ -139,9 +132,7 @@ def test_what_must_not_be_uploaded_is_not(open_home: OpenRig, options: Any, resu
 def test_a_position_that_is_lost_is_no_start(home: Rig) -> None:
     home.wire.loses = lambda message: message.get_type() == "GLOBAL_POSITION_INT"
     home.run(3.0)
-    home.autopilot.send(command())
-    assert home.run(2.0, finished(home))
-    assert results(home) == [REJECTED]
+    assert asked(home, 2.0) == [REJECTED]
     assert home.journalled(HomeAnswered)[-1].text == "no way home: autopilot reports no position"
 
 
@@ -156,9 +147,7 @@ def test_a_broadcast_and_commands_for_others_are_ignored(home: Rig, component_id
 @pytest.mark.parametrize("params", [(0.0, 5665.0), (1.0, 0.0), (1.0, 1.0)])
 def test_other_parameters_are_denied(home: Rig, params: tuple[float, float]) -> None:
     """Others use the command as well, with 1 for a spoofed GPS."""
-    home.autopilot.send(command(params=params))
-    assert home.run(2.0, finished(home))
-    assert results(home) == [DENIED]
+    assert asked(home, 2.0, command(params=params)) == [DENIED]
     assert not home.received("MISSION_COUNT")
 
 
@@ -187,8 +176,7 @@ def test_the_mission_can_be_requested_from_this_computer(home: Rig) -> None:
 
 
 def test_the_pilot_reads_it(home: Rig) -> None:
-    home.autopilot.send(command())
-    assert home.run(10.0, finished(home))
+    asked(home)
     home.run(5.0)
     texts = home.received("STATUSTEXT")
     (warning,) = [one for one in texts if one.severity == mavlink.MAV_SEVERITY_WARNING and "degrees" in one.text]
