@@ -41,7 +41,8 @@ from sim.trial.way import along
 from sim.vehicle.estimator import Estimator, FilterNoise, OdometryErrors
 from sim.world.scenario import Scenario
 
-LENGTH_M, WORLD = 500.0, 21
+LENGTH_M, SHORT_M, WORLD = 500.0, 300.0, 21
+"""Of a road; the shorter one where keypoints are found in each picture."""
 CELL_M = 2
 """Views as far apart as the map's places are: most drives see no others than the map's camera and the first one."""
 SMALL = (
@@ -364,7 +365,7 @@ def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     name: str, library: RoadLibrary, tmp_path: Path
 ) -> None:
     """The way home, in the other lane, and the way out again: the daemon's own looks, by rendered pictures."""
-    run = drive(on_keypoints(COURSES[name]), 1, LENGTH_M, WORLD, tmp_path, library)
+    run = drive(on_keypoints(COURSES[name]), 1, SHORT_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
     along_m, across_m = np.percentile(np.abs(run.lane_m), 90, axis=0)
     assert len(run.lane_m) > 20 and max(along_m, across_m) < 1.0
@@ -377,7 +378,7 @@ def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
 def test_with_keypoints_a_place_is_known_where_nobody_knew_the_vehicle(
     name: str, library: RoadLibrary, tmp_path: Path
 ) -> None:
-    run = drive(on_keypoints(COURSES[name]), 1, LENGTH_M, WORLD, tmp_path, library)
+    run = drive(on_keypoints(COURSES[name]), 1, SHORT_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
 
 
@@ -387,7 +388,7 @@ def test_home_begins_earlier_on_the_map_of_the_way_out_where_that_has_keypoints(
 ) -> None:
     """Out by day, mapped by a rear camera, and home at dusk without GPS, which is lost at the turn."""
     lines, looks = COURSES["take-me-home-dusk"], on_keypoints(COURSES["take-me-home-dusk"])
-    runs = [drive(one, 1, 300.0, WORLD, tmp_path, library) for one in (lines, looks)]
+    runs = [drive(one, 1, SHORT_M, WORLD, tmp_path, library) for one in (lines, looks)]
     first_m = [float(np.interp(run.sent.of_s[0], run.track.time_s, run.track.along_m)) for run in runs]
     lost_m = [float(run.track.along_m[run.track.gps.argmin()]) for run in runs]
     print("first positions", np.subtract(first_m, lost_m).round(), "m after GPS was lost")
