@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 
 import cv2
@@ -42,6 +45,7 @@ def pytest_xdist_auto_num_workers() -> int:
     return max(4, 2 * (os.cpu_count() or 1))
 
 
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 SHARED = Path(__file__).parents[2] / "shared"
 
 
@@ -133,7 +137,7 @@ def write_traverse() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
     """Gives a folder that is filled by the worker that first asks for its name; the others wait, and share it."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -151,16 +155,57 @@ def make_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
     return make
 
 
-@pytest.fixture(scope="session")
-def network() -> MemoizingNetwork:
-    """fc6, for tests whose maps or configs name no other network: it describes each picture once."""
-    return MemoizingNetwork.load()
+class SharedNetwork(MemoizingNetwork):
+    """Describes each picture once for all workers, which find it in a folder."""
+
+    folder: Path
+
+    def describe(self, images: NDArray[np.uint8]) -> NDArray[np.float32]:
+        key = blake2b(images.tobytes(), digest_size=16).digest()
+        if key not in self._known:
+            file = self.folder / key.hex()
+            if file.exists():
+                self._known[key] = np.load(file)
+                self._known[key].flags.writeable = False
+            else:
+                described = super().describe(images)
+                with contextlib.suppress(OSError), tempfile.NamedTemporaryFile(dir=self.folder) as half_done:
+                    np.save(half_done, described)  # fails where a test has filled the disk
+                    half_done.flush()
+                    file.hardlink_to(half_done.name)
+        return self._known[key]
+
+
+def _shared(make_once: MakeOnce, name: str, path: Path | None) -> MemoizingNetwork:
+    network = SharedNetwork.load(path)
+    assert isinstance(network, SharedNetwork)
+    network.folder = make_once(f"described by {name}", lambda folder: None)
+    return network
 
 
 @pytest.fixture(scope="session")
-def grid() -> MemoizingNetwork:
+def network(make_once: MakeOnce) -> MemoizingNetwork:
+    """fc6, for tests whose maps or configs name no other network."""
+    return _shared(make_once, "fc6", None)
+
+
+@pytest.fixture(scope="session")
+def grid(make_once: MakeOnce) -> MemoizingNetwork:
     """The same with the network of new installations, in a fourth of fc6's time: 9 ms a picture instead of 34."""
-    return MemoizingNetwork.load(Path(FIRST_NETWORK))
+    return _shared(make_once, FIRST_NETWORK, Path(FIRST_NETWORK))
+
+
+@pytest.fixture(scope="session")
+def golden_run(make_once: MakeOnce, network: MemoizingNetwork) -> Callable[[Path], Path]:
+    """Runs the daemon of a golden once for all workers: a folder of its outputs, and `list.drive`, what it was told."""
+    from tests.golden.harness import run_case
+
+    def fill(case: Path, folder: Path) -> None:
+        maps, drive = make_once("golden", lambda folder: None), folder / "list.drive"
+        for name, text in run_case(case, maps, network, own=folder / "run", drive=drive).items():
+            (folder / name).write_text(text, encoding="utf-8")
+
+    return lambda case: make_once(f"golden_{case.name}", partial(fill, case))
 
 
 @pytest.fixture(scope="session")

@@ -18,20 +18,15 @@ from edge.errors import FeedError
 from edge.localization.drive_file import LENGTH, DriveFile, read_drive, replay
 from edge.localization.events import Frame
 from edge.sequence import PlaceMatch, Seen
-from sim.evaluation.memoizing_network import MemoizingNetwork
-from tests.golden.harness import cases, run_case
+from tests.golden.harness import cases
 
 CASE = cases("run")[0]
 
 
 @pytest.fixture
-def path(make_once: Callable[[str, Callable[[Path], object]], Path], network: MemoizingNetwork) -> Path:
+def path(golden_run: Callable[[Path], Path]) -> Path:
     """The list of one drive."""
-    return make_once("events", lambda folder: _drive(folder, network)) / "list.drive"
-
-
-def _drive(folder: Path, network: MemoizingNetwork) -> None:
-    run_case(CASE, folder, network, own=folder / "run", drive=folder / "list.drive")
+    return golden_run(CASE) / "list.drive"
 
 
 def test_another_configuration_gives_other_answers(path: Path) -> None:

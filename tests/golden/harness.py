@@ -255,11 +255,6 @@ def _drive_case(folder: Path, scratch: Path) -> dict[str, str]:
 KINDS = {"replay": replay_case, "run": run_case, "drives": drive_case}
 
 
-def outputs_of(folder: Path, scratch: Path, network: Network, drive: Path | None = None) -> dict[str, str]:
-    """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once.
-
-    drive: a file for the list of the drive, of a run.
-    """
-    if folder.parent.name == "run":
-        return run_case(folder, scratch, network, drive=drive)
+def outputs_of(folder: Path, scratch: Path, network: Network) -> dict[str, str]:
+    """The golden files of any case, as they come out now. Use one empty `scratch` for all cases, and each case once."""
     return KINDS[folder.parent.name](folder, scratch, network)
