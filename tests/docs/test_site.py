@@ -21,7 +21,7 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
 PARTS = ("README.md", "mkdocs.yml", "setup.py", "docs", "edge", "lookback")
 PHONE = 390
-WIDE = ("index.html", "troubleshooting.html", "mapping.html", "fleet.html", "evaluation.html", "api.html")
+WIDE = ("index", "troubleshooting", "mapping", "fleet", "evaluation", "api", "method")
 STEP = re.compile(r"run: \|\n( +version=.*?)\n\s*\Z", re.DOTALL)
 
 
@@ -76,6 +76,7 @@ def test_links_out_of_the_pages_lead_to_the_repository_and_nothing_is_loaded_fro
     for page, text in pages.items():
         assert not re.search(r'<(?:script|img|iframe)[^>]* src="(?:https?:)?//', text), page
         assert not re.search(r'<link[^>]* rel="stylesheet"[^>]* href="(?:https?:)?//', text), page
+        assert not re.search(r'class="(arithmatex|[^"]*mermaid)', text), f"{page}: an equation or figure needs a script"
 
 
 @NEEDS_CHROMIUM
@@ -83,5 +84,5 @@ def test_no_page_is_wider_than_a_phone(site: Path) -> None:
     pytest.importorskip("selenium")
     with browser(PHONE, 844) as chromium:
         for name in WIDE:
-            chromium.get((site / "0.4" / name).as_uri())
+            chromium.get((site / "0.4" / f"{name}.html").as_uri())
             assert chromium.execute_script("return document.documentElement.scrollWidth") <= PHONE, name
