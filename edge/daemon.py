@@ -24,14 +24,14 @@ from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
 from edge.journal.records import PlaceFix, Stopped
-from edge.localization import AGREE_SIGMAS, Break, Maps, Moved, events
-from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.localization import AGREE_SIGMAS, Discontinuity, MapUpdate, OdometryUpdate, events
+from edge.localization.dead_reckoning import Odometry, TurnAround
 from edge.localization.place_fix import frame_used, untracked_fix
 from edge.map_verification import MapVerification
 from edge.opened_parts import OpenedParts
 from edge.plugin import UsedFrame
 from edge.reference_map import MapSet
-from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch, SearchRegion
 
 TURN_S = 0.02  # at most this long between reads of the MAVLink port
 log = logging.getLogger(__name__)
@@ -108,7 +108,7 @@ class Daemon:
             self._recognizer.begin_way_back()
         reckoned = self._drive.reckoned(displacement)
         match = self._recognize(
-            frame, Travel(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned)
+            frame, MotionPrior(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned)
         )
         self._estimate(frame.stamp_ns, match, displacement, missed)
         self._publish_frame(frame, match, distance_m, missed)
@@ -124,20 +124,18 @@ class Daemon:
         """Look at a further picture while the vehicle stands, and nothing is believed; publish the place it shows."""
         displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
         reckoned = self._drive.reckoned(displacement)
-        travel = Travel(distance_m, 0, self._search_area(), self._turn_around.course_rad, reckoned)
+        travel = MotionPrior(distance_m, 0, self._search_area(), self._turn_around.course_rad, reckoned)
         match = self._recognize(frame, travel, again=True)
         if match is not None:
             self._estimate(frame.stamp_ns, match, displacement, 0)
             self._publish_place(frame, match)
 
-    def _estimate(
-        self, stamp_ns: int, match: PlaceMatch | None, displacement: Displacement | None, missed: int
-    ) -> None:
+    def _estimate(self, stamp_ns: int, match: PlaceMatch | None, displacement: Odometry | None, missed: int) -> None:
         """What follows from the answer to a frame: for the vehicle, and for GPS."""
         self._autopilot.report_own()
         now_ns = self._clock_ns()
         vehicle, in_line = self._autopilot.vehicle, self._recognizer.is_in_line
-        frame = events.Frame(
+        frame = events.ImageProcessed(
             stamp_ns,
             match,
             motion=displacement,
@@ -151,7 +149,7 @@ class Daemon:
         if in_line:
             self._autopilot.judge_gps(self._drive.known.gps)
 
-    def _recognize(self, frame: Frame, travel: Travel, *, again: bool = False) -> PlaceMatch | None:
+    def _recognize(self, frame: Frame, travel: MotionPrior, *, again: bool = False) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged.
 
         again: from the spot of the last one.
@@ -169,16 +167,18 @@ class Daemon:
             self._exclude(left)
             return None
         if self._recognizer.was_carried:
-            self._drive.update(self._clock_ns(), Break("carried"))
+            self._drive.update(self._clock_ns(), Discontinuity("carried"))
         believed = [] if match is None else [one for one in (match, match.alone) if one.accepted]
         return match if all(self._is_verified(one) for one in believed) else None
 
-    def _search_area(self) -> Near | None:
+    def _search_area(self) -> SearchRegion | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
         own, sigma_m = self._autopilot.vehicle.position(self._clock_ns()), self._drive.known.own_sigma_m
         if own is None or sigma_m is None:
             return None
-        return Near(own.lat_deg, own.lon_deg, max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m))
+        return SearchRegion(
+            own.lat_deg, own.lon_deg, max(self.parts.config.map.search_radius_m, AGREE_SIGMAS * sigma_m)
+        )
 
     def _is_verified(self, match: PlaceMatch) -> bool:
         """Check the maps behind a match before anything is published of it; False if one had to be excluded, or if the
@@ -220,7 +220,7 @@ class Daemon:
 
     def _use_maps(self) -> None:
         """Those that the recognizer searches: nothing is known of where the vehicle is on them."""
-        self._drive.update(self._clock_ns(), Maps(self._recognizer.map_set))
+        self._drive.update(self._clock_ns(), MapUpdate(self._recognizer.map_set))
 
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
@@ -228,7 +228,7 @@ class Daemon:
         maps = parts.plugins.grown_maps(self._recognizer.map_set)
         if maps is not None:
             self._recognizer.grow_maps(maps)
-            self._drive.update(self._clock_ns(), Maps(maps, has_grown=True))
+            self._drive.update(self._clock_ns(), MapUpdate(maps, has_grown=True))
 
     def _publish_frame(self, frame: Frame, match: PlaceMatch | None, distance_m: float | None, missed: int) -> None:
         """To the journal where it is to have every frame, an event to people, and both to the plug-ins."""
@@ -290,7 +290,7 @@ class Daemon:
     def _reset(self) -> None:
         """Begin anew: nothing is published that rests on frames from before a blindness."""
         self._recognizer.reset()
-        self._drive.update(self._clock_ns(), Break("blind"))
+        self._drive.update(self._clock_ns(), Discontinuity("blind"))
 
     def _publish_position(self) -> None:
         """A position for the autopilot, if one is due, or why there is none."""
@@ -300,7 +300,7 @@ class Daemon:
         now_ns, unable = self._clock_ns(), self._unable()
         self._autopilot.report_own()
         if limits.at == "now":
-            self._drive.update(now_ns, Moved(self._autopilot.vehicle.motion.displacement(now_ns)))
+            self._drive.update(now_ns, OdometryUpdate(self._autopilot.vehicle.motion.displacement(now_ns)))
         self._autopilot.send_position(self._drive.fix(now_ns, replace(limits, unable=unable)))
 
     def _compare_with_gps(self) -> None:

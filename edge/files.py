@@ -71,7 +71,7 @@ def flush_to_disk(path: Path) -> None:
         os.close(descriptor)
 
 
-class Behind:
+class BackgroundWorker:
     """One task at a time in a thread of its own: a disk that hangs must not hold up what drives the vehicle."""
 
     def __init__(self) -> None:
@@ -110,14 +110,14 @@ class Behind:
 
 
 def wait_for_writes(seconds: float = 2.0) -> None:
-    """Wait for the tasks of every `Behind`, side by side, so long at most."""
+    """Wait for the tasks of every `BackgroundWorker`, side by side, so long at most."""
     end_s = time.monotonic() + seconds
     for thread in threading.enumerate():
         if thread.name == BEHIND:
             thread.join(max(0.0, end_s - time.monotonic()))
 
 
-class KeptFile(Generic[T]):
+class PersistentFile(Generic[T]):
     """One record that outlives this program, in a file of JSON after its SHA-256: the store for what a next run needs.
 
     A disk that is full or hangs, and a file that is damaged, cost only that. Version 0.3.0 wrote some without SHA-256.
@@ -126,7 +126,7 @@ class KeptFile(Generic[T]):
     def __init__(self, path: Path | None, kind: type[T], lost: str, *, is_flushed: bool = True) -> None:
         """path: None keeps nothing. lost: what it costs, for people. is_flushed: it outlives a power cut as well."""
         self._path, self._kind, self._lost, self._is_flushed = path, kind, lost, is_flushed
-        self._behind, self._logged = Behind(), ""
+        self._behind, self._logged = BackgroundWorker(), ""
 
     def read(self) -> T | None:
         """What an earlier run has kept; None for nothing, with a line in the log where it cannot be used."""

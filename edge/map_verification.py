@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from edge.files import Behind
+from edge.files import BackgroundWorker
 from edge.journal.records import MapExcluded, Record
 from edge.reference_map import ExcludedMap, MapSet
 
@@ -29,7 +29,7 @@ class MapVerification:
         for excluded in maps.excluded:
             self._publish_excluded(excluded)
         self.checksums = maps.checksum_schedule()
-        self._behind, self._damaged, self._may_wait_s = Behind(), dict[Path, str](), WAITS_S
+        self._behind, self._damaged, self._may_wait_s = BackgroundWorker(), dict[Path, str](), WAITS_S
 
     def check_next(self, maps: MapSet, first: Sequence[Path], *, waits: bool = False) -> MapSet | None:
         """Have a thread check a further piece, of the maps in `first` before others; the maps that are left if one of

@@ -19,9 +19,9 @@ from edge.files import wait_for_writes
 from edge.health.monitor import HealthMonitor, Links, StageTimes
 from edge.journal.journal import Journal, QueuedJournal
 from edge.journal.records import Record
-from edge.localization import Entry, Maps, PositionEstimator
+from edge.localization import Entry, MapUpdate, PositionEstimator
 from edge.map_verification import MapVerification
-from edge.plugin import Parts, Plugins, Recognized
+from edge.plugin import Parts, Plugins, RecognizerView
 from edge.recognition.recognizer import network_for, open_recognizer
 from edge.recognition.warm_start import WarmStart
 from edge.telemetry.autopilot import AutopilotConnection
@@ -85,7 +85,7 @@ class OpenedParts:
             self.plugins.open(shared)
             self._open_recognizer(network)
             self._open_camera(parts, frames)
-            shared.recognizer = Recognized(self.recognizer)
+            shared.recognizer = RecognizerView(self.recognizer)
             shared.pictures, shared.camera = self.pictures, self.camera
             self.plugins.start()
 
@@ -98,7 +98,7 @@ class OpenedParts:
         maps = self.recognizer.map_set
         log.info("sampling: %s", self.recognizer.matcher.spacing)
         self.verification = MapVerification(maps, self.record)
-        self.drive.update(self.clock_ns(), Maps(maps))
+        self.drive.update(self.clock_ns(), MapUpdate(maps))
         self.warm_start = WarmStart(config, self.recognizer)
 
     def _open_camera(self, parts: ExitStack, frames: Frames | None) -> None:

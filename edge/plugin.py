@@ -28,9 +28,9 @@ from edge.health.monitor import StageTimes
 from edge.journal.records import FrameUsed, PlaceFix, PluginFailed, Record
 from edge.localization import PositionEstimator
 from edge.recognition.recognizer import PlaceRecognizer
-from edge.reference_map import MapSet, MapSoFar
+from edge.reference_map import MapSet, PartialMap
 from edge.reference_map.place_records import PLACE
-from edge.sequence import Agreeing, PlaceMatch
+from edge.sequence import Correspondences, PlaceMatch
 from edge.telemetry.autopilot import DRAIN_S, AutopilotConnection, Service
 from edge.telemetry.codec import Message
 
@@ -40,7 +40,7 @@ FAILURES = (Exception, SystemExit)
 log = logging.getLogger(__name__)
 
 
-class Recognized:
+class RecognizerView:
     """What a plug-in may read of the recognizer, and no way to change what is recognized."""
 
     def __init__(self, recognizer: PlaceRecognizer) -> None:
@@ -49,7 +49,7 @@ class Recognized:
         self.raw_of, self.describe = recognizer.raw_of, recognizer.describe
 
     @property
-    def agreeing(self) -> Agreeing | None:
+    def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
         return self._recognizer.matcher.agreeing
 
@@ -83,7 +83,7 @@ class Parts:
     lost: Callable[[], int]
     plugins: Plugins
     mapping_frames: Frames | None = None
-    recognizer: Recognized = field(init=False)
+    recognizer: RecognizerView = field(init=False)
     pictures: PictureCheck = field(init=False)
     camera: Frames = field(init=False)
 
@@ -114,7 +114,7 @@ class Plugin:
     service: Service | None = None
     """What it exchanges with the autopilot."""
 
-    def newest_map(self) -> MapSoFar | None:
+    def newest_map(self) -> PartialMap | None:
         """A map of this drive, searched with the others: another object once it has grown. Asked before `start` too."""
         return None
 
@@ -149,7 +149,7 @@ class Plugins:
     def __init__(self, link: AutopilotConnection) -> None:
         """link: to the autopilot, with which their services exchange messages, and to the journal and the pilot."""
         self._open: dict[str, Plugin] = {}
-        self._newest: MapSoFar | None = None
+        self._newest: PartialMap | None = None
         self._copied: tuple[Frame, Frame] | None = None
         self._link = link
         link.serve(self)
@@ -190,7 +190,7 @@ class Plugins:
         """
         return self._call(name, lambda: what(self._open[name]))
 
-    def newest_map(self) -> MapSoFar | None:
+    def newest_map(self) -> PartialMap | None:
         """The map of this drive, None where nothing maps it."""
         newest = (self._call(name, partial(_checked_map, plugin)) for name, plugin in list(self._open.items()))
         self._newest = next((one for one in newest if one is not None), None)
@@ -260,10 +260,10 @@ class Plugins:
         return has_said
 
 
-def _checked_map(plugin: Plugin) -> MapSoFar | None:
+def _checked_map(plugin: Plugin) -> PartialMap | None:
     """Its map of this drive; TypeError or ValueError for what is none."""
     newest = plugin.newest_map()
-    if newest is not None and not isinstance(newest, MapSoFar):
+    if newest is not None and not isinstance(newest, PartialMap):
         raise TypeError(f"newest_map: {type(newest).__name__} is no map of a drive")
     if newest is not None and (newest.places.dtype, len(newest.places)) != (PLACE, newest.header.places):
         raise ValueError(f"newest_map: has other places than the {newest.header.places} of its header")

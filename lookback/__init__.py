@@ -34,7 +34,7 @@ from lookback import own_packages  # noqa: F401  # before anything of them is im
 # isort: split
 from edge import __version__
 from edge.errors import LookbackError as Error
-from edge.keypoints import Keypoints, Verified
+from edge.keypoints import InlierMatches, Keypoints
 from edge.sequence import PlaceMatch
 from lookback.description import describe, normalize
 from lookback.maps import Map, Recognizer
@@ -47,12 +47,12 @@ from sim.compare.matching import Matches
 __all__ = [
     "Curve",
     "Error",
+    "InlierMatches",
     "Keypoints",
     "Map",
     "Matches",
     "PlaceMatch",
     "Recognizer",
-    "Verified",
     "__version__",
     "auc",
     "believe",

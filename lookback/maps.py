@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from edge.config import NETWORKS, CameraConfig, DescriptorConfig, Lens, SamplingConfig, SequenceConfig
 from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
-from edge.keypoints import Camera
+from edge.keypoints import CameraModel
 from edge.keypoints.mount import turned_aside
-from edge.keypoints.pose import Pose, look
+from edge.keypoints.pose import RelativePose, look
 from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 from lookback import checks
 from lookback.description import network_of
 from lookback.verification import Picture, keypoints
@@ -108,7 +108,7 @@ class Map:
         fov_deg: float | None = None,
         lens: Literal["pinhole", "fisheye"] = "pinhole",
         distortion: Sequence[float] = (),
-    ) -> Pose | None:
+    ) -> RelativePose | None:
         """From where a picture shows a place: meters to the right and ahead of the place's camera, and turned from it.
 
         picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: that of the map),
@@ -123,7 +123,7 @@ class Map:
         optics = key.fov_deg, key.alone
         if fov_deg is not None:
             optics = checks.field_of_view(fov_deg), Lens(lens=lens, distortion=tuple(distortion))
-        camera = Camera(key.width, height, *optics)
+        camera = CameraModel(key.width, height, *optics)
         there, points = keypoints_of(records[place], key), points_of(records[place])
         found = look(query, there, points, camera)
         # A map has its points as a camera would that looks along the road: this one's may look beside it.
@@ -157,4 +157,4 @@ class Recognizer:
         fewer pictures than a sequence has. `accepted`: whether the place is believed.
         """
         self._stamp_ns += 10**9
-        return self._recognizer.observe(image, self._stamp_ns, Travel(distance_m))
+        return self._recognizer.observe(image, self._stamp_ns, MotionPrior(distance_m))

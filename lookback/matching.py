@@ -10,7 +10,7 @@ from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map import COST_ONE, ModelKey
 from edge.reference_map.costs import CostMatcher, encode
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge_plugins.mapping.builder import Place
 from lookback import checks
 from sim.compare.as_run import run_on
@@ -129,6 +129,6 @@ def believe(
         sequence=SequenceConfig(length=length),
     )
     mapped = [Place(row, route_m=float(at_m)) for row, at_m in enumerate(along)]
-    travel = [Travel(None if at_m is None else float(at_m)) for at_m in driven]
+    travel = [MotionPrior(None if at_m is None else float(at_m)) for at_m in driven]
     model = ModelKey("described", "0" * 64, "array", places.shape[2])
     return run_on([MappedDrive(places, mapped, views[0])], rows, travel, {0}, config, model, "belief")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import Keypoints, Verified, matching
+from edge.keypoints import InlierMatches, Keypoints, matching
 from edge.keypoints.network import MOST, KeypointNetwork
 from lookback.description import image_of
 
@@ -27,7 +27,7 @@ def keypoints(picture: Picture, most: int = MOST) -> Keypoints:
     return _network().extract(image_of(picture), most)
 
 
-def verify(query: Picture | Keypoints, reference: Picture | Keypoints) -> Verified:
+def verify(query: Picture | Keypoints, reference: Picture | Keypoints) -> InlierMatches:
     """Which points of two pictures one geometry explains; their number, `inliers`, says whether it is one place.
 
     In pictures of web cameras, 141 in the median where both show one place by day, 65 at dusk and 20 by night; 7 where

@@ -23,10 +23,10 @@ from edge.feed.format import FeedRow
 from edge.feed.reader import Feed, FeedImages, Frame
 from edge.feed.sampling import Sampler
 from edge.geodesy import east_north
-from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.localization.dead_reckoning import Odometry, TurnAround
 from edge.recognition.recognizer import PlaceRecognizer
 from edge.reference_map import MapHeader
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 
 COURSE_M = 5.0
 """As positions once a second are some meters apart. Twice as far, a turn of 8 m radius is cut by up to 12 degrees."""
@@ -53,7 +53,7 @@ class TraverseFrame:
         """What the daemon would recognize; frames come in order."""
         if self.has_turned:
             recognizer.begin_way_back()
-        travel = Travel(self.distance_m, self.missed, course_rad=self.course_rad)
+        travel = MotionPrior(self.distance_m, self.missed, course_rad=self.course_rad)
         return recognizer.observe(self.frame.image, self.frame.stamp_ns, travel)
 
 
@@ -85,7 +85,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             distance_m = distances_m[index] if distances_m else None
             if sampler.is_place(row.stamp_ns, distance_m):
                 east_m, north_m = ground_m[index]
-                where = None if math.isnan(east_m) else Displacement(0, east_m, north_m)
+                where = None if math.isnan(east_m) else Odometry(0, east_m, north_m)
                 turned = turn_around.add(where)
                 frame = Frame(image, row.stamp_ns, index)
                 yield TraverseFrame(frame, row, distance_m, sampler.missed, turn_around.course_rad, turned)

@@ -1,4 +1,4 @@
-"""What threads of `edge.files.Behind` still write, and a disk that is full."""
+"""What threads of `edge.files.BackgroundWorker` still write, and a disk that is full."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from edge_plugins.page import PageConfig
 from sim import Pose
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
-from sim.vehicle.command import Start, straight_line
+from sim.vehicle.command import VehicleStart, straight_line
 from sim.vehicle.pty_link import PtyLink, open_pty
 
 FRAMES, PERIOD_MS = 80, 150
@@ -130,7 +130,7 @@ def test_a_feed_begins_once_the_autopilot_has_reported_a_speed(street: Path, tmp
 
 def test_a_feed_begins_with_the_vehicle_that_follows_it(street: Path, tmp_path: Path, cable: PtyLink) -> None:
     """With its own first frame it was 0.8 s ahead on a busy machine, and GPS 7 to 12 m off."""
-    start = Start()
+    start = VehicleStart()
 
     def pose_at(time_s: float) -> Pose:
         since_s = max(0.0, time_s - start.time_s)

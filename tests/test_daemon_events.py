@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from edge.config import Config
 from edge.errors import FeedError
 from edge.localization.drive_file import LENGTH, DriveFile, read_drive, replay
-from edge.localization.events import Frame
-from edge.sequence import PlaceMatch, Seen
+from edge.localization.events import ImageProcessed
+from edge.sequence import KeyframeMatch, PlaceMatch
 from tests.golden.harness import cases
 
 CASE = cases("run")[0]
@@ -67,9 +67,9 @@ def test_what_is_no_list_of_a_drive_is_rejected_with_its_name(data: bytes, tmp_p
 
 
 def test_the_list_of_a_drive_keeps_what_keypoints_saw(tmp_path: Path) -> None:
-    seen = Seen(3, 0.5, -1.0, 0.01, np.diag([0.1, 0.2, 0.01]), 60, 0.9)
+    seen = KeyframeMatch(3, 0.5, -1.0, 0.01, np.diag([0.1, 0.2, 0.01]), 60, 0.9)
     alone = PlaceMatch(3, 3, "forward", "same", 0.0, 0.0, 1.0, seen=seen, has_line=False)
-    frames = [Frame(1), Frame(2, alone), Frame(3, dataclasses.replace(alone, seen=None))]
+    frames = [ImageProcessed(1), ImageProcessed(2, alone), ImageProcessed(3, dataclasses.replace(alone, seen=None))]
     with closing(DriveFile(tmp_path / "list.drive", Config())) as file:
         for frame in frames:
             file.write(frame.stamp_ns, frame)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from edge.files import Behind, replacing
+from edge.files import BackgroundWorker, replacing
 
 
 def test_the_new_content_is_in_place_only_after_the_block(tmp_path: Path) -> None:
@@ -35,7 +35,7 @@ def test_an_exception_in_the_block_leaves_the_old_file_and_nothing_else(tmp_path
 def test_a_disk_that_hangs_holds_up_nobody(tmp_path: Path) -> None:
     """A pipe that nobody reads stands for the disk: it cannot even be opened."""
     os.mkfifo(tmp_path / "pipe")
-    behind, file = Behind(), tmp_path / "file"
+    behind, file = BackgroundWorker(), tmp_path / "file"
     behind.start(partial((tmp_path / "pipe").write_bytes, b"new"))
     assert not behind.wait(0.1), "it has begun"
     behind.start(partial(file.write_bytes, b"older"))

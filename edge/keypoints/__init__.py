@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints.points import Points
-from edge.keypoints.view_geometry import Camera
+from edge.keypoints.points import MapPoints
+from edge.keypoints.view_geometry import CameraModel
 
-__all__ = ["Camera", "Keypoints", "Points", "Verified"]
+__all__ = ["CameraModel", "InlierMatches", "Keypoints", "MapPoints"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Keypoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Verified:
+class InlierMatches:
     """Which points of two pictures are the same ones, seen from two places.
 
     matches: (M, 2) int32, rows of the query's points and of the reference's that one fundamental matrix explains.

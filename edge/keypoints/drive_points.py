@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.mount import Mount, mount_of_drive
-from edge.keypoints.points import REACH_M, Points, points_of
-from edge.keypoints.view_geometry import Camera
+from edge.keypoints.points import REACH_M, MapPoints, points_of
+from edge.keypoints.view_geometry import CameraModel
 
 MOST_ROWS = 12
 """That take part, of those within REACH_M: places may lie closer than 2 m."""
@@ -28,12 +28,12 @@ def points_of_drive(
     keypoints_of: Callable[[int], Keypoints],
     route_m: NDArray[np.float64],
     heading: NDArray[np.float64],
-    camera: Camera,
+    camera: CameraModel,
     rows: Sequence[int],
     *,
     looks_back: bool = False,
     mount: Mount | None = None,
-) -> Iterator[tuple[Points, Mount]]:
+) -> Iterator[tuple[MapPoints, Mount]]:
     """What `points_of` has of some rows of a drive, one row after another.
 
     keypoints_of: of a row. route_m: driven so far, and heading: of the vehicle, clockwise in radians, each (N,). Where

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import Keypoints, Verified
+from edge.keypoints import InlierMatches, Keypoints
 from edge.keypoints.view_geometry import per_network_pixel
 
 LEAST_COSINE = 0.82
@@ -28,14 +28,14 @@ def mutual_matches(query: NDArray[np.int8], reference: NDArray[np.int8]) -> NDAr
     return np.stack([rows[alike], best[alike]], axis=1).astype(np.int32)
 
 
-def verify(query: Keypoints, reference: Keypoints) -> Verified:
+def verify(query: Keypoints, reference: Keypoints) -> InlierMatches:
     """The matches that one fundamental matrix explains, found by MAGSAC++; the same each time for the same points.
 
     Both pictures count as if they had NETWORK_PIXELS, so cameras of any two resolutions compare.
     """
     matches = mutual_matches(query.descriptors, reference.descriptors)
     if len(matches) < _LEAST_MATCHES:
-        return Verified(matches[:0], len(matches))
+        return InlierMatches(matches[:0], len(matches))
     one, other = (
         points.xy[rows] / per_network_pixel(*points.size)
         for points, rows in zip((query, reference), matches.T, strict=True)
@@ -45,5 +45,5 @@ def verify(query: Keypoints, reference: Keypoints) -> Verified:
     except cv2.error:  # OpenCV 5 where the best of its hypotheses cannot be improved
         explained = None
     if explained is None:
-        return Verified(matches[:0], len(matches))
-    return Verified(matches[explained.ravel() > 0], len(matches))
+        return InlierMatches(matches[:0], len(matches))
+    return InlierMatches(matches[explained.ravel() > 0], len(matches))

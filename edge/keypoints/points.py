@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.keypoints.mount import ROW_SIGMA, Mount, unknown
-from edge.keypoints.view_geometry import Camera, Sight
+from edge.keypoints.view_geometry import CameraModel, Projection
 
 REACH_M = 10.0
 """Rows this far along the drive, to either side of a row, take part."""
@@ -32,7 +32,7 @@ WIDER = (3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class MapPoints:
     """Keypoints (K,) of a row as points in the row's own frame: its camera, as if it looked level along the road.
 
     places: (K, 3) direction (x / z, y / z), and 1 / z in 1/m, NaN where the distance is not known. sigma: (K,) of
@@ -42,14 +42,14 @@ class Points:
     places: NDArray[np.float64]
     sigma: NDArray[np.float64]
 
-    def __getitem__(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> Points:
+    def __getitem__(self, chosen: NDArray[np.integer] | NDArray[np.bool_]) -> MapPoints:
         """Some of them."""
-        return Points(self.places[chosen], self.sigma[chosen])
+        return MapPoints(self.places[chosen], self.sigma[chosen])
 
-    def turned(self, rotation: NDArray[np.float64]) -> Points:
+    def turned(self, rotation: NDArray[np.float64]) -> MapPoints:
         """In the frame of a camera at the same place that has rays turned by a matrix (3, 3)."""
         rays = np.column_stack([self.places[:, :2], np.ones(len(self.places))]) @ rotation.T
-        return Points(np.column_stack([rays[:, :2], self.places[:, 2]]) / rays[:, 2:], self.sigma / rays[:, 2])
+        return MapPoints(np.column_stack([rays[:, :2], self.places[:, 2]]) / rays[:, 2:], self.sigma / rays[:, 2])
 
     @property
     def is_known(self) -> NDArray[np.bool_]:
@@ -61,9 +61,9 @@ def points_of(
     own: NDArray[np.float64],
     matched: NDArray[np.float64],
     rows: NDArray[np.float64],
-    camera: Camera,
+    camera: CameraModel,
     of_drive: Mount | None = None,
-) -> tuple[Points, Mount]:
+) -> tuple[MapPoints, Mount]:
     """The keypoints of a row with directions `own` (K, 2), by those of their matches (V, K, 2) in V rows, NaN: none.
 
     rows: (V, 3) the cameras of those rows in the row's own frame: meters right and ahead, turned clockwise in radians.
@@ -81,7 +81,7 @@ def points_of(
     places = np.column_stack([own, np.full(len(own), np.nan)])
     sigma = np.full(len(own), np.nan)
     if not tried.size:
-        return Points(places, sigma), mount
+        return MapPoints(places, sigma), mount
     raw, matches = raw[:, tried], matches[:, tried]
     at = np.zeros((len(raw), 1, 4))
     at[1:, 0, :3] = rows
@@ -95,9 +95,9 @@ def points_of(
         seen = mount.leveled(raw)
     kept &= _agree(points, seen, cameras, limit)
     known = kept[0] & (kept.sum(axis=0) >= FEWEST_ROWS) & (points[:, 2] > INVERSES[0] / 4)
-    mounted = Points(points[known], np.sqrt(variance[known])).turned(mount.rotation)
+    mounted = MapPoints(points[known], np.sqrt(variance[known])).turned(mount.rotation)
     places[tried[known]], sigma[tried[known]] = mounted.places, mounted.sigma
-    return Points(places, sigma), mount
+    return MapPoints(places, sigma), mount
 
 
 def _started(
@@ -106,7 +106,7 @@ def _started(
     """Points (K, 3) at those of INVERSES at which most matches are where they must be."""
     tried = np.empty((len(INVERSES), seen.shape[1], 3))
     tried[..., :2], tried[..., 2] = seen[0], INVERSES[:, np.newaxis]
-    off = Sight(cameras[1:, np.newaxis], tried).directions - seen[1:, np.newaxis]
+    off = Projection(cameras[1:, np.newaxis], tried).directions - seen[1:, np.newaxis]
     cost = np.minimum(np.square(off).sum(axis=-1), (2 * limit) ** 2)
     best = np.where(matches[1:, np.newaxis], cost, 0.0).sum(axis=0).argmin(axis=0)
     found: NDArray[np.float64] = tried[best, np.arange(seen.shape[1])]
@@ -117,7 +117,7 @@ def _agree(
     points: NDArray[np.float64], seen: NDArray[np.float64], cameras: NDArray[np.float64], limit: float
 ) -> NDArray[np.bool_]:
     """Which directions (1 + V, K) are where they must be."""
-    sight = Sight(cameras, points)
+    sight = Projection(cameras, points)
     found: NDArray[np.bool_] = (np.square(seen - sight.directions).sum(axis=-1) < limit**2) & (sight.depth > 0)
     return found
 
@@ -137,7 +137,7 @@ def _adjusted(
     And the variance of 1 / z (K,). The row's own camera is fixed but for the mount. at: of the cameras as they are
     known, as is `begun` of the mount. seen: as leveled by the mount so far. Points are eliminated (Schur).
     """
-    sight, size, others = Sight(cameras, points), len(points), len(cameras) - 1
+    sight, size, others = Projection(cameras, points), len(points), len(cameras) - 1
     weight = kept[..., np.newaxis] / pixel
     seen = np.where(kept[..., np.newaxis], seen, 0.0)
     off = (seen - sight.directions) * weight

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
-from edge.keypoints.points import Points
-from edge.keypoints.view_geometry import Camera, Sight
+from edge.keypoints.points import MapPoints
+from edge.keypoints.view_geometry import CameraModel, Projection
 
 STARTS = np.array([(right, ahead, 0.0) for right in (-3.5, 0.0, 3.5) for ahead in (-6.0, 0.0, 6.0)])
 """Right and ahead in meters, and turned, where the vehicle is not followed."""
@@ -46,7 +46,7 @@ FARTHEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class RelativePose:
     """Meters to the right and ahead of the row's camera, and turned clockwise in radians.
 
     covariance: (3, 3) of these; where another minimum explains the points nearly as well, with the way to it. agrees:
@@ -62,7 +62,7 @@ class Pose:
     cost: float
     pairs: NDArray[np.int32] | None = None
 
-    def turned(self, turn: float) -> Pose:
+    def turned(self, turn: float) -> RelativePose:
         """In the frame of a camera at the same place that looks so much further clockwise."""
         cos, sin = np.cos(turn), np.sin(turn)
         frame = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -76,8 +76,8 @@ class Pose:
 
 
 def pose_of(
-    points: Points, seen: NDArray[np.float64], camera: Camera, starts: NDArray[np.float64] = STARTS
-) -> Pose | None:
+    points: MapPoints, seen: NDArray[np.float64], camera: CameraModel, starts: NDArray[np.float64] = STARTS
+) -> RelativePose | None:
     """The pose from which points (n,) of known distance are seen in directions (n, 2); None if too few of them agree.
 
     starts: (S, 3) meters right and ahead, and turned; a single one where the vehicle is followed.
@@ -107,12 +107,12 @@ def pose_of(
     each = worse * np.linalg.inv(information)[:, :3, :3] + away[:, :, np.newaxis] * away[:, np.newaxis]
     covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
     right_m, ahead_m, turn, _ = cameras[best].tolist()
-    return Pose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
+    return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
 
 
 def look(
-    query: Keypoints, place: Keypoints, points: Points, camera: Camera, starts: NDArray[np.float64] = STARTS
-) -> Pose | None:
+    query: Keypoints, place: Keypoints, points: MapPoints, camera: CameraModel, starts: NDArray[np.float64] = STARTS
+) -> RelativePose | None:
     """The pose of a picture's camera by the points of a row of the map that it sees; None if those are too few.
 
     place, points: of the row. camera: of the query, whose pixels count as so many as the camera says.
@@ -130,7 +130,7 @@ def look(
 def _whitened(
     cameras: NDArray[np.float64],
     inverse: NDArray[np.float64],
-    points: Points,
+    points: MapPoints,
     seen: NDArray[np.float64],
     pixel: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -141,7 +141,7 @@ def _whitened(
     """
     places = np.broadcast_to(points.places, (*inverse.shape, 3)).copy()
     places[..., 2] = inverse
-    sight = Sight(cameras[:, np.newaxis], places)
+    sight = Projection(cameras[:, np.newaxis], places)
     by_inverse, known, sigma = sight.by_inverse() / pixel, points.places[:, 2], points.sigma
     off = (seen - sight.directions) / pixel + by_inverse * (inverse - known)[..., np.newaxis]
     along = by_inverse * sigma[:, np.newaxis]

@@ -28,7 +28,7 @@ def per_network_pixel(width: float, height: float) -> float:
     return math.sqrt(width * height / NETWORK_PIXELS)
 
 
-class Camera(NamedTuple):
+class CameraModel(NamedTuple):
     """Pixels of its picture, its horizontal field of view without what the lens bends, and the lens."""
 
     width: int
@@ -77,7 +77,7 @@ def _straightened(bent: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:
     return straight
 
 
-class Sight:
+class Projection:
     """Points (..., 3) as cameras (..., 4) see them; the shapes before the last axis are broadcast together.
 
     directions: (..., 2). depth: (...), below 0 for what is behind the camera, whose direction is nonsense.

@@ -15,29 +15,29 @@ from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.bound import PERIOD_NS
-from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Displacement, Gyros, Integral
+from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Gyros, Integral, Odometry
 from edge.localization.events import (
     BOUND_WRONG,
     GPS_SIGMA_M,
-    Break,
+    AutopilotState,
+    Discontinuity,
     Fix,
-    Frame,
+    FixFeedback,
+    FixRequest,
     GpsFix,
     GpsState,
-    Limits,
-    Maps,
-    Moved,
-    Own,
+    ImageProcessed,
+    MapUpdate,
+    OdometryUpdate,
     ProtectionLevel,
-    Used,
 )
 from edge.localization.filter import AGREE_SIGMAS, CORRELATION_M
 from edge.localization.gps_judge import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
-from edge.localization.odometer import Scale, ShownScale
-from edge.localization.own_motion import OwnMotion
-from edge.localization.position_estimator import Entry, Known, PositionEstimator
-from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, Refusal, position_of
+from edge.localization.odometer import OdometerCalibration, ScaleFactor
+from edge.localization.own_motion import GyroOdometer
+from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
+from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
 
 __all__ = [
     "AGREE_SIGMAS",
@@ -50,30 +50,30 @@ __all__ = [
     "PERIOD_NS",
     "STANDING",
     "TWO_AUTOPILOTS",
-    "Break",
+    "AutopilotState",
     "DeadReckoning",
-    "Displacement",
+    "Discontinuity",
     "Entry",
+    "EstimatorState",
     "Fix",
-    "Frame",
+    "FixFeedback",
+    "FixRequest",
     "GpsFix",
     "GpsState",
     "GpsVerdict",
+    "GyroOdometer",
     "Gyros",
+    "ImageProcessed",
     "Integral",
-    "Known",
-    "Limits",
-    "Maps",
-    "Moved",
-    "Own",
-    "OwnMotion",
+    "MapUpdate",
+    "NoFix",
+    "OdometerCalibration",
+    "Odometry",
+    "OdometryUpdate",
     "PlaceFix",
     "PositionEstimator",
     "ProtectionLevel",
-    "Refusal",
-    "Scale",
-    "ShownScale",
-    "Used",
+    "ScaleFactor",
     "distance_from",
     "offset_m",
     "position_of",

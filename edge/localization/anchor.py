@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import Displacement
+from edge.localization.dead_reckoning import Odometry
 
 
 @dataclass(frozen=True)
-class Reckoned:
+class DeadReckoningOffset:
     """Where the vehicle is by an anchor: meters east and north of a fix, and one standard deviation."""
 
     east_m: float
@@ -25,15 +25,17 @@ class Reckoned:
 
 
 @dataclass(frozen=True)
-class Anchor:
+class OdometryDatum:
     """Where the vehicle was, by GPS or by an observation, to one standard deviation, at a displacement."""
 
     lat_deg: float
     lon_deg: float
     sigma_m: float
-    displacement: Displacement
+    displacement: Odometry
 
-    def reckoned(self, fix: PlaceFix, now: Displacement, drift: float, driven_m: float | None = None) -> Reckoned:
+    def reckoned(
+        self, fix: PlaceFix, now: Odometry, drift: float, driven_m: float | None = None
+    ) -> DeadReckoningOffset:
         """Relative to a fix with a position, at a displacement; drift: of the meters driven, those in between if None.
 
         What may have been driven while the velocity was unknown is in the standard deviation.
@@ -45,4 +47,4 @@ class Anchor:
             driven_m = math.hypot(moved_east_m, moved_north_m)
         unknown_m = now.unknown_sigma_since(self.displacement)
         sigma_m = math.hypot(self.sigma_m, drift * driven_m, unknown_m)
-        return Reckoned(east_m + moved_east_m, north_m + moved_north_m, sigma_m)
+        return DeadReckoningOffset(east_m + moved_east_m, north_m + moved_north_m, sigma_m)

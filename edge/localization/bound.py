@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import Anchor, Reckoned
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, Fix, Own
-from edge.sequence import Reckoning
+from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.events import BOUND_WRONG, AutopilotState, Fix
+from edge.sequence import DeadReckoningPosition
 
 PERIOD_NS = 1_000_000_000  # between two that are kept
 SETTLED_NS = 10_000_000_000
@@ -31,13 +31,13 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Bound:
+class PositionAiding:
     """GPS or a position of ours bounded the autopilot's.
 
     errors: of that now. wrong: probability that what bounded it was wrong. by_gps: whether GPS did.
     """
 
-    errors: Errors
+    errors: PropagatedCovariance
     wrong: float
     by_gps: bool
 
@@ -59,7 +59,7 @@ class Drift(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Errors:
+class PropagatedCovariance:
     """Of a position east and north, each (2, 2): the covariance when it was bound; and what has become of it since.
 
     by_velocity: meters for each of the velocity's scale, and for each radian of its heading. by_way: for each share of
@@ -70,13 +70,13 @@ class Errors:
     by_velocity: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
     by_way: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
 
-    def moved(self, east_m: float, north_m: float, driven_m: float, unknown_m: float) -> Errors:
+    def moved(self, east_m: float, north_m: float, driven_m: float, unknown_m: float) -> PropagatedCovariance:
         """After so many meters more; unknown_m: one standard deviation of those while the velocity was unknown."""
         by_velocity = self.by_velocity + np.array([[east_m, north_m], [north_m, -east_m]])
         covariance = self.covariance + unknown_m**2 * np.eye(2)
-        return Errors(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
+        return PropagatedCovariance(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
 
-    def bound_by(self, fix: Fix, left_m: float) -> Errors:
+    def bound_by(self, fix: Fix, left_m: float) -> PropagatedCovariance:
         """After the autopilot is `left_m` from a position of ours: only what that kept goes on from before.
 
         By how much, not by which way: nobody knows how a velocity is wrong besides, and on a bend that goes on growing.
@@ -87,7 +87,7 @@ class Errors:
         keeps, sigmas_m = np.array(fix.keeps), np.maximum([place.sigma_along_m, place.sigma_across_m], left_m)
         kept, set_by = axes[keeps].T @ axes[keeps], axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
         by_way = axes[keeps].T @ np.diag(np.linalg.norm(axes[keeps] @ self.by_way, axis=1)) @ axes[keeps]
-        return Errors(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
+        return PropagatedCovariance(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
 
     def _covariance(self, drift: Drift) -> Matrix:
         by_velocity, by_way = self.by_velocity * (drift.scale, drift.heading_rad), drift.way * self.by_way
@@ -111,8 +111,8 @@ def _axes(heading_deg: float) -> Matrix:
     return np.array([[sin, cos], [cos, -sin]])
 
 
-class Kept(msgspec.Struct, frozen=True):
-    """What bounded an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `OwnPosition.snapshot`.
+class AidingSnapshot(msgspec.Struct, frozen=True):
+    """What bounded an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `AutopilotCovariance.snapshot`.
 
     by_fixes: whether it rests on positions of ours, or may.
     """
@@ -126,7 +126,7 @@ class Kept(msgspec.Struct, frozen=True):
     lon_deg: float
     by_fixes: bool = True
 
-    def since(self, now: Kept, drift: float) -> float | None:
+    def since(self, now: AidingSnapshot, drift: float) -> float | None:
         """One standard deviation now, as far as the vehicle can have gone unheard: as fast as before or now.
 
         None where it is not certain that both are of one boot of one autopilot, or it was too long ago.
@@ -145,7 +145,7 @@ class Kept(msgspec.Struct, frozen=True):
         return math.hypot(self.sigma_m, drift * driven_m)
 
 
-class OwnPosition:
+class AutopilotCovariance:
     """How far the autopilot's own position may be off, and where GPS had the vehicle last.
 
     What bounded the position (GPS or a fix) still does over a silent link and over a restart of this program, while the
@@ -156,43 +156,46 @@ class OwnPosition:
         """drift: of the meters driven, where nothing else is known of the velocity."""
         self.drift = Drift(0.0, 0.0, drift)
         """By what is known of it now."""
-        self._at: Own | None = None
-        self.bound: Bound | None = None
+        self._at: AutopilotState | None = None
+        self.bound: PositionAiding | None = None
         """What bounded it since its boot, None where nothing did."""
         self._has_run_away = False  # since then: nothing measured its velocity for a while
-        self.by_gps: Anchor | None = None
+        self.by_gps: OdometryDatum | None = None
         """Where GPS had the vehicle last."""
-        self.when_lost: Anchor | None = None
+        self.when_lost: OdometryDatum | None = None
         """The same, by motion in which GPS has no part."""
         self._by_gps_m = 0.0  # driven by then
-        self._trusted: tuple[Anchor, float] | None = None  # of it, what no place can have moved, and driven by then
+        self._trusted: tuple[OdometryDatum, float] | None = None  # what no place can have moved, and driven by then
         self.rests_on_fixes = False
         """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
         self._sent_ns: int | None = None
-        self._kept: Kept | None = None
+        self._kept: AidingSnapshot | None = None
         self._due_ns = 0
 
     def restart(self) -> None:
-        """The autopilot has rebooted. What GPS showed of the vehicle holds on, see `Displacement.unknown_m`."""
+        """The autopilot has rebooted. What GPS showed of the vehicle holds on, see `Odometry.unknown_m`."""
         self.bound, self._sent_ns = None, None
 
     def sent(self, t_ns: int) -> None:
         """A position was sent: nobody knows yet whether the autopilot uses it."""
         self._sent_ns, self.rests_on_fixes = t_ns, True
 
-    def bind(self, sigma_m: float, own: Own, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
+    def bind(self, sigma_m: float, own: AutopilotState, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            self.bound, self._has_run_away = Bound(Errors(sigma_m**2 * np.eye(2)), wrong, by_gps), False
+            self.bound, self._has_run_away = (
+                PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps),
+                False,
+            )
 
-    def bind_by_fix(self, fix: Fix, left_m: float, own: Own) -> None:
+    def bind_by_fix(self, fix: Fix, left_m: float, own: AutopilotState) -> None:
         """It has used a position or agrees with it, and is so far from it now."""
         before, place = self.bound, fix.place
         self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
         if self.bound is not None and own.driven_m is not None and place.heading_deg is not None:
             self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix, left_m))
 
-    def move(self, own: Own) -> None:
+    def move(self, own: AutopilotState) -> None:
         """The vehicle has moved on. One whose velocity nothing measures runs away, until it is bound anew."""
         self._has_run_away |= not own.is_aided
         before, self._at = self._at, own
@@ -205,7 +208,7 @@ class OwnPosition:
         errors = self.bound.errors.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
         self.bound = replace(self.bound, errors=errors)
 
-    def keep(self, t_ns: int, own: Own, *, is_by_gps: bool) -> float | None:
+    def keep(self, t_ns: int, own: AutopilotState, *, is_by_gps: bool) -> float | None:
         """Keep what bounds it, once a second; what was kept where nothing does, as far as that still holds.
 
         is_by_gps: whether GPS bounds it now.
@@ -221,7 +224,7 @@ class OwnPosition:
         if position is None or own.speed_mps is None or own.system_id is None or own.booted_ns is None:
             return None
         where = own.speed_mps, position.lat_deg, position.lon_deg, self.rests_on_fixes
-        now = Kept(own.system_id, own.booted_ns, t_ns, sigma_m or 0.0, *where)
+        now = AidingSnapshot(own.system_id, own.booted_ns, t_ns, sigma_m or 0.0, *where)
         if sigma_m is not None:
             self._kept = now
             return None
@@ -240,18 +243,18 @@ class OwnPosition:
         Ignored where it is damaged.
         """
         with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
-            self._kept = msgspec.json.decode(kept, type=Kept)
+            self._kept = msgspec.json.decode(kept, type=AidingSnapshot)
 
-    def anchor(self, own: Own) -> None:
+    def anchor(self, own: AutopilotState) -> None:
         """GPS has the vehicle where the autopilot believes it to be."""
         position = own.position
         if position is not None and own.driven_m is not None and own.gps_sigma_m is not None:
             where = position.lat_deg, position.lon_deg, own.gps_sigma_m
-            self.by_gps = None if own.motion is None else Anchor(*where, own.motion)
-            self.when_lost = None if own.without_gps is None else Anchor(*where, own.without_gps)
+            self.by_gps = None if own.motion is None else OdometryDatum(*where, own.motion)
+            self.when_lost = None if own.without_gps is None else OdometryDatum(*where, own.without_gps)
             self._by_gps_m = own.driven_m
 
-    def trust(self, own: Own, *, is_doubted: bool) -> None:
+    def trust(self, own: AutopilotState, *, is_doubted: bool) -> None:
         """Reckon by where GPS has the vehicle, from now on: not while places speak against GPS.
 
         Nor where a position of ours may still be in it, or once its velocity has run away.
@@ -265,26 +268,28 @@ class OwnPosition:
         """The vehicle was moved without its wheels: what was reckoned says nothing of where it is now."""
         self._trusted = None
 
-    def reckoning(self, motion: Displacement | None, own: Own) -> Reckoning | None:
+    def reckoning(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
         if self._trusted is None or motion is None or own.driven_m is None:
             return None
         anchor, at_m = self._trusted
         where = moved(anchor.lat_deg, anchor.lon_deg, *motion.since(anchor.displacement))
         drift_m = self.drift.most * max(0.0, own.driven_m - at_m)
-        return Reckoning(*where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement)))
+        return DeadReckoningPosition(
+            *where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement))
+        )
 
-    def _errors(self, own: Own) -> Errors | None:
+    def _errors(self, own: AutopilotState) -> PropagatedCovariance | None:
         if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
         return self.bound.errors
 
-    def sigma_m(self, own: Own, least_m: float = 0.0) -> float | None:
+    def sigma_m(self, own: AutopilotState, least_m: float = 0.0) -> float | None:
         """One standard deviation, None where nothing bounds it."""
         errors = self._errors(own)
         return None if errors is None else max(errors.most_m(self.drift), least_m)
 
-    def axes_m(self, own: Own, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
+    def axes_m(self, own: AutopilotState, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
         """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
         errors = self._errors(own)
         if errors is None or fix.heading_deg is None:
@@ -292,7 +297,7 @@ class OwnPosition:
         axes_m = errors.along_and_across_m(fix.heading_deg, self.drift)
         return max(axes_m[0], least_m), max(axes_m[1], least_m)
 
-    def reckoned(self, fix: PlaceFix, motion: Displacement | None, own: Own) -> Reckoned | None:
+    def reckoned(self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState) -> DeadReckoningOffset | None:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None

@@ -15,8 +15,8 @@ from typing import TypeAlias
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import Anchor, Reckoned
-from edge.localization.dead_reckoning import Displacement
+from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
+from edge.localization.dead_reckoning import Odometry
 from edge.localization.filter import CORRELATION_M
 
 STRETCH_WRONG = 5e-3
@@ -33,7 +33,7 @@ SPREAD_M = 1000.0
 
 
 @dataclass(frozen=True)
-class Observation(Anchor):
+class Observation(OdometryDatum):
     """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
     before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
@@ -42,18 +42,18 @@ class Observation(Anchor):
 
     recording: str
     checked_m: float
-    before: Reckoned | None
+    before: DeadReckoningOffset | None
 
 
-Stretch: TypeAlias = list[Observation]
+IndependentSegment: TypeAlias = list[Observation]
 """Oldest first."""
 
 
 @dataclass
-class Claim:
+class Evidence:
     """Observations that moved as the vehicle did, oldest first, and the most that has spoken against them.
 
-    likelihood: the least that `ByOwn.likelihood` gave to a fix, 1 / m. may_be_shifted: whether all places
+    likelihood: the least that `Innovation.likelihood` gave to a fix, 1 / m. may_be_shifted: whether all places
     may be off alike.
     """
 
@@ -62,24 +62,24 @@ class Claim:
     may_be_shifted: bool = False
 
 
-class Claims:
+class EvidenceHistory:
     """The newest claims."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
-        self._claims: deque[Claim] = deque(maxlen=CLAIMS)
+        self._claims: deque[Evidence] = deque(maxlen=CLAIMS)
 
     def contradict_nothing(self) -> None:
         """The autopilot's position is bounded anew: what disagreed with it before was its own error."""
         for claim in self._claims:
             claim.likelihood, claim.may_be_shifted = math.inf, False
 
-    def of(self, fix: PlaceFix, displacement: Displacement) -> Claim:
+    def of(self, fix: PlaceFix, displacement: Odometry) -> Evidence:
         """The newest one that the fix belongs to; one without observations if there is none."""
         alike = (one for one in reversed(self._claims) if _moved_alike(one.observations[-1], fix, displacement))
-        return next(alike, Claim())
+        return next(alike, Evidence())
 
-    def observe(self, fix: PlaceFix, displacement: Displacement, likelihood: float, *, may_be_shifted: bool) -> None:
+    def observe(self, fix: PlaceFix, displacement: Odometry, likelihood: float, *, may_be_shifted: bool) -> None:
         """Keep what the fix says."""
         claim = self.of(fix, displacement)
         if not claim.observations:
@@ -97,7 +97,7 @@ class Claims:
             claim.observations.append(Observation(*where, fix.recording, fix.checked_m or 0.0, before))
             del claim.observations[:-KEPT]
 
-    def wrong(self, claim: Claim) -> float:
+    def wrong(self, claim: Evidence) -> float:
         """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.
 
         All stretches are wrong; or those after a silence are, in which the vehicle may have gone to where they say.
@@ -111,9 +111,9 @@ class Claims:
                 wrong += STRETCH_WRONG ** len(self.stretches(observations[at:])) * by_chance
         return min(wrong, 1.0)
 
-    def stretches(self, observations: list[Observation]) -> list[Stretch]:
+    def stretches(self, observations: list[Observation]) -> list[IndependentSegment]:
         """The independent stretches of observations, oldest first."""
-        stretches: list[Stretch] = []
+        stretches: list[IndependentSegment] = []
         for one in observations:
             same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
             if same is None:
@@ -122,7 +122,7 @@ class Claims:
                 same.append(one)
         return stretches
 
-    def wrong_together(self, observations: list[Observation]) -> Stretch:
+    def wrong_together(self, observations: list[Observation]) -> IndependentSegment:
         """Those that may be wrong together with the newest one, wherever the ground of `stretches` begins."""
         return [one for one in observations if not self._independent(one, observations[-1])]
 
@@ -136,7 +136,7 @@ class Claims:
         return _apart_m(one, other.displacement) >= times * unit_m
 
 
-def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement) -> bool:
+def _moved_alike(before: Observation, fix: PlaceFix, displacement: Odometry) -> bool:
     """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
     then = before.displacement
     driven_m = math.hypot(*displacement.since(then))
@@ -144,7 +144,7 @@ def _moved_alike(before: Observation, fix: PlaceFix, displacement: Displacement)
     return before.reckoned(fix, displacement, 0.0).distance_m <= most_m
 
 
-def _is_after_silence(before: Observation | None, displacement: Displacement) -> bool:
+def _is_after_silence(before: Observation | None, displacement: Odometry) -> bool:
     """Whether the velocity was unknown for a while since an observation."""
     return before is not None and displacement.unknown_since(before.displacement) > 0
 
@@ -154,7 +154,7 @@ def alike_m(driven_m: float, velocity_error: float) -> float:
     return ALIKE_M + (ALIKE_SHARE + velocity_error) * driven_m
 
 
-def _apart_m(observation: Observation, displacement: Displacement) -> float:
+def _apart_m(observation: Observation, displacement: Odometry) -> float:
     """The least that it may be."""
     then = observation.displacement
     return math.hypot(*displacement.since(then)) - abs(displacement.unknown_since(then))

@@ -56,7 +56,7 @@ class Gyros:
 
 
 @dataclass(frozen=True)
-class Displacement:
+class Odometry:
     """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
 
     unknown_m: the most by which it may be wrong for all times between two legs, and in which a speed was bridged.
@@ -72,15 +72,15 @@ class Displacement:
     doubtful_north_m: float = 0.0
     gyros: Gyros | None = None
 
-    def since(self, before: Displacement) -> tuple[float, float]:
+    def since(self, before: Odometry) -> tuple[float, float]:
         """Meters east and north from another one to this."""
         return self.east_m - before.east_m, self.north_m - before.north_m
 
-    def unknown_since(self, before: Displacement) -> float:
+    def unknown_since(self, before: Odometry) -> float:
         """The most by which the displacement from another one to this may be wrong, while its velocity was unknown."""
         return self.unknown_m - before.unknown_m
 
-    def unknown_sigma_since(self, before: Displacement) -> float:
+    def unknown_sigma_since(self, before: Odometry) -> float:
         """One standard deviation of that: nothing up to the most is more likely than anything else."""
         return self.unknown_since(before) / math.sqrt(3)
 
@@ -286,14 +286,14 @@ class DeadReckoning:
         self._answered = stamp_ns, max(driven[0], answered_m)
         return self._answered[1]
 
-    def displacement(self, stamp_ns: int) -> Displacement | None:
+    def displacement(self, stamp_ns: int) -> Odometry | None:
         """Meters east and north at `stamp_ns`; None when that is outside the leg, or too long ago."""
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
         if moved is None:
             return None
         east_m, north_m, doubtful_east_m, doubtful_north_m, bridged_m = moved
         unknown_m = self._unknown_m + bridged_m
-        return Displacement(self._legs, east_m, north_m, unknown_m, doubtful_east_m, doubtful_north_m)
+        return Odometry(self._legs, east_m, north_m, unknown_m, doubtful_east_m, doubtful_north_m)
 
     def speed_mps(self, now_ns: int) -> float | None:
         """The newest ground speed, None when it is older than a second."""
@@ -308,9 +308,9 @@ class TurnAround:
     """Of the newest third of the frames, clockwise from north; None where that is not known."""
 
     def __init__(self) -> None:
-        self._recent: deque[Displacement] = deque(maxlen=TURN_FRAMES)
+        self._recent: deque[Odometry] = deque(maxlen=TURN_FRAMES)
 
-    def add(self, displacement: Displacement | None) -> bool:
+    def add(self, displacement: Odometry | None) -> bool:
         """True at the frame at which it drives the other way; then not again before it has turned once more."""
         if displacement is None or (self._recent and displacement.leg != self._recent[-1].leg):
             self._recent.clear()
@@ -329,7 +329,7 @@ class TurnAround:
         return turned
 
 
-def _course(first: Displacement, last: Displacement) -> float | None:
+def _course(first: Odometry, last: Odometry) -> float | None:
     """The direction of travel in radians, None where the vehicle hardly moved."""
     east_m, north_m = last.since(first)
     return math.atan2(east_m, north_m) if math.hypot(east_m, north_m) > COURSE_M else None

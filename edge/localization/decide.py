@@ -1,4 +1,4 @@
-"""Whether a position is published: from what is known to a `Fix` or a `Refusal`. Read this first. Pure."""
+"""Whether a position is published: from what is known to a `Fix` or a `NoFix`. Read this first. Pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from msgspec.structs import replace
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.bound import OwnPosition
-from edge.localization.claims import Claim, Claims
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, Fix, Limits, Own
+from edge.localization.bound import AutopilotCovariance
+from edge.localization.claims import Evidence, EvidenceHistory
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.events import BOUND_WRONG, AutopilotState, Fix, FixRequest
 from edge.localization.integrity import (
     ONE_MORE,
-    Best,
+    FixCandidate,
     another_place,
     better_of,
     by_own,
@@ -23,11 +23,11 @@ from edge.localization.integrity import (
     level_of,
     worse_m,
 )
-from edge.localization.refusals import AGREES, NO_PLACES, RULES, Facts, Refusal, Rule, refusal
+from edge.localization.refusals import AGREES, NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
 
 
 @dataclass(frozen=True)
-class Estimate:
+class StateEstimate:
     """What is known when a position is asked for.
 
     place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. own: what
@@ -37,32 +37,32 @@ class Estimate:
     """
 
     place: PlaceFix | None
-    motion: Displacement | None
-    own: Own
-    bound: OwnPosition
-    claims: Claims
+    motion: Odometry | None
+    own: AutopilotState
+    bound: AutopilotCovariance
+    claims: EvidenceHistory
     aside: tuple[float, float] | None
     is_blurred: bool
     is_led: bool = False
 
 
 def decide(
-    now_ns: int, known: Estimate, limits: Limits, gates: GatesConfig, rules: Sequence[Rule] = RULES
-) -> Fix | Refusal:
+    now_ns: int, known: StateEstimate, limits: FixRequest, gates: GatesConfig, rules: Sequence[Rule] = RULES
+) -> Fix | NoFix:
     """A position that may be published at a moment, or why none may."""
     place, motion, own, bound, claims = known.place, known.motion, known.own, known.bound, known.claims
     if place is None:
-        return refusal(Facts(gates, limits, own, known.is_blurred), rules) or Refusal(NO_PLACES)
+        return refusal(GateInputs(gates, limits, own, known.is_blurred), rules) or NoFix(NO_PLACES)
 
     # What would be sent: along the way and across it, the better of the place and the autopilot's own position.
     axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
     if limits.again is not None:
-        best: Best | None = Best(place, limits.again.keeps)
+        best: FixCandidate | None = FixCandidate(place, limits.again.keeps)
     else:
         best = better_of(place, own, axes_m, by_gps=bound.bound is not None and bound.bound.by_gps)
-    sent = best or Best(place)
+    sent = best or FixCandidate(place)
     # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
-    claim = Claim() if motion is None or not place.is_position else claims.of(place, motion)
+    claim = Evidence() if motion is None or not place.is_position else claims.of(place, motion)
     place_wrong = claims.wrong(claim)
     autopilot = by_own(place, motion, own, bound, known.aside)
     likelihood, may_be_shifted = autopilot.likelihood(place)
@@ -70,7 +70,7 @@ def decide(
     # How far off it may be, also by GPS and motion since, in which no place has a part.
     level = level_of(sent.place, claim, claims, bound.reckoned(sent.place, motion, own), own.speed_mps or 0.0, gates)
 
-    facts = Facts(
+    facts = GateInputs(
         gates,
         limits,
         own,

@@ -24,11 +24,19 @@ from numpy.typing import NDArray
 from edge import __version__
 from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.errors import ConfigError, FeedError, reason
-from edge.files import Behind
-from edge.localization.events import Break, Fix, Frame, Maps, Moved, Own, Used
-from edge.localization.position_estimator import Asked, Entry, PositionEstimator, Restored
-from edge.localization.refusals import Refusal
-from edge.reference_map import MapHeader, Mapped, PlaceIndex
+from edge.files import BackgroundWorker
+from edge.localization.events import (
+    AutopilotState,
+    Discontinuity,
+    Fix,
+    FixFeedback,
+    ImageProcessed,
+    MapUpdate,
+    OdometryUpdate,
+)
+from edge.localization.position_estimator import Entry, FixResult, PositionEstimator, SnapshotRestore
+from edge.localization.refusals import NoFix
+from edge.reference_map import MapHeader, MapPlaces, PlaceIndex
 
 FORMAT = 2  # of the file
 FLUSH_NS = 1_000_000_000  # what a loss of power costs
@@ -84,9 +92,18 @@ class PlaceTable(msgspec.Struct, frozen=True, dict=True):
         return PlaceIndex(self.headers)
 
 
-class _Written(msgspec.Struct, frozen=True, array_like=True):
+class _ListEntry(msgspec.Struct, frozen=True, array_like=True):
     t_ns: int
-    entry: Frame | Own | Moved | Used | Break | Maps | Asked | Restored
+    entry: (
+        ImageProcessed
+        | AutopilotState
+        | OdometryUpdate
+        | FixFeedback
+        | Discontinuity
+        | MapUpdate
+        | FixResult
+        | SnapshotRestore
+    )
 
 
 class DriveFile:
@@ -94,7 +111,7 @@ class DriveFile:
 
     def __init__(self, path: Path, config: Config) -> None:
         """ConfigError where the file cannot be written; one of an earlier drive is replaced."""
-        self._path, self._behind = path, Behind()
+        self._path, self._behind = path, BackgroundWorker()
         self._encoder, self._pending = msgspec.msgpack.Encoder(enc_hook=_encoded), bytearray()
         self._is_over, self._due_ns = False, 0
         try:
@@ -108,10 +125,10 @@ class DriveFile:
         """Append an entry; a thread puts it on the disk within a second."""
         if self._is_over:
             return
-        if isinstance(entry, Maps):
+        if isinstance(entry, MapUpdate):
             table = PlaceTable(entry.map_set.places, entry.map_set.headers)
-            entry = Maps(table, entry.has_grown)
-        self._put(_Written(t_ns, entry))
+            entry = MapUpdate(table, entry.has_grown)
+        self._put(_ListEntry(t_ns, entry))
         if t_ns >= self._due_ns and self._behind.wait(0.0):
             self._due_ns = t_ns + FLUSH_NS
             self._flush()
@@ -156,20 +173,20 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
         for section, keys in GONE.items():
             sections[section] = {key: value for key, value in sections[section].items() if key not in keys}
         header = msgspec.convert(sections, Header)
-        decoder = msgspec.msgpack.Decoder(_Written, dec_hook=_decoded)
+        decoder = msgspec.msgpack.Decoder(_ListEntry, dec_hook=_decoded)
         written = [decoder.decode(chunk) for chunk in chunks]
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:
         raise FeedError(f"{path}: no list of a drive: {error}") from None
     return header.config, [(one.t_ns, one.entry) for one in written]
 
 
-def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[int, Asked, Fix | Refusal]]:
+def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[int, FixResult, Fix | NoFix]]:
     """Each position that was asked for, and what a bare estimator answers now."""
     drive = PositionEstimator(config)
     for t_ns, entry in entries:
-        if isinstance(entry, Asked):
+        if isinstance(entry, FixResult):
             yield t_ns, entry, drive.fix(t_ns, entry.limits)
-        elif isinstance(entry, Restored):
+        elif isinstance(entry, SnapshotRestore):
             drive.restore(t_ns, entry.kept)
         else:
             drive.update(t_ns, entry)
@@ -201,7 +218,7 @@ def _encoded(value: Any) -> Any:
 
 
 def _decoded(kind: Any, value: Any) -> Any:
-    if kind is Mapped:
+    if kind is MapPlaces:
         return PlaceTable(_array(value["places"]), msgspec.convert(value["headers"], tuple[MapHeader, ...]))
     return _array(value)
 

@@ -15,9 +15,9 @@ from msgspec import Struct
 
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.odometer import Scale
-from edge.reference_map import Mapped
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.odometer import ScaleFactor
+from edge.reference_map import MapPlaces
 from edge.sequence import PlaceMatch
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
@@ -39,7 +39,7 @@ GPS_SIGMA_M = 3.0
 """The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
 
 
-class Frame(Struct, frozen=True, tag=True):
+class ImageProcessed(Struct, frozen=True, tag="Frame"):
     """The answer to one used frame.
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
@@ -50,33 +50,33 @@ class Frame(Struct, frozen=True, tag=True):
 
     stamp_ns: int
     match: PlaceMatch | None = None
-    motion: Displacement | None = None
-    without_gps: Displacement | None = None
+    motion: Odometry | None = None
+    without_gps: Odometry | None = None
     gps: GpsFix | None = None
     missed: int = 0
     in_line: bool = True
     undated_s: float = 0.0
 
 
-class Own(Struct, frozen=True, tag=True):
+class AutopilotState(Struct, frozen=True, tag="Own"):
     """What the autopilot reports of itself; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
-    velocity at the position's moment; without_gps: see `Frame`. scale: what GPS has shown of the odometer by which the
-    autopilot moves without it, see `ShownScale`. accuracy_m: of the position, by its own word. driven_m: in all.
-    is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is known that nothing
-    does. drives_itself: whether it steers the vehicle by that position, None where its mode is not known. is_doubled:
-    whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is that of before.
-    system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
+    velocity at the position's moment; without_gps: see `ImageProcessed`. scale: what GPS has shown of the odometer by
+    which the autopilot moves without it, see `OdometerCalibration`. accuracy_m: of the position, by its own word.
+    driven_m: in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is
+    known that nothing does. drives_itself: whether it steers the vehicle by that position, None where its mode is not
+    known. is_doubled: whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is
+    that of before. system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
     gps_why: str = ""
     gps_sigma_m: float | None = None
     position: VehiclePosition | None = None
-    motion: Displacement | None = None
-    without_gps: Displacement | None = None
-    scale: Scale | None = None
+    motion: Odometry | None = None
+    without_gps: Odometry | None = None
+    scale: ScaleFactor | None = None
     accuracy_m: float | None = None
     speed_mps: float | None = None
     driven_m: float | None = None
@@ -89,13 +89,13 @@ class Own(Struct, frozen=True, tag=True):
     booted_ns: int | None = None
 
 
-class Moved(Struct, frozen=True, tag=True):
+class OdometryUpdate(Struct, frozen=True, tag="Moved"):
     """How the vehicle has moved by now, by its velocity; None where that is unknown. For a position of now."""
 
-    motion: Displacement | None
+    motion: Odometry | None
 
 
-class Used(Struct, frozen=True, tag=True):
+class FixFeedback(Struct, frozen=True, tag="Used"):
     """A position was sent, or confirms the autopilot's own. left_m: how far that is from it now; None: not known yet.
 
     fix: None of one that was not ours to judge, as of a recorded drive.
@@ -105,25 +105,25 @@ class Used(Struct, frozen=True, tag=True):
     left_m: float | None = None
 
 
-class Break(Struct, frozen=True, tag=True):
+class Discontinuity(Struct, frozen=True, tag="Break"):
     """What was known of the past does not hold: a blindness, a vehicle that was carried, an autopilot that rebooted.
 
     blind, carried: no position rests on frames from before; what is known of GPS stays. reboot: the autopilot may be
     another one, and nothing bounds its position any more; what places and GPS showed of the vehicle holds as far as it
-    can have gone meanwhile (`Displacement.unknown_m`).
+    can have gone meanwhile (`Odometry.unknown_m`).
     """
 
     kind: Literal["blind", "carried", "reboot"]
 
 
-class Maps(Struct, frozen=True, tag=True):
+class MapUpdate(Struct, frozen=True, tag="Maps"):
     """The maps that are searched from now on. has_grown: those so far, with further places after theirs."""
 
-    map_set: Mapped
+    map_set: MapPlaces
     has_grown: bool = False
 
 
-Event: TypeAlias = Frame | Own | Moved | Used | Break | Maps
+Event: TypeAlias = ImageProcessed | AutopilotState | OdometryUpdate | FixFeedback | Discontinuity | MapUpdate
 
 
 @dataclass(frozen=True)
@@ -149,18 +149,18 @@ class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
-    the autopilot's, once that has used it. motion: see `Frame`, at its moment. keeps: whether the autopilot's own
-    position is kept along the way, and across it.
+    the autopilot's, once that has used it. motion: see `ImageProcessed`, at its moment. keeps: whether the autopilot's
+    own position is kept along the way, and across it.
     """
 
     place: PlaceFix
     level: ProtectionLevel
     bound_wrong: float = BOUND_WRONG
-    motion: Displacement | None = None
+    motion: Odometry | None = None
     keeps: tuple[bool, bool] = (False, False)
 
 
-class Limits(Struct, frozen=True, tag=True):
+class FixRequest(Struct, frozen=True, tag="Limits"):
     """What holds for a position beside what happened: of the message that would carry it, and of the moment.
 
     at: of the newest exposure, or of now. oldest_s: its age at most. is_reset: whether the autopilot uses it as it is

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.odometer import Scale
+from edge.localization.odometer import ScaleFactor
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -80,7 +80,7 @@ class DriveErrors:
 
 
 @dataclass(frozen=True)
-class Step:
+class FilterStep:
     """From one frame to the next.
 
     moved_m, doubtful_m: (2,) by the autopilot's velocity, and what of it is in doubt. turned_rad, turned_var: what its
@@ -140,7 +140,7 @@ class Filter:
         """Driven since the last correction by a look."""
         self.since_lane_m = math.inf
         """Driven since a lane counted for or against it."""
-        self._heading_rad, self._scale = heading_rad, Scale(0.0, scale)
+        self._heading_rad, self._scale = heading_rad, ScaleFactor(0.0, scale)
         self._gps_m, self.keeps_gps = GPS_M, False  # whether its error stays as it is
         self._drives: list[tuple[Hashable, DriveErrors]] = []  # by slot, see `slot`
         self._order: list[int] = []  # slots, the one that was used longest ago first
@@ -191,14 +191,14 @@ class Filter:
         """They may have become anything else within that standard deviation."""
         self.covariance[states, states] += sigma**2 * np.eye(2)
 
-    def expect_scale(self, scale: Scale) -> None:
+    def expect_scale(self, scale: ScaleFactor) -> None:
         """This was shown of the velocity's scale, about which it changes."""
         self._scale = scale
         self.set(SCALE, scale.mean, scale.later**2)
 
     def doubt_scale(self, sigma: float) -> None:
         """The scale is as uncertain as if nothing had been shown of it; all that was owed to it as well."""
-        found, self._scale = self.covariance[SCALE, SCALE], Scale(0.0, sigma)
+        found, self._scale = self.covariance[SCALE, SCALE], ScaleFactor(0.0, sigma)
         if 0 < found < sigma**2:
             by_scale = self.covariance[:, SCALE] / found
             self.covariance += (sigma**2 - found) * np.outer(by_scale, by_scale)
@@ -270,7 +270,7 @@ class Filter:
         north_m = cos * moved_m[1] - sin * moved_m[0] + share * to_north
         return np.array([[scale * north_m, east_m, scale * to_east], [-scale * east_m, north_m, scale * to_north]])
 
-    def predict(self, step: Step) -> None:
+    def predict(self, step: FilterStep) -> None:
         """Move on."""
         driven_m = float(np.hypot(*step.moved_m))
         self.since_look_m += driven_m

@@ -20,7 +20,7 @@ from msgspec import structs
 
 from edge.config import GatesConfig, RigConfig
 from edge.geodesy import east_north_of, moved, moved_left
-from edge.localization.events import GPS_SIGMA_M, Frame, GpsFix, Own
+from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import Name
 from edge.localization.place_fix import map_error_m, position_on_route
@@ -106,7 +106,9 @@ class GpsJudge:
         if self._unseen_road is not None:
             self._unseen_road.reset()
 
-    def update(self, frame: Frame, tracker: Tracker, own: Own, driven_m: float, *, is_compared: bool) -> bool:
+    def update(
+        self, frame: ImageProcessed, tracker: Tracker, own: AutopilotState, driven_m: float, *, is_compared: bool
+    ) -> bool:
         """Judge GPS by a frame that the tracker has used; True where places speak against it by that.
 
         driven_m: since the frame before. is_compared: whether its place was compared with what is known.
@@ -151,7 +153,7 @@ class GpsJudge:
         self._verdict = GpsVerdict(state, east_m, north_m, known)
         return state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
 
-    def _wrong_one(self, frame: Frame, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
+    def _wrong_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
         """GPS, or the map, if they have agreed before, and own motion in which GPS has no part tells them apart.
 
         Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
@@ -209,7 +211,7 @@ class GpsJudge:
         """The autopilot is where a position has put it: the error of GPS is no longer in it."""
         self._error_m = None
 
-    def believed(self, own: Own) -> Own:
+    def believed(self, own: AutopilotState) -> AutopilotState:
         """What the autopilot reports, without a GPS that is ignored, and without the error of GPS that it followed."""
         if self.is_ignored:
             own = structs.replace(own, gps="not healthy", gps_sigma_m=None)
@@ -285,7 +287,7 @@ class UnseenRoad:
         self.unseen_m += max(-most_m, min(ahead_m, most_m))
 
 
-def _where(gps: GpsFix | None, own: Own, frame: Frame) -> list[GpsFix]:
+def _where(gps: GpsFix | None, own: AutopilotState, frame: ImageProcessed) -> list[GpsFix]:
     """Where GPS has the vehicle at the exposure of a frame: by the receiver, and by the filter that may use it.
 
     Also while the filter is away from a receiver that is dragged off faster than it follows.

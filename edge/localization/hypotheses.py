@@ -44,7 +44,7 @@ SLIP = 0.15
 """One standard deviation of the scale of wheels that slip."""
 
 
-class Bank:
+class FilterBank:
     """The right filter, and those of the other hypotheses."""
 
     def __init__(self, right: Filter) -> None:

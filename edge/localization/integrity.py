@@ -26,13 +26,13 @@ from msgspec.structs import replace
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import Reckoned
-from edge.localization.bound import OwnPosition
-from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Claim, Claims
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import BOUND_WRONG, UNBOUNDED, Own, ProtectionLevel
+from edge.localization.anchor import DeadReckoningOffset
+from edge.localization.bound import AutopilotCovariance
+from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.events import BOUND_WRONG, UNBOUNDED, AutopilotState, ProtectionLevel
 from edge.localization.filter import AGREE_SIGMAS
-from edge.localization.protection_level import UNNOTICED_M, Wrong, protection_level
+from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, protection_level
 
 ONE_MORE = 20.0
 """What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
@@ -62,7 +62,7 @@ covariances). On real ArduPilot 4.6.3, home at night by lines, 126 resets made 5
 for 150 m: home at night, with OFF_SIGMAS two resets made 4.0 / 7.3 m of 1.4 / 2.2 m."""
 
 
-class Best(NamedTuple):
+class FixCandidate(NamedTuple):
     """What would be sent; keeps: see `Fix`."""
 
     place: PlaceFix
@@ -70,7 +70,7 @@ class Best(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ByOwn:
+class Innovation:
     """The autopilot's own position against a place, and how far beside the road own motion has the vehicle.
 
     distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps, wrong:
@@ -99,18 +99,22 @@ class ByOwn:
 
 
 def by_own(
-    place: PlaceFix, motion: Displacement | None, own: Own, bound: OwnPosition, aside: tuple[float, float] | None
-) -> ByOwn:
+    place: PlaceFix,
+    motion: Odometry | None,
+    own: AutopilotState,
+    bound: AutopilotCovariance,
+    aside: tuple[float, float] | None,
+) -> Innovation:
     """Where nothing bounds the autopilot's position, as after a reboot too: by GPS and motion since."""
     sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
     reckoned = None if sigma_m is not None else bound.reckoned(place, motion, own)
     if reckoned is not None:
-        return ByOwn(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, aside)
+        return Innovation(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, aside)
     # One that nothing aids has run away, or is ours.
     is_known = own.position is not None and own.is_aided and place.is_position
     distance_m = distance_from(own.position, place) if own.position is not None and is_known else None
     by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
-    return ByOwn(distance_m, sigma_m, by_gps, wrong, aside)
+    return Innovation(distance_m, sigma_m, by_gps, wrong, aside)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
@@ -125,7 +129,7 @@ def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: 
     return wrong / (wrong + (1 - place_wrong) * likelihood)
 
 
-def another_place(claim: Claim, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
+def another_place(claim: Evidence, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
     """Probability that a position is of another place than its claim says; infinite where nothing was observed.
 
     An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that is not
@@ -138,7 +142,12 @@ def another_place(claim: Claim, place_wrong: float, likelihood: float, *, may_be
 
 
 def level_of(
-    fix: PlaceFix, claim: Claim, claims: Claims, reckoned: Reckoned | None, speed_mps: float, gates: GatesConfig
+    fix: PlaceFix,
+    claim: Evidence,
+    claims: EvidenceHistory,
+    reckoned: DeadReckoningOffset | None,
+    speed_mps: float,
+    gates: GatesConfig,
 ) -> ProtectionLevel:
     """By the places of a claim and by what no place had a part in, whatever the autopilot believes now.
 
@@ -152,20 +161,25 @@ def level_of(
     shifted = MAP_SHIFTED
     if reckoned is not None:
         shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
-    all_wrong = Wrong(_wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG)
+    all_wrong = FaultProbabilities(
+        _wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG
+    )
     before = [one.before for one in claims.wrong_together(claim.observations) if one.before is not None]
-    hypotheses = [(all_wrong, reckoned), *((Wrong(_wrong(STRETCH_WRONG, one, fix), 0.0, 0.0), one) for one in before)]
+    hypotheses = [
+        (all_wrong, reckoned),
+        *((FaultProbabilities(_wrong(STRETCH_WRONG, one, fix), 0.0, 0.0), one) for one in before),
+    ]
     limits = speed_mps, gates.risk_per_hour, SAME_RECORDING * gates.confirm_m
     return reduce(ProtectionLevel.or_more, (protection_level(fix, *one, *limits) for one in hypotheses))
 
 
-def _likelihood(reckoned: Reckoned, fix: PlaceFix, further_m: float = 0.0) -> float:
+def _likelihood(reckoned: DeadReckoningOffset, fix: PlaceFix, further_m: float = 0.0) -> float:
     """Of a fix, by what no place had a part in; further_m: standard deviation of another error of the map."""
     sigma_m = math.hypot(reckoned.sigma_m, fix.sigma_m, further_m)
     return likelihood_of(reckoned.distance_m, sigma_m, BOUND_WRONG)
 
 
-def _wrong(place_wrong: float, reckoned: Reckoned | None, fix: PlaceFix) -> float:
+def _wrong(place_wrong: float, reckoned: DeadReckoningOffset | None, fix: PlaceFix) -> float:
     return place_wrong if reckoned is None else wrong_probability(place_wrong, _likelihood(reckoned, fix))
 
 
@@ -180,7 +194,9 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
     return east_m - position.east_mps * apart_s, north_m - position.north_mps * apart_s
 
 
-def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by_gps: bool) -> Best | None:
+def better_of(
+    fix: PlaceFix, own: AutopilotState, axes_m: tuple[float, float] | None, *, by_gps: bool
+) -> FixCandidate | None:
     """Along the way and across it, the better of a fix and the autopilot's own position.
 
     axes_m: standard deviations of the latter, None where they do not count; by_gps: whether GPS bounded it last. None
@@ -188,7 +204,7 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
     is certain.
     """
     if axes_m is None or own.position is None or not fix.is_position:
-        return Best(fix)
+        return FixCandidate(fix)
     assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
     heading_rad = math.radians(fix.heading_deg)
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
@@ -197,7 +213,7 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
     if any(
         abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
     ):
-        return Best(fix)  # what bounds the autopilot is wrong
+        return FixCandidate(fix)  # what bounds the autopilot is wrong
     own_along_m, own_across_m = axes_m
     grows = 1.0 if by_gps else GROWS
     keeps_along = fix.sigma_along_m > _most_m(own_along_m, grows)
@@ -207,7 +223,7 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
     if keeps_along and keeps_across:
         return None
     if not keeps_along and not keeps_across:
-        return Best(fix)
+        return FixCandidate(fix)
     kept, kept_m = ((cos, -sin), off_m[1]) if keeps_across else ((sin, cos), off_m[0])
     lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -kept_m * kept[0], -kept_m * kept[1])
     place = replace(
@@ -217,10 +233,10 @@ def better_of(fix: PlaceFix, own: Own, axes_m: tuple[float, float] | None, *, by
         sigma_along_m=own_along_m if keeps_along else fix.sigma_along_m,
         sigma_across_m=own_across_m if keeps_across else fix.sigma_across_m,
     )
-    return Best(place, (keeps_along, keeps_across))
+    return FixCandidate(place, (keeps_along, keeps_across))
 
 
-def is_correction(best: Best, own: Own, min_move_m: float) -> bool:
+def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) -> bool:
     """Whether the autopilot's own position is so far from a position that resetting it corrects more than it costs.
 
     Only in directions in which the position is not the autopilot's own. See OFF_SIGMAS; min_move_m: 0 for any reset.
@@ -243,7 +259,9 @@ def along_and_across(east_north_m: tuple[float, float], heading_deg: float) -> t
     return east_m * sin + north_m * cos, east_m * cos - north_m * sin
 
 
-def worse_m(place: PlaceFix, best: Best | None, by_own: ByOwn, own: Own) -> tuple[float, float] | None:
+def worse_m(
+    place: PlaceFix, best: FixCandidate | None, by_own: Innovation, own: AutopilotState
+) -> tuple[float, float] | None:
     """Standard deviation of a position, and the largest that makes the autopilot's no worse; None where it does not.
 
     Along the way; of one that is better in a direction, but whose velocity nothing measures, in all.

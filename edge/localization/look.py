@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.sequence import Seen
+from edge.sequence import KeyframeMatch
 
 Vector = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ hand, of which the rows of the map show theirs, and the heading of the vehicle t
 
 
 @dataclass(frozen=True)
-class Look:
+class PoseMeasurement:
     """A vehicle by one picture.
 
     position_m: meters east and north (2,). pose: covariance (3, 3) of these and of how the camera is turned, clockwise,
@@ -56,7 +56,9 @@ class Look:
         return self.course is not None and math.cos(self.heading_rad - self.course[0]) < 0
 
 
-def camera_seen(seen: Seen, row_m: Vector, row_rad: float, row_sigma_rad: float) -> tuple[Vector, NDArray[np.float64]]:
+def camera_seen(
+    seen: KeyframeMatch, row_m: Vector, row_rad: float, row_sigma_rad: float
+) -> tuple[Vector, NDArray[np.float64]]:
     """Meters east and north (2,) of the camera of a frame, and the covariance (3, 3) of these and of its turn.
 
     row_m, row_rad: of the row's camera, clockwise from north, and one standard deviation of where it looked, which is

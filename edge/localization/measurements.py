@@ -23,8 +23,8 @@ from edge.localization.filter import (
     Slot,
     Vector,
 )
-from edge.localization.look import SHARED_M, STANDS_M, Look
-from edge.localization.sighting import Sighting, left_of
+from edge.localization.look import SHARED_M, STANDS_M, PoseMeasurement
+from edge.localization.sighting import SequenceMatch, left_of
 
 GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
@@ -50,7 +50,7 @@ def by_compass(state: Filter) -> bool:
     return state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
 
 
-def by_look(state: Filter, slot: Slot, look: Look, *, is_evidence: bool) -> bool:
+def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bool) -> bool:
     """Where one picture has the vehicle, of which it shares a part with the last one, and how the velocity is turned.
 
     is_evidence: whether it counts for a hypothesis; not what is only believed with where the vehicle is reckoned.
@@ -70,7 +70,7 @@ def by_look(state: Filter, slot: Slot, look: Look, *, is_evidence: bool) -> bool
     return True
 
 
-def by_line(state: Filter, slot: Slot, line: Sighting, *, is_evidence: bool) -> bool:
+def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool) -> bool:
     """How far along the road the middle of a sequence match is, of a vehicle that may be on that road."""
     rows, off_m, noise = line_of(state, slot, line)
     spread = rows @ state.covariance @ rows.T
@@ -90,7 +90,7 @@ def by_line(state: Filter, slot: Slot, line: Sighting, *, is_evidence: bool) -> 
     return True
 
 
-def line_of(state: Filter, slot: Slot, line: Sighting) -> tuple[Matrix, Vector, Matrix]:
+def line_of(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
     """Rows, innovation and noise of a sequence match, along the road and across it."""
     along, since_m, doubtful_m = line.passed.along, line.passed.since_m[:2], line.passed.since_m[2:]
     axes = np.array([along, left_of(along)])

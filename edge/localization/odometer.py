@@ -34,18 +34,18 @@ OTHER_M, OTHER = 20.0, 0.04
 something that GPS has not been compared with."""
 
 
-class Scale(NamedTuple):
+class ScaleFactor(NamedTuple):
     """By which share a velocity is too low, one standard deviation of that, and by how much it differs later on."""
 
     mean: float
     sigma: float
     varies: float = 0.0
 
-    def and_also(self, other: Scale) -> Scale:
+    def and_also(self, other: ScaleFactor) -> ScaleFactor:
         """Of two that were found independently, with what differs in either."""
         share = other.sigma**2 / (self.sigma**2 + other.sigma**2)
         mean = share * self.mean + (1 - share) * other.mean
-        return Scale(mean, self.sigma * math.sqrt(share), math.hypot(self.varies, other.varies))
+        return ScaleFactor(mean, self.sigma * math.sqrt(share), math.hypot(self.varies, other.varies))
 
     @property
     def later(self) -> float:
@@ -72,11 +72,11 @@ class _Span(NamedTuple):
     course_rad: float
 
 
-class ShownScale:
+class OdometerCalibration:
     """Compares an odometer with a receiver, as both come."""
 
     def __init__(self) -> None:
-        self.scale: Scale | None = None
+        self.scale: ScaleFactor | None = None
         """Of the odometer, None while nothing is shown, or where the autopilot does not move by it."""
         self._fixes: deque[tuple[int, Origin]] = deque()
         self._readings: deque[_Reading] = deque(maxlen=16)  # for which no fix has come yet
@@ -146,7 +146,7 @@ class ShownScale:
             self._spans.popleft()
         self.scale = self._found()
 
-    def _found(self) -> Scale | None:
+    def _found(self) -> ScaleFactor | None:
         if sum(one.driven_m for one in self._spans) < LEAST_M:
             return None
         # By least squares, with how late the receiver is beside LATE_S: from a standstill on, all are late by as much.
@@ -159,4 +159,4 @@ class ShownScale:
         off_m2 = float(np.sum((ways_m - design @ found) ** 2 - variances))
         varies = max(0.0, off_m2) / float(np.sum(spans[:, 0] ** 2))
         sigma = math.sqrt(covariance[0, 0] + varies / len(spans))
-        return Scale(float(scale) - 1, sigma, math.sqrt(varies + CHANGES**2))
+        return ScaleFactor(float(scale) - 1, sigma, math.sqrt(varies + CHANGES**2))

@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from edge.localization.dead_reckoning import DeadReckoning, Displacement, Gyros, Integral
+from edge.localization.dead_reckoning import DeadReckoning, Gyros, Integral, Odometry
 
 RATES_APART_NS = 1_500_000_000
 """The longest silence between two rates. Of six that are requested a second, one has come by then; at one a second, as
 eleven recorded drives have them, the heading is uncertain by 2 to 4 degrees after 40 s, which `Gyros` accounts for."""
 
 
-class OwnMotion:
+class GyroOdometer:
     """Integrates rates and speeds: `DeadReckoning`, in the heading by gyros."""
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class OwnMotion:
         if heading_rad is not None:
             self._compass_rad = math.remainder(heading_rad - by_rad, math.tau)
 
-    def displacement(self, stamp_ns: int) -> Displacement | None:
+    def displacement(self, stamp_ns: int) -> Odometry | None:
         """Meters at a moment, not turned to the north; None where no rate or no speed is known around then.
 
         A leg is one of the gyros: over a silence of the speed, the heading is still known.

@@ -102,7 +102,7 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
 
 
 @dataclass(frozen=True)
-class LineMiddle:
+class SequenceMidpoint:
     """Meters along the drive, in its own route_m: of the place at the line's first frame, its middle, and its newest.
 
     back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of the places
@@ -123,7 +123,7 @@ class LineMiddle:
         return abs(self.ends_m - self.begins_m)
 
 
-def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | None:
+def line_middle(match: PlaceMatch, route: Route, frames: int) -> SequenceMidpoint | None:
     """The middle of a line through so many frames; None where there is none, or no meters, and where it may be pushed.
 
     Where only some of the frames are on the map, the best line still lies on it, and so begins or ends at its end.
@@ -143,7 +143,7 @@ def line_middle(match: PlaceMatch, route: Route, frames: int) -> LineMiddle | No
     width_m = WIDTH_SHARE * match.half_width_places * drive.spacing_m
     sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), width_m, JITTER_M)
     back = (frames - 1) / 2
-    return LineMiddle(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m)
+    return SequenceMidpoint(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m)
 
 
 def heads_along(road_rad: float, heading_rad: float) -> bool:
@@ -151,7 +151,7 @@ def heads_along(road_rad: float, heading_rad: float) -> bool:
     return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
 
 
-class LineReadings:
+class OdometryWindow:
     """Where the vehicle was by its own reckoning at each frame of the newest line, (n <= length, k) meters."""
 
     def __init__(self, length: int) -> None:

@@ -24,44 +24,54 @@ from msgspec import Struct
 
 from edge.config import Config
 from edge.journal.records import PlaceFix
-from edge.localization.bound import Drift, OwnPosition
-from edge.localization.claims import Claims
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.decide import Estimate, decide
-from edge.localization.events import Break, Event, Fix, Frame, Limits, Maps, Moved, Own, Used
+from edge.localization.bound import AutopilotCovariance, Drift
+from edge.localization.claims import EvidenceHistory
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.decide import StateEstimate, decide
+from edge.localization.events import (
+    AutopilotState,
+    Discontinuity,
+    Event,
+    Fix,
+    FixFeedback,
+    FixRequest,
+    ImageProcessed,
+    MapUpdate,
+    OdometryUpdate,
+)
 from edge.localization.gps_judge import GpsJudge, GpsVerdict
 from edge.localization.integrity import by_own
-from edge.localization.refusals import RULES, Refusal, Rule
-from edge.localization.sighting import Sightings
+from edge.localization.refusals import RULES, NoFix, Rule
+from edge.localization.sighting import Georeferencer
 from edge.localization.tracker import Tracker
 from edge.reference_map import Route
-from edge.sequence import Reckoning
+from edge.sequence import DeadReckoningPosition
 
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
 
-class Asked(Struct, frozen=True, tag=True):
+class FixResult(Struct, frozen=True, tag="Asked"):
     """A position was asked for, and this was the answer: changes nothing, and can be compared."""
 
-    limits: Limits
-    answer: Fix | Refusal
+    limits: FixRequest
+    answer: Fix | NoFix
 
 
-class Restored(Struct, frozen=True, tag=True):
+class SnapshotRestore(Struct, frozen=True, tag="Restored"):
     """A snapshot of an earlier run."""
 
     kept: bytes
 
 
-Entry: TypeAlias = Event | Asked | Restored
+Entry: TypeAlias = Event | FixResult | SnapshotRestore
 """Of the list of a drive."""
 Listener: TypeAlias = Callable[[int, Entry], object]
 """Gets an entry, and its time in ns of CLOCK_MONOTONIC."""
 
 
 @dataclass(frozen=True)
-class Known:
+class EstimatorState:
     """What the events so far show, for those who publish it.
 
     position: at the exposure of the last match that agreed, None while the vehicle is lost. gps: what the places say of
@@ -85,48 +95,48 @@ class PositionEstimator:
 
     def __init__(self, config: Config, *listeners: Listener) -> None:
         self._config, self._listeners = config, listeners
-        self._sightings: Sightings | None = None
+        self._sightings: Georeferencer | None = None
         self._tracker: Tracker | None = None
         self._gps = GpsJudge(config.gates)
-        self._claims = Claims(config.gates)
-        self._bound = OwnPosition(config.gates.drift_percent / 100)
-        self._own = Own()
-        self._moved: Displacement | None = None
-        self._exposed: Displacement | None = None  # at the newest exposure with a position
-        self._motion: Displacement | None = None  # at the newest frame
+        self._claims = EvidenceHistory(config.gates)
+        self._bound = AutopilotCovariance(config.gates.drift_percent / 100)
+        self._own = AutopilotState()
+        self._moved: Odometry | None = None
+        self._exposed: Odometry | None = None  # at the newest exposure with a position
+        self._motion: Odometry | None = None  # at the newest frame
         self._is_recognized = False
-        self._known: Known | None = None  # since the newest event
+        self._known: EstimatorState | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
         """Use what happened; t_ns: when that was known, CLOCK_MONOTONIC."""
         self._publish(t_ns, event)
         self._known = None
         match event:
-            case Frame():
+            case ImageProcessed():
                 self._use_frame(event)
-            case Own():
+            case AutopilotState():
                 self._use_own(t_ns, event)
-            case Moved():
+            case OdometryUpdate():
                 self._moved = event.motion
-            case Used():
+            case FixFeedback():
                 self._use_used(t_ns, event)
-            case Break(kind="reboot"):
+            case Discontinuity(kind="reboot"):
                 self._bound.restart()
-            case Break():
+            case Discontinuity():
                 self._is_recognized = False
                 if event.kind == "carried":
                     self._bound.carry()
                 if self._tracker is not None:
                     self._tracker.reset()
                 self._gps.reset()
-            case Maps():
+            case MapUpdate():
                 self._use_maps(event)
 
-    def fix(self, t_ns: int, limits: Limits, rules: Sequence[Rule] = RULES) -> Fix | Refusal:
+    def fix(self, t_ns: int, limits: FixRequest, rules: Sequence[Rule] = RULES) -> Fix | NoFix:
         """A position that may be published at a moment, or why none may; rules: fewer to see what each is worth."""
         known = self._estimate(*self._asked(t_ns, limits))
         answer = decide(t_ns, known, limits, self._config.gates, rules)
-        self._publish(t_ns, Asked(limits, answer))
+        self._publish(t_ns, FixResult(limits, answer))
         return answer
 
     def snapshot(self) -> bytes:
@@ -135,7 +145,7 @@ class PositionEstimator:
 
     def restore(self, t_ns: int, kept: bytes) -> None:
         """Go on with a snapshot of before a restart of this program, if the autopilot has not rebooted since."""
-        self._publish(t_ns, Restored(kept))
+        self._publish(t_ns, SnapshotRestore(kept))
         self._known = None
         self._bound.restore(kept)
 
@@ -150,7 +160,7 @@ class PositionEstimator:
         return self._sightings.route
 
     @property
-    def known(self) -> Known:
+    def known(self) -> EstimatorState:
         """What the events so far show."""
         if self._known is None:
             bound, gps, own = self._bound, self._gps, self._own
@@ -160,23 +170,23 @@ class PositionEstimator:
             own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
             is_bounded = bound.bound is not None
             of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
-            self._known = Known(position, gps.published, gps.is_ignored, *of_own, heading_error)
+            self._known = EstimatorState(position, gps.published, gps.is_ignored, *of_own, heading_error)
         return self._known
 
-    def reckoned(self, motion: Displacement | None) -> Reckoning | None:
+    def reckoned(self, motion: Odometry | None) -> DeadReckoningPosition | None:
         """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""
         return self._bound.reckoning(motion, self._gps.believed(self._own))
 
-    def _use_maps(self, event: Maps) -> None:
+    def _use_maps(self, event: MapUpdate) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
         if event.has_grown and self._sightings is not None:
             self._sightings.route.grow(event.map_set)
             return
-        self._sightings = Sightings(Route(event.map_set), self._config)
+        self._sightings = Georeferencer(Route(event.map_set), self._config)
         self._tracker = Tracker(self._sightings, self._config)
         self._gps.use_maps(self._sightings.route, self._config.rig)
 
-    def _use_frame(self, frame: Frame) -> None:
+    def _use_frame(self, frame: ImageProcessed) -> None:
         assert self._tracker is not None and self._sightings is not None
         match = frame.match
         self._is_recognized = match is not None and match.accepted
@@ -211,7 +221,7 @@ class PositionEstimator:
         found = self._bound.drift.way if fix is None else fix.velocity_error
         return Drift(0.0, 0.0, max(self._config.gates.drift_percent / 100, found))
 
-    def _observe(self, fix: PlaceFix, motion: Displacement | None) -> None:
+    def _observe(self, fix: PlaceFix, motion: Odometry | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
         if motion is None or not fix.is_position or fix.disputed:
             return
@@ -230,7 +240,7 @@ class PositionEstimator:
             self._bind(CALLED_SIGMA_M)
             self._bound.by_gps = self._bound.when_lost = None
 
-    def _use_own(self, t_ns: int, own: Own) -> None:
+    def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own
         believed = self._gps.believed(own)
         self._bound.move(own)
@@ -243,7 +253,7 @@ class PositionEstimator:
             self._bind(kept_m)
             self._gps.bound()
 
-    def _use_used(self, t_ns: int, used: Used) -> None:
+    def _use_used(self, t_ns: int, used: FixFeedback) -> None:
         if used.left_m is None or used.fix is None:
             self._bound.sent(t_ns)
         elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
@@ -255,7 +265,7 @@ class PositionEstimator:
         self._bound.bind(sigma_m, self._own, by_gps=by_gps)
         self._claims.contradict_nothing()
 
-    def _asked(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
+    def _asked(self, t_ns: int, limits: FixRequest) -> tuple[PlaceFix | None, Odometry | None]:
         """The position that is asked for, and the vehicle's motion at its moment."""
         if self._tracker is None or limits.unable or self._own.is_doubled:
             return None, None
@@ -265,8 +275,8 @@ class PositionEstimator:
             return self._tracker.at(t_ns, self._moved), self._moved
         return self._tracker.at_exposure(), self._exposed
 
-    def _estimate(self, place: PlaceFix | None, motion: Displacement | None) -> Estimate:
+    def _estimate(self, place: PlaceFix | None, motion: Odometry | None) -> StateEstimate:
         is_blurred = self._is_recognized and self._tracker is not None and self._tracker.at_exposure() is None
         own, aside = self._gps.believed(self._own), None if self._tracker is None else self._tracker.aside
         is_led = own.position != self._own.position
-        return Estimate(place, motion, own, self._bound, self._claims, aside, is_blurred, is_led)
+        return StateEstimate(place, motion, own, self._bound, self._claims, aside, is_blurred, is_led)

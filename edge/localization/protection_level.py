@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import Reckoned
+from edge.localization.anchor import DeadReckoningOffset
 from edge.localization.claims import STRETCH_WRONG, alike_m
 from edge.localization.events import UNBOUNDED, ProtectionLevel
 from edge.localization.filter import CORRELATION_M
@@ -40,7 +40,7 @@ NEVER = 1e-300
 
 
 @dataclass(frozen=True)
-class Wrong:
+class FaultProbabilities:
     """Probabilities: that all places of a fix are other ones, that its map is shifted as a whole, and that what bounded
     the position last without places was wrong.
     """
@@ -52,8 +52,8 @@ class Wrong:
 
 def protection_level(
     fix: PlaceFix,
-    wrong: Wrong,
-    reckoned: Reckoned | None,
+    wrong: FaultProbabilities,
+    reckoned: DeadReckoningOffset | None,
     speed_mps: float,
     risk_per_hour: float,
     stretch_m: float,

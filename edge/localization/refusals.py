@@ -15,23 +15,23 @@ from msgspec import Struct
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.events import UNBOUNDED, Fix, Limits, Own, ProtectionLevel
+from edge.localization.events import UNBOUNDED, AutopilotState, Fix, FixRequest, ProtectionLevel
 
 
 @dataclass(frozen=True)
-class Facts:
+class GateInputs:
     """The row that the rules check; what has no value was not known.
 
-    own, is_blurred: see `Estimate`. place: the position. age_s: since its moment. distance_m: from the autopilot's own.
-    move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere origin.
+    own, is_blurred: see `StateEstimate`. place: the position. age_s: since its moment. distance_m: from the autopilot's
+    own. move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere origin.
     is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another place,
-    infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a
-    reset, whether the autopilot is beyond doubt off by it.
+    infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a reset,
+    whether the autopilot is beyond doubt off by it.
     """
 
     gates: GatesConfig
-    limits: Limits
-    own: Own
+    limits: FixRequest
+    own: AutopilotState
     is_blurred: bool
     place: PlaceFix | None = None
     age_s: float = math.inf
@@ -54,10 +54,10 @@ class Rule(NamedTuple):
     reason: str
     when: str
     test: str
-    holds: Callable[[Facts], bool]
-    detail: Callable[[Facts], str] = lambda facts: ""
+    holds: Callable[[GateInputs], bool]
+    detail: Callable[[GateInputs], str] = lambda facts: ""
     is_certain: bool = False
-    lacks: Callable[[Facts], str] = lambda facts: ""
+    lacks: Callable[[GateInputs], str] = lambda facts: ""
 
 
 GPS_HEALTHY = "GPS is healthy"
@@ -179,7 +179,7 @@ RULES = (
 """In the order in which they are checked."""
 
 
-class Refusal(Struct, frozen=True, tag=True):
+class NoFix(Struct, frozen=True, tag="Refusal"):
     """Why a position is withheld.
 
     detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
@@ -204,15 +204,15 @@ class Refusal(Struct, frozen=True, tag=True):
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
 
 
-def position_of(answer: Fix | Refusal) -> Fix | None:
+def position_of(answer: Fix | NoFix) -> Fix | None:
     """The position that may be published, or that an autopilot which agrees with it does not need; None without one."""
     return answer if isinstance(answer, Fix) else answer.confirms
 
 
-def refusal(facts: Facts, rules: Sequence[Rule]) -> Refusal | None:
+def refusal(facts: GateInputs, rules: Sequence[Rule]) -> NoFix | None:
     """The first reason that holds, None where a position may be published."""
     rule = next((one for one in rules if one.holds(facts)), None)
     if rule is None:
         return None
     level = facts.level if rule.is_certain else None
-    return Refusal(rule.reason, rule.detail(facts), facts.place, facts.distance_m, level, rule.lacks(facts))
+    return NoFix(rule.reason, rule.detail(facts), facts.place, facts.distance_m, level, rule.lacks(facts))

@@ -1,7 +1,7 @@
 """A match on the ground: where the vehicle was when its line passed a place, and how it has moved since.
 
-Where the frame's keypoints say where its camera was (`Seen`), they alone count: a `Look`. Else the middle of a line is
-best known, and says how far the vehicle is along the map's drive.
+Where the frame's keypoints say where its camera was (`KeyframeMatch`), they alone count: a `PoseMeasurement`. Else the
+middle of a line is best known, and says how far the vehicle is along the map's drive.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import WANDER, DriveErrors
-from edge.localization.look import AIM_RAD, STANDS_M, Look, Vector, camera_seen
-from edge.localization.place_fix import LineReadings, heads_along, line_middle, map_error_m, position_on_route
+from edge.localization.look import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_seen
+from edge.localization.place_fix import OdometryWindow, heads_along, line_middle, map_error_m, position_on_route
 from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -36,7 +36,7 @@ WANDERS = 0.5
 time."""
 
 
-class Passed(NamedTuple):
+class LocalMidpoint(NamedTuple):
     """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
 
     place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since.
@@ -47,7 +47,7 @@ class Passed(NamedTuple):
     since_m: Vector
 
 
-class OnDrive(NamedTuple):
+class RoutePoint(NamedTuple):
     """A point of a drive of the map, meters (2,), the direction of travel there, and one sigma of the map's error."""
 
     place_m: Vector
@@ -56,7 +56,7 @@ class OnDrive(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Sighting:
+class SequenceMatch:
     """A match in local meters.
 
     checked_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
@@ -69,32 +69,32 @@ class Sighting:
     segment: int
     recording: str
     checked_m: float
-    passed: Passed
+    passed: LocalMidpoint
     along_m: float
     sigma_m: float
     errors: DriveErrors
     faint: float
     undated_m: float
-    look: Look | None = None
+    look: PoseMeasurement | None = None
 
     @property
     def drive(self) -> tuple[int, Direction]:
         """What its errors are those of."""
         return self.segment, self.match.direction
 
-    def on_course(self, course: tuple[float, float] | None) -> Sighting:
-        """With the course of then, see `Look`."""
+    def on_course(self, course: tuple[float, float] | None) -> SequenceMatch:
+        """With the course of then, see `PoseMeasurement`."""
         return self if self.look is None else replace(self, look=replace(self.look, course=course))
 
 
-class Sightings:
+class Georeferencer:
     """Matches in local meters, with the readings of the vehicle's displacement that their lines need."""
 
     def __init__(self, route: Route, config: Config) -> None:
         self.route, self.rig = route, config.rig
         self.length = config.sequence_frames
         """Frames of a line."""
-        self._readings = LineReadings(self.length)
+        self._readings = OdometryWindow(self.length)
         self._looks_back = config.camera.view == "rear"
         self._heading_sigma_rad = math.radians(config.tracking.heading_error_deg)
         self.origin: Origin | None = None
@@ -119,10 +119,10 @@ class Sightings:
         offset_m = along_m - self.route.route_m(match.place_index)
         return position_on_route(self.route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
+    def of(self, match: PlaceMatch, undated_m: float) -> SequenceMatch | None:
         """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
-        undated_m: see `Sighting`.
+        undated_m: see `SequenceMatch`.
         """
         line = line_middle(match, self.route, self.length)
         if line is None or len(self._readings) < self.length:
@@ -136,12 +136,12 @@ class Sightings:
         since_m = self._since(line.back)
         sign = -1 if match.direction == "reverse" else 1
         drive = self.route.drive(match.place_index)
-        return Sighting(
+        return SequenceMatch(
             match=match,
             segment=line.segment,
             recording=line.recording,
             checked_m=drive.checked_m,
-            passed=Passed(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
+            passed=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
             errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, undated_m),
@@ -149,7 +149,7 @@ class Sightings:
             undated_m=undated_m,
         )
 
-    def looked(self, match: PlaceMatch, undated_m: float) -> Sighting | None:
+    def looked(self, match: PlaceMatch, undated_m: float) -> SequenceMatch | None:
         """What one picture says, of its own drive; None where it is nothing, or the map has no heading of the row."""
         seen = match.seen
         if seen is None:
@@ -174,18 +174,18 @@ class Sightings:
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         whole_along_m, whole_across_m = drive.whole_sigma_m
         whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
-        look = Look(
+        look = PoseMeasurement(
             position_m=position_m,
             pose=pose,
             heading_rad=heading_rad,
             points=seen.points,
         )
-        return Sighting(
+        return SequenceMatch(
             match=match,
             segment=drive.segment,
             recording=drive.recording,
             checked_m=drive.checked_m,
-            passed=Passed(position_m, along, np.zeros(4)),
+            passed=LocalMidpoint(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
             sigma_m=math.sqrt(float(along @ look.covariance @ along)),
             errors=self._errors(match, whole_m, along, map_error_m(row), undated_m),
@@ -224,7 +224,7 @@ class Sightings:
     def _left_m(self, match: PlaceMatch) -> float:
         return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m
 
-    def _on_drive(self, match: PlaceMatch, along_m: float) -> OnDrive | None:
+    def _on_drive(self, match: PlaceMatch, along_m: float) -> RoutePoint | None:
         """Where the vehicle is on the map's drive when a line is `along_m` along it."""
         sign = 1 if match.direction == "forward" else -1
         found = self.position(match, along_m - sign * self._ahead_m(match))
@@ -232,7 +232,7 @@ class Sightings:
             return None
         heading_rad = math.radians(found.heading_deg)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
-        return OnDrive(self.local(found), along, map_error_m(found))
+        return RoutePoint(self.local(found), along, map_error_m(found))
 
     def _since(self, frames: float) -> Vector:
         """The displacement (4,) since so many frames ago."""

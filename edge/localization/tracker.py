@@ -20,8 +20,8 @@ from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.claims import SPREAD_M, STRETCH_WRONG
-from edge.localization.dead_reckoning import Displacement
-from edge.localization.events import Frame, GpsFix, Own
+from edge.localization.dead_reckoning import Odometry
+from edge.localization.events import AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import (
     AGREE_SIGMAS,
     COMPASS,
@@ -32,12 +32,12 @@ from edge.localization.filter import (
     POSITION,
     SCALE,
     Filter,
-    Step,
+    FilterStep,
     Vector,
 )
-from edge.localization.hypotheses import Bank, Name
-from edge.localization.odometer import Scale
-from edge.localization.sighting import Sighting, Sightings, left_of
+from edge.localization.hypotheses import FilterBank, Name
+from edge.localization.odometer import ScaleFactor
+from edge.localization.sighting import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -85,19 +85,19 @@ MISLED_RAD = math.radians(15)
 BY_CHANCE = STRETCH_WRONG  # probability of agreeing with reckoning by chance, up to which a first match is certain
 
 
-class Track:
+class TrackScore:
     """The newest match that agreed with the filter, when, and what was driven since it and since the first one.
 
     by_chance: how probable it was for the first to agree by chance. confidence: the greatest of all.
     """
 
     def __init__(self, by_chance: float) -> None:
-        self.newest: Sighting | None = None
+        self.newest: SequenceMatch | None = None
         self.stamp_ns = self.matches = self.disagreeing = self.points = 0
         self.since_m = self.driven_m = self.confidence = 0.0
         self.by_chance, self.goes_back = by_chance, False
 
-    def add(self, sighting: Sighting, stamp_ns: int) -> None:
+    def add(self, sighting: SequenceMatch, stamp_ns: int) -> None:
         """One more that agreed."""
         look = sighting.look
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
@@ -121,10 +121,10 @@ class Track:
 class Tracker:
     """Follows the vehicle over the ground along the drives of a map."""
 
-    def __init__(self, sightings: Sightings, config: Config) -> None:
+    def __init__(self, sightings: Georeferencer, config: Config) -> None:
         self._config, self._rig, self._sightings = config.tracking, config.rig, sightings
         self._assumed = self._config.scale_error_percent / 100
-        self.bank = Bank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
+        self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
         """Whether GPS counts as a measurement: it was not called wrong."""
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
@@ -136,16 +136,18 @@ class Tracker:
         self._is_checked = False  # whether the drive of the newest match moved as its vehicle did
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
-        self._at: Frame | None = None
+        self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._course_rad: float | None = None  # in which the vehicle reckoned to go at the newest frame
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
-        self._track: Track | None = None
+        self._track: TrackScore | None = None
         self.aside: tuple[float, float] | None = None
         """How far beside the road of the matches own motion since GPS has the vehicle, and one standard deviation."""
 
-    def update(self, frame: Frame, looked: Sighting | None, own: Own, undated_m: float = 0.0) -> bool:
+    def update(
+        self, frame: ImageProcessed, looked: SequenceMatch | None, own: AutopilotState, undated_m: float = 0.0
+    ) -> bool:
         """Use a frame; whether a place was compared with what is known. looked: what its picture says.
 
         own: what the autopilot says, as far as it is believed.
@@ -186,11 +188,11 @@ class Tracker:
             self._use(sighting, own, frame.stamp_ns, is_evidence=is_evidence)
         self.bank.judge(frame.stamp_ns / 1e9)
         if (gps_m is None or not self.follows_gps) and self._corrects_itself() and sighting is not None:
-            self._add(self._track or Track(0.0), sighting, frame.stamp_ns)
+            self._add(self._track or TrackScore(0.0), sighting, frame.stamp_ns)
         self._choose_origin()
         return sighting is not None and is_evidence
 
-    def _gps(self, frame: Frame, own: Own) -> Vector | None:
+    def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
         gps = frame.gps
         if gps is None and own.gps_sigma_m is not None and own.position is not None:
@@ -212,12 +214,12 @@ class Tracker:
         self.bank.begin(self.bank.right)
         self._is_placed = True
 
-    def lose_gps(self, shown: Scale | None) -> None:
+    def lose_gps(self, shown: ScaleFactor | None) -> None:
         """GPS is lost. shown: what it has shown of the velocity that counts from now on."""
         if self._is_bound and shown is not None:
             usual = min(USUAL, self._assumed)
             is_usual = abs(shown.mean) <= UNEXPECTED_SIGMAS * math.hypot(usual, shown.sigma)
-            scale = Scale(0.0, usual if is_usual else self._assumed).and_also(shown)
+            scale = ScaleFactor(0.0, usual if is_usual else self._assumed).and_also(shown)
             self._is_shown = scale.later < self._assumed
             if self._is_shown:
                 self.bank.each(lambda state: state.expect_scale(scale))
@@ -294,7 +296,7 @@ class Tracker:
         is_known = self._track is not None and state.since_look_m < CORRELATION_M
         return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
 
-    def _sighting(self, match: PlaceMatch, looked: Sighting | None, undated_m: float) -> Sighting | None:
+    def _sighting(self, match: PlaceMatch, looked: SequenceMatch | None, undated_m: float) -> SequenceMatch | None:
         """What a match says of where the vehicle is: by one look, or else by its line."""
         if looked is not None:
             return looked
@@ -303,12 +305,12 @@ class Tracker:
             return None
         return self._sightings.of(match, undated_m)
 
-    def _use(self, sighting: Sighting, own: Own, stamp_ns: int, *, is_evidence: bool) -> None:
+    def _use(self, sighting: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
         if not self._is_placed:
             self._begin(sighting)
         track = self._track
         if track is None:
-            track = Track(self._by_chance(sighting))
+            track = TrackScore(self._by_chance(sighting))
         if own.drives_itself:
             lane_m = math.hypot(sighting.errors.lane_m, ASTRAY_M)
             sighting = dataclasses.replace(sighting, errors=dataclasses.replace(sighting.errors, lane_m=lane_m))
@@ -326,7 +328,7 @@ class Tracker:
         else:
             track.disagreeing += 1
 
-    def _add(self, track: Track, sighting: Sighting, stamp_ns: int) -> None:
+    def _add(self, track: TrackScore, sighting: SequenceMatch, stamp_ns: int) -> None:
         """A match agreed."""
         self._track, self._is_checked = track, sighting.checked_m > 0
         track.add(sighting, stamp_ns)
@@ -335,7 +337,7 @@ class Tracker:
         if track.matches >= FIRST or sighting.look is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._course_rad)
 
-    def _begin(self, sighting: Sighting) -> None:
+    def _begin(self, sighting: SequenceMatch) -> None:
         """Be where the first match is."""
         state, since_m = self.bank.right, sighting.passed.since_m
         moved_m = state.truly(since_m[:2], since_m[2:])
@@ -344,7 +346,7 @@ class Tracker:
         self._is_placed = True
         self._is_begun = True
 
-    def _by_chance(self, sighting: Sighting) -> float:
+    def _by_chance(self, sighting: SequenceMatch) -> float:
         """Probability that a match anywhere along the road would be where it is expected.
 
         0 while what is known says which place within a correlation length it is.
@@ -356,7 +358,7 @@ class Tracker:
         reach_m = AGREE_SIGMAS * math.sqrt(float(along @ self.bank.right.spread @ along))
         return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
 
-    def _compare_across(self, sighting: Sighting) -> None:
+    def _compare_across(self, sighting: SequenceMatch) -> None:
         """A vehicle that went aside is there until its motion contradicts that: no position follows a false street."""
         if sighting.look is not None and self.bank.before is None:
             self.aside = None  # it has said how far across the vehicle is
@@ -391,11 +393,11 @@ class Tracker:
             return True
         if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
             bank.begin(bank.before)
-            self._track = Track(0.0)
+            self._track = TrackScore(0.0)
         else:
             is_elsewhere = float(np.hypot(*(right.position_m - before.position_m))) > SAME_PLACE_M
             bank.begin(right, (bank.before or before) if is_elsewhere else bank.before)
-            self._track = Track(math.inf if is_elsewhere else 0.0)
+            self._track = TrackScore(math.inf if is_elsewhere else 0.0)
         self._track.matches = FIRST - 1  # those that outvoted what was known
         return True
 
@@ -410,7 +412,7 @@ class Tracker:
         track = self._track
         return track is not None and (not track.is_confirmed or track.disagreeing >= DISAGREE)
 
-    def at(self, stamp_ns: int, displacement: Displacement | None) -> PlaceFix | None:
+    def at(self, stamp_ns: int, displacement: Odometry | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
         track, before = self._track, self._at
         motion = None if before is None else before.motion
@@ -427,11 +429,11 @@ class Tracker:
         course_rad = math.atan2(step.moved_m[0], step.moved_m[1]) if driven_m >= GOES_M else self._course_rad
         return self._fix(track, state, stamp_ns, track.since_m + driven_m, course_rad)
 
-    def _is_lost(self, track: Track, stamp_ns: int, driven_m: float) -> bool:
+    def _is_lost(self, track: TrackScore, stamp_ns: int, driven_m: float) -> bool:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
         return is_silent or track.since_m + driven_m > self._config.lost_after_m
 
-    def _move(self, before: Frame, now: Frame) -> None:
+    def _move(self, before: ImageProcessed, now: ImageProcessed) -> None:
         assert before.motion is not None and now.motion is not None
         step = self._step(before.motion, now.motion, (now.stamp_ns - before.stamp_ns) / 1e9, before, now)
         unknown_m = now.motion.unknown_since(before.motion)
@@ -446,12 +448,12 @@ class Tracker:
 
     def _step(
         self,
-        then: Displacement,
-        now: Displacement,
+        then: Odometry,
+        now: Odometry,
         seconds: float,
-        before: Frame | None = None,
-        frame: Frame | None = None,
-    ) -> Step:
+        before: ImageProcessed | None = None,
+        frame: ImageProcessed | None = None,
+    ) -> FilterStep:
         moved_m = _vector(now) - _vector(then)
         unknown_m, bridged_m2, unknown_m2 = now.unknown_since(then), 0.0, 0.0
         if now.leg != then.leg:
@@ -464,7 +466,7 @@ class Tracker:
         if one is not None and other is not None and one.gyros and other.gyros and one.leg == other.leg:
             turned_rad = math.remainder(other.gyros.compass_rad - one.gyros.compass_rad, math.tau)
             variance = max(0.0, other.gyros.turned_rad2 - one.gyros.turned_rad2)
-        return Step(moved_m[:2], moved_m[2:], max(0.0, seconds), turned_rad, variance, unknown_m2, bridged_m2)
+        return FilterStep(moved_m[:2], moved_m[2:], max(0.0, seconds), turned_rad, variance, unknown_m2, bridged_m2)
 
     def _choose_origin(self) -> None:
         """A new origin for local meters where the last one is far away."""
@@ -475,7 +477,7 @@ class Tracker:
         self.bank.each(lambda state: _shift(state, shift_m))
 
     def _fix(
-        self, track: Track, state: Filter, stamp_ns: int, since_m: float, course_rad: float | None
+        self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, course_rad: float | None
     ) -> PlaceFix | None:
         newest, origin = track.newest, self._sightings.origin
         assert newest is not None
@@ -517,7 +519,7 @@ class Tracker:
         )
 
 
-def _line_variance(state: Filter, line: Sighting) -> float:
+def _line_variance(state: Filter, line: SequenceMatch) -> float:
     """Square meters along the road that the state lacks: an odometer that is wrong moves a line's middle as well.
 
     The displacement since the middle is in the state; the other half of the line, which is as long, has the same error.
@@ -536,6 +538,6 @@ def _shift(state: Filter, by_m: Vector) -> None:
     state.mean[POSITION] -= by_m
 
 
-def _vector(displacement: Displacement) -> Vector:
+def _vector(displacement: Odometry) -> Vector:
     doubtful_m = displacement.doubtful_east_m, displacement.doubtful_north_m
     return np.array([displacement.east_m, displacement.north_m, *doubtful_m])

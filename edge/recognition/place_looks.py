@@ -15,9 +15,9 @@ from edge.config import Config
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
-from edge.sequence import LEAST_SHARPNESS, Agreeing, PlaceMatch, Seen
+from edge.sequence import LEAST_SHARPNESS, Correspondences, KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import ALONE, APART_M, KEPT, REACH_M, Looks, PriorOf, Sighted, joined, sign_of
+from edge.sequence.looks import ALONE, APART_M, KEPT, REACH_M, KeyframeConsensus, KeyframeVote, PriorOf, joined, sign_of
 from edge.sequence.place_search import NearestOf
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10
@@ -36,7 +36,7 @@ BY_LOOKS_M = 4.0
 """As far from a place that looks believe others are tried."""
 
 
-class Answer(NamedTuple):
+class JointBelief(NamedTuple):
     """What votes and looks say together.
 
     votes: the place they speak for, with what looks say of it. match: of a place that looks believe, where no line that
@@ -45,10 +45,10 @@ class Answer(NamedTuple):
 
     votes: PlaceBelief | None
     match: PlaceMatch | None = None
-    seen: Seen | None = None
+    seen: KeyframeMatch | None = None
 
 
-class PlaceLooks:
+class KeyframeMatcher:
     """Looks at some frames of a drive on some maps."""
 
     def __init__(self, map_set: MapSet, drives: Drives, config: Config, network: KeypointNetwork | None = None) -> None:
@@ -70,15 +70,15 @@ class PlaceLooks:
 
     def reset(self) -> None:
         """Nothing that was seen so far counts."""
-        self._kept = Looks()
-        self._alike = deque[list[Sighted]](maxlen=KEPT)
+        self._kept = KeyframeConsensus()
+        self._alike = deque[list[KeyframeVote]](maxlen=KEPT)
         """By each of the newest looks, two places that it could not tell apart; none by one that could."""
         self._unlooked, self._in_vain = SELDOM, 0  # frames since a look, and looks since one that showed a place
         self._has_line = False
         self._around: tuple[PlaceBelief, float, float] | None = None
         self._is_seen_there = False  # by looks, so that no other place is tried
         self._is_lost = False
-        self._newest: tuple[Seen, Sighted] | None = None  # of the newest frame, if it was looked at
+        self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was looked at
 
     @property
     def is_possible(self) -> bool:
@@ -86,7 +86,7 @@ class PlaceLooks:
         return self._verification.is_possible
 
     @property
-    def agreeing(self) -> Agreeing | None:
+    def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows the place that is believed; None where it was not looked at."""
         return self._verification.agreeing if self._newest is not None else None
 
@@ -117,7 +117,9 @@ class PlaceLooks:
         self._in_vain = self._in_vain + 1 if seen is None else 0
         self._is_lost = seen is None and self._around is not None
 
-    def answer(self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float) -> Answer:
+    def answer(
+        self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
+    ) -> JointBelief:
         """What the votes' belief and that of looks say together.
 
         prior_of: odds of being at a point along a drive without either. slack_m: by how much two votes may differ.
@@ -125,13 +127,13 @@ class PlaceLooks:
         looks = self._kept.belief(driven_m, self._least, self._drives.positions_m, prior_of)
         votes = self._doubted(votes, prior_of, driven_m, slack_m)
         if looks is None or not self._is_mapped(looks):
-            return Answer(votes)
+            return JointBelief(votes)
         is_one_place = votes is not None and self._is_one_place(votes, looks, slack_m)
         seen = self._seen_at(looks) if looks.confidence >= LIKELY else None
         by_looks, by_votes = joined(looks, votes, self._least, is_one_place=is_one_place)
         if is_one_place and votes is not None and votes.is_believed:
-            return Answer(by_votes, seen=seen)
-        return Answer(by_votes, self._match_of(by_looks, seen) if by_looks.is_believed else None)
+            return JointBelief(by_votes, seen=seen)
+        return JointBelief(by_votes, self._match_of(by_looks, seen) if by_looks.is_believed else None)
 
     def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
         """Look around the place that is believed from the next frame on; None: anywhere."""
@@ -169,7 +171,7 @@ class PlaceLooks:
         nearest_m = self._drives.along_m(self._drives.nearest(looks.drive, looks.along_m))
         return abs(math.remainder(looks.along_m - nearest_m, self._drives.lap_m(looks.drive))) <= MOST_AHEAD_M
 
-    def _seen_at(self, looks: PlaceBelief) -> Seen | None:
+    def _seen_at(self, looks: PlaceBelief) -> KeyframeMatch | None:
         """What the newest frame showed of the place that looks believe; None where it was not that."""
         if self._newest is None:
             return None
@@ -177,7 +179,7 @@ class PlaceLooks:
         is_there = sighted.drive == looks.drive and abs(sighted.along_m - looks.along_m) <= APART_M
         return seen if is_there and sighted.direction == looks.direction else None
 
-    def _match_of(self, looks: PlaceBelief, seen: Seen | None) -> PlaceMatch:
+    def _match_of(self, looks: PlaceBelief, seen: KeyframeMatch | None) -> PlaceMatch:
         """A place that looks alone say."""
         place_index = self._drives.nearest(looks.drive, looks.along_m) if seen is None else seen.place_index
         name, row = self._map_set.locate(place_index)
@@ -224,9 +226,9 @@ class PlaceLooks:
     def _anywhere(self, nearest: NearestOf, course_rad: float | None) -> list[int]:
         return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
 
-    def _sighted(self, seen: Seen, driven_m: float, uncertain_m: float) -> Sighted:
+    def _sighted(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
         """A look on the map's drive: the camera of a place looks along it, or back."""
         drive, direction = self._drives.drive_of(seen.place_index), self._verification.direction(seen.place_index)
         along_m = self._drives.along_m(seen.place_index) + self._verification.facing(seen.place_index) * seen.ahead_m
         odds = seen.confidence / (1 - seen.confidence)
-        return Sighted(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds)
+        return KeyframeVote(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds)

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor.model_file import read_model_file, resolve_model
-from edge.keypoints import Camera, Keypoints
+from edge.keypoints import CameraModel, Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
-from edge.keypoints.pose import STARTS, Pose, look
+from edge.keypoints.pose import STARTS, RelativePose, look
 from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
-from edge.sequence import MOST_ASIDE_RAD, Agreeing, Direction, Seen
+from edge.sequence import MOST_ASIDE_RAD, Correspondences, Direction, KeyframeMatch
 from edge.sequence.looks import ENOUGH, confidence_of
 
 MOST = 300
@@ -58,8 +58,8 @@ class PlaceVerification:
         self._view, self._only = config.camera.view, config.sequence.directions
         camera = config.camera
         self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
-        self._newest: tuple[Keypoints, int, Pose] | None = None
-        self.alike: tuple[Seen, ...] = ()
+        self._newest: tuple[Keypoints, int, RelativePose] | None = None
+        self.alike: tuple[KeyframeMatch, ...] = ()
         """Of the newest look, which showed none of them alone: two places, one elsewhere than the other."""
 
     def use_maps(self, map_set: MapSet, drives: Drives) -> None:
@@ -116,7 +116,7 @@ class PlaceVerification:
         heading_rad = math.radians(heading_deg) + math.pi * (direction == "reverse")
         return math.cos(heading_rad - course_rad) >= math.cos(MOST_ASIDE_RAD)
 
-    def look(self, image: NDArray[np.uint8], places: Sequence[int]) -> Seen | None:
+    def look(self, image: NDArray[np.uint8], places: Sequence[int]) -> KeyframeMatch | None:
         """The place that a picture (H, W, 3) uint8 BGR shows, of some candidates and those around them; None: none.
 
         MapError for a map that was cut off.
@@ -139,10 +139,10 @@ class PlaceVerification:
         covariance = pose.covariance * max(1.0, ENOUGH / _support_of(pose))
         return _seen(place, replace(pose, covariance=covariance), self._support(query, place, pose))
 
-    def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, Pose] | None:
+    def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
         alike = sorted(((self._matches(query, place), place) for place in places), reverse=True)
-        tried: dict[int, Pose | None] = {}
+        tried: dict[int, RelativePose | None] = {}
 
         def support_at(place: int) -> float:
             if place not in tried:
@@ -170,7 +170,7 @@ class PlaceVerification:
     def _is_elsewhere(self, place: int, other: int) -> bool:
         return self._drives.apart_m(place, other) > ELSEWHERE_M
 
-    def _support(self, query: Keypoints, place: int, pose: Pose) -> float:
+    def _support(self, query: Keypoints, place: int, pose: RelativePose) -> float:
         """That a pose has by its place and by the rows around it whose own pose is the same one, up to ENOUGH."""
         support = _support_of(pose)
         for row in dict.fromkeys(self._row_at(place, along_m) for along_m in ROWS_M):
@@ -185,7 +185,7 @@ class PlaceVerification:
         return support
 
     @property
-    def agreeing(self) -> Agreeing | None:
+    def agreeing(self) -> Correspondences | None:
         """Of the newest look, None where it showed no place; for people, of whom most never ask."""
         if self._newest is None:
             return None
@@ -193,15 +193,15 @@ class PlaceVerification:
         assert pose.pairs is not None  # of `look`
         pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 1))
         rows = pose.pairs[pose.agrees]
-        return Agreeing(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
+        return Correspondences(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
     def _matches(self, query: Keypoints, place: int) -> int:
         return len(mutual_matches(query.descriptors, self._record(place)["descriptor"]))
 
-    def _pose(self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS) -> Pose | None:
+    def _pose(self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS) -> RelativePose | None:
         key, record = self._key(place), self._record(place)
         height = round(key.width * query.size[0] / query.size[1])
-        camera = Camera(key.width, height, *(self._camera or (key.fov_deg, key.alone)))  # not set: as the map's
+        camera = CameraModel(key.width, height, *(self._camera or (key.fov_deg, key.alone)))  # not set: as the map's
         return look(query, keypoints_of(record, key), points_of(record), camera, starts)
 
     def _row_at(self, place: int, along_m: float) -> int:
@@ -210,7 +210,7 @@ class PlaceVerification:
         route_m = self._map_set.places["route_m"][first:end]
         return first + int(np.abs(route_m - route_m[place - first] - along_m).argmin())
 
-    def _from(self, row: int, place: int, pose: Pose) -> NDArray[np.float64]:
+    def _from(self, row: int, place: int, pose: RelativePose) -> NDArray[np.float64]:
         """A pose by a place as another row of its drive has it (1, 3): on the chord of an arc between the two."""
         moved = self._map_set.places[[place, row]]
         along_m, turned_deg = (float(np.diff(moved[name])[0]) for name in ("route_m", "heading_deg"))
@@ -229,15 +229,15 @@ class PlaceVerification:
         return key
 
 
-def _seen(place: int, pose: Pose, support: float) -> Seen:
+def _seen(place: int, pose: RelativePose, support: float) -> KeyframeMatch:
     where = pose.right_m, pose.ahead_m, pose.turn, pose.covariance
-    return Seen(place, *where, pose.count, confidence_of(support))
+    return KeyframeMatch(place, *where, pose.count, confidence_of(support))
 
 
-def _is_on_the_road(pose: Pose) -> bool:
+def _is_on_the_road(pose: RelativePose) -> bool:
     return abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn) <= MOST_TURN_RAD
 
 
-def _support_of(pose: Pose) -> float:
+def _support_of(pose: RelativePose) -> float:
     """That a row of the map gives to a pose: its points, each as much as those agree that it is one of."""
     return pose.count * float(pose.agrees.mean()) ** 2

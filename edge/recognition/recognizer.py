@@ -29,8 +29,8 @@ from edge.descriptor.open_network import open_network
 from edge.errors import MapError
 from edge.geodesy import POSITION_SOURCES
 from edge.recognition.sequence_matcher import MOST_MISSED, SequenceMatcher, Stopwatch, no_stopwatch
-from edge.reference_map import MapSet, MapSoFar, ModelKey, maps_in, open_map_set, read_header
-from edge.sequence import NOTHING_KNOWN, PlaceMatch, Travel
+from edge.reference_map import MapSet, ModelKey, PartialMap, maps_in, open_map_set, read_header
+from edge.sequence import NOTHING_KNOWN, MotionPrior, PlaceMatch
 from edge.sequence.evidence import HoldOff
 
 log = logging.getLogger(__name__)
@@ -135,7 +135,9 @@ class PlaceRecognizer:
         """The maps that are searched."""
         return self.matcher.map_set
 
-    def observe(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
+    def observe(
+        self, image: NDArray[np.uint8], stamp_ns: int, travel: MotionPrior = NOTHING_KNOWN
+    ) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
         On a map with keypoints there may be an answer meanwhile, by looks alone.
@@ -177,7 +179,9 @@ class PlaceRecognizer:
             return False
         return abs(distance_m - last.distance_m) <= STANDS_M
 
-    def look_again(self, image: NDArray[np.uint8], stamp_ns: int, travel: Travel = NOTHING_KNOWN) -> PlaceMatch | None:
+    def look_again(
+        self, image: NDArray[np.uint8], stamp_ns: int, travel: MotionPrior = NOTHING_KNOWN
+    ) -> PlaceMatch | None:
         """Such a picture (H, W, 3) uint8 BGR: a place that is believed by looks, else None."""
         self.was_carried = self.is_in_line = False
         return self._look_again(image, _UsedFrame(self.describe(image), stamp_ns, travel.distance_m), travel)
@@ -186,7 +190,7 @@ class PlaceRecognizer:
         looked = self._looked
         return self.matcher.may_look and looked is not None and stamp_ns - looked[1].stamp_ns >= LOOK_AGAIN_NS
 
-    def _look_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: Travel) -> PlaceMatch | None:
+    def _look_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: MotionPrior) -> PlaceMatch | None:
         assert self._looked is not None  # or none would be due
         first, before = self._looked
         if first.change_to(frame) > CARRIED * before.change_to(frame):
@@ -225,7 +229,7 @@ class PlaceRecognizer:
         self.matcher.use_maps(map_set)
         self.reset()
 
-    def reopen_maps(self, newest: MapSoFar | None) -> None:
+    def reopen_maps(self, newest: PartialMap | None) -> None:
         """Search the maps that the config names as they are on the disk now. SetupError; then those so far stay."""
         self.use_maps(open_maps(self.config, newest).fitting(model_key(self._network), self.config.descriptor))
 
@@ -271,7 +275,7 @@ def open_recognizer(
     *,
     network: Network | None = None,
     map_set: MapSet | None = None,
-    newest: MapSoFar | None = None,
+    newest: PartialMap | None = None,
     stopwatch: Stopwatch = no_stopwatch,
 ) -> PlaceRecognizer:
     """Open the model and the maps that the config names. SetupError names what cannot be used.
@@ -309,7 +313,7 @@ def _networks_of_maps(path: Path) -> Iterator[str]:
                 yield network_of_map(read_header(folder).model.name)
 
 
-def open_maps(config: Config, newest: MapSoFar | None) -> MapSet:
+def open_maps(config: Config, newest: PartialMap | None) -> MapSet:
     """The maps that the config names, and that of this drive. SetupError."""
     key = config.map.require_signature_by
     maps = open_map_set(Path(config.map.path), require_signature_by=Path(key) if key else None, newest=newest)

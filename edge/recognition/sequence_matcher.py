@@ -23,14 +23,14 @@ from edge.descriptor import RunningStatistics
 from edge.descriptor.normalize import OnlineNormalizer
 from edge.feed.sampling import Steps, spell_spacing
 from edge.reference_map import Drives, MapSet
-from edge.sequence import NOTHING_KNOWN, Agreeing, PlaceMatch, Reckoning, Travel
+from edge.sequence import NOTHING_KNOWN, Correspondences, DeadReckoningPosition, MotionPrior, PlaceMatch
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.place_search import NearestOf, PlaceSearch
 from edge.sequence.prior import Prior
 
 if TYPE_CHECKING:
     from edge.keypoints.network import KeypointNetwork
-    from edge.recognition.place_looks import PlaceLooks
+    from edge.recognition.place_looks import KeyframeMatcher
 
 PriorOf: TypeAlias = Callable[[int, float], float]
 """The odds of being at a point along a drive."""
@@ -75,13 +75,13 @@ class SequenceMatcher:
         self._begin_consensus()
         self._looks = self._open_looks(map_set)
 
-    def _open_looks(self, map_set: MapSet) -> PlaceLooks | None:
+    def _open_looks(self, map_set: MapSet) -> KeyframeMatcher | None:
         """None where no map has keypoints, which needs none of their code."""
         if all(header.keypoints_key is None for header in map_set.headers):
             return None
-        from edge.recognition.place_looks import PlaceLooks
+        from edge.recognition.place_looks import KeyframeMatcher
 
-        return PlaceLooks(map_set, self._drives, self._config, self._keypoints)
+        return KeyframeMatcher(map_set, self._drives, self._config, self._keypoints)
 
     def grow(self, map_set: MapSet) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
@@ -143,7 +143,7 @@ class SequenceMatcher:
         return self._drives.positions_m(drives, along_m)
 
     def push(
-        self, raw: NDArray[np.float32], travel: Travel = NOTHING_KNOWN, image: NDArray[np.uint8] | None = None
+        self, raw: NDArray[np.float32], travel: MotionPrior = NOTHING_KNOWN, image: NDArray[np.uint8] | None = None
     ) -> PlaceMatch | None:
         """Match one raw descriptor (R, D); None while too few came, or a large map is still being scanned.
 
@@ -190,7 +190,7 @@ class SequenceMatcher:
     def _vote(self, line: PlaceMatch | None) -> PlaceVote | None:
         return PlaceVote.of(line, self._drives, self._config.rig) if line else None
 
-    def look_again(self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: Travel) -> PlaceMatch | None:
+    def look_again(self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: MotionPrior) -> PlaceMatch | None:
         """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone.
 
         raw: its descriptor (R, D), by which places to try are chosen: what stood before the camera may be gone.
@@ -200,7 +200,7 @@ class SequenceMatcher:
         self._follow(believed)
         return believed
 
-    def _look(self, image: NDArray[np.uint8], travel: Travel, nearest: NearestOf) -> None:
+    def _look(self, image: NDArray[np.uint8], travel: MotionPrior, nearest: NearestOf) -> None:
         if self._looks is not None:
             driven = self._consensus.driven_m, self._consensus.uncertain_m
             self._looks.look(image, nearest, travel.course_rad, *driven)
@@ -212,7 +212,7 @@ class SequenceMatcher:
         return self._looks is not None and self._looks.is_possible
 
     @property
-    def agreeing(self) -> Agreeing | None:
+    def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
         return None if self._looks is None else self._looks.agreeing
 
@@ -223,7 +223,7 @@ class SequenceMatcher:
             self._looks.use_network(network)
 
     def _best_line(
-        self, raw: NDArray[np.float32], travel: Travel, step: float, usual: float, *, is_measured: bool
+        self, raw: NDArray[np.float32], travel: MotionPrior, step: float, usual: float, *, is_measured: bool
     ) -> PlaceMatch | None:
         """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
@@ -236,7 +236,7 @@ class SequenceMatcher:
         self._stopwatch("search")
         return match
 
-    def _prior(self, reckoned: Reckoning | None) -> tuple[Prior, AwayOf] | None:
+    def _prior(self, reckoned: DeadReckoningPosition | None) -> tuple[Prior, AwayOf] | None:
         """What is known of where the vehicle is without any place."""
         part = self.search.part
         if reckoned is None or part is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from edge.config import Config
 from edge.descriptor import RunningStatistics
-from edge.files import BOOT_ID, KeptFile
+from edge.files import BOOT_ID, PersistentFile
 from edge.recognition.recognizer import PlaceRecognizer
 
 WRITTEN_EACH_S = 60.0
@@ -38,7 +38,7 @@ class StateKey(msgspec.Struct, frozen=True):
     map_sha256: str
 
 
-class Moment(msgspec.Struct, frozen=True):
+class PersistentTime(msgspec.Struct, frozen=True):
     """A time that can be compared across restarts: by the boot's own clock, and across boots by the wall clock."""
 
     unix_s: float
@@ -46,21 +46,21 @@ class Moment(msgspec.Struct, frozen=True):
     boot_s: float
 
     @classmethod
-    def now(cls) -> Moment:
+    def now(cls) -> PersistentTime:
         """This moment."""
         boot_id = BOOT_ID.read_text(encoding="ascii").strip()
         return cls(time.time(), boot_id, time.clock_gettime(time.CLOCK_BOOTTIME))
 
-    def since(self, earlier: Moment) -> float:
+    def since(self, earlier: PersistentTime) -> float:
         """Seconds; negative when the wall clock was set back between two boots."""
         return self.boot_s - earlier.boot_s if self.boot_id == earlier.boot_id else self.unix_s - earlier.unix_s
 
 
-class Stored(msgspec.Struct, frozen=True):
+class WarmState(msgspec.Struct, frozen=True):
     """The file. statistics: mean and deviation (2, R, D) float64, little-endian; shape: R and D."""
 
     key: StateKey
-    moment: Moment
+    moment: PersistentTime
     shape: tuple[int, int]
     count: int
     statistics: bytes
@@ -72,9 +72,9 @@ class StateFile:
     def __init__(self, path: Path | None, key: StateKey, shape: tuple[int, int]) -> None:
         """shape: regions and dimensions of a descriptor. path: None keeps nothing."""
         self._path, self._key, self._shape = path, key, shape
-        self._file = KeptFile(path, Stored, "starting without statistics")
+        self._file = PersistentFile(path, WarmState, "starting without statistics")
 
-    def read(self, now: Moment, max_age_s: float) -> RunningStatistics | None:
+    def read(self, now: PersistentTime, max_age_s: float) -> RunningStatistics | None:
         """What was kept; None, and one line in the log that says why, when it is not there to be used."""
         stored = self._file.read()
         try:
@@ -83,7 +83,7 @@ class StateFile:
             log.warning("%s: ignored: %s", self._path, error)
             return None
 
-    def _usable(self, stored: Stored, now: Moment, max_age_s: float) -> RunningStatistics:
+    def _usable(self, stored: WarmState, now: PersistentTime, max_age_s: float) -> RunningStatistics:
         size = 2 * self._shape[0] * self._shape[1] * 8
         if stored.key != self._key or stored.shape != self._shape or len(stored.statistics) != size:
             raise ValueError("made with another model, other regions or another map")
@@ -96,10 +96,10 @@ class StateFile:
         log.info("starting with the statistics of the run that ended %.0f s ago", age_s)
         return RunningStatistics.of_another_run(stored.count, mean, deviation, at_most=COUNTS_AS_MOST)
 
-    def write(self, kept: RunningStatistics, now: Moment, *, is_behind: bool = False) -> None:
+    def write(self, kept: RunningStatistics, now: PersistentTime, *, is_behind: bool = False) -> None:
         """Replace the file. is_behind: in a thread of its own, see `wait_for_writes`."""
         statistics = np.stack([kept.mean, kept.deviation]).astype("<f8").tobytes()
-        stored = Stored(self._key, now, self._shape, kept.count, statistics)
+        stored = WarmState(self._key, now, self._shape, kept.count, statistics)
         (self._file.write_behind if is_behind else self._file.write)(stored)
 
 
@@ -119,7 +119,7 @@ class WarmStart:
         path = Path(config.telemetry.journal).with_suffix(".state") if is_kept else None
         key = StateKey(model.sha256, model.tap, header.regions.kind, descriptor.region_width, map_set.sha256)
         self._file = StateFile(path, key, (header.regions.count, model.dimensions))
-        kept = self._file.read(Moment.now(), 60 * descriptor.keep_statistics_min)
+        kept = self._file.read(PersistentTime.now(), 60 * descriptor.keep_statistics_min)
         if kept is not None:
             recognizer.matcher.begin_with(kept)
 
@@ -134,4 +134,4 @@ class WarmStart:
         """Begin to write the file, unless there are too few frames; see `wait_for_writes`."""
         statistics = self._recognizer.matcher.statistics
         if statistics is not None and statistics.count >= FEWEST:
-            self._file.write(statistics, Moment.now(), is_behind=True)
+            self._file.write(statistics, PersistentTime.now(), is_behind=True)

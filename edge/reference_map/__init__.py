@@ -13,10 +13,10 @@
 from edge.reference_map.costs import COST_ONE
 from edge.reference_map.map_folder import is_signed, maps_in, open_map_set
 from edge.reference_map.map_set import ExcludedMap, MapSet
-from edge.reference_map.map_so_far import MapSoFar
+from edge.reference_map.map_so_far import PartialMap
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import sigmas_m
-from edge.reference_map.route import NO_LAP_M, Drive, Drives, Mapped, Position, Route
+from edge.reference_map.route import NO_LAP_M, Drives, MapDrive, MapPlaces, Position, Route
 from edge.reference_map.spatial_index import Bounds, Ranges
 from edge.reference_map.store import MapHeader, ModelKey, ReferenceMap, RegionsKey, open_map, read_header
 
@@ -24,14 +24,14 @@ __all__ = [
     "COST_ONE",
     "NO_LAP_M",
     "Bounds",
-    "Drive",
     "Drives",
     "ExcludedMap",
+    "MapDrive",
     "MapHeader",
+    "MapPlaces",
     "MapSet",
-    "MapSoFar",
-    "Mapped",
     "ModelKey",
+    "PartialMap",
     "PlaceIndex",
     "Position",
     "Ranges",

@@ -45,7 +45,7 @@ MOST_BIAS = 0.2
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class PositionOutlier:
     """A position that is off by so many meters from where the vehicle drove. since: how many positions before."""
 
     since: int
@@ -58,7 +58,7 @@ class Disagreement:
         return words if self.moved_m > self.driven_m + self.off_m / 2 else f"{words}, {self.off_m:.0f} m beside it"
 
 
-class Moved(NamedTuple):
+class PlanarOdometry(NamedTuple):
     """How a vehicle has moved by odometer and heading: meters, east + north i, and those of the way.
 
     unknown: steps of unknown length, and of unknown direction, up to here.
@@ -70,13 +70,13 @@ class Moved(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Agreed:
+class _ConsistentPosition:
     """A position that agreed: meters, east + north i. doubt_m: the part of sigma_m that it does not state itself."""
 
     number: int
     point: complex
     sigma_m: float
-    at: Moved
+    at: PlanarOdometry
     doubt_m: float = 0.0
 
 
@@ -84,7 +84,7 @@ class GpsMotion:
     """The positions of one drive, one after another."""
 
     def __init__(self) -> None:
-        self._agreed: list[_Agreed] = []  # of the longest window, and up to KEPT more
+        self._agreed: list[_ConsistentPosition] = []  # of the longest window, and up to KEPT more
         self._ways_m: list[float] = []  # of those that agreed, by the odometer
         self._ratios = array("d"), array("d")  # real and imaginary parts, sorted
         self._way_m, self._moved, self._number = 0.0, 0j, 0
@@ -115,23 +115,23 @@ class GpsMotion:
         return self._agreed[-1].doubt_m if self._agreed else 0.0
 
     @property
-    def moved(self) -> Moved:
+    def moved(self) -> PlanarOdometry:
         """How the vehicle has moved up to now."""
-        return Moved(self._moved, self._way_m, self._unknown)
+        return PlanarOdometry(self._moved, self._way_m, self._unknown)
 
-    def truly(self, then: Moved, now: Moved) -> complex:
+    def truly(self, then: PlanarOdometry, now: PlanarOdometry) -> complex:
         """Meters moved meanwhile, less what odometer and heading were wrong by so far."""
         return self._bias() * (now.meters - then.meters)
 
-    def disagreement_at(self, lat_deg: float, lon_deg: float, sigma_m: float) -> Disagreement | None:
+    def disagreement_at(self, lat_deg: float, lon_deg: float, sigma_m: float) -> PositionOutlier | None:
         """The same as `disagreement`, of a position in degrees."""
         self._origin = self._origin or (lat_deg, lon_deg)
         return self.disagreement(east_north_of(lat_deg, lon_deg, self._origin), sigma_m)
 
-    def disagreement(self, point_m: tuple[float, float], sigma_m: float) -> Disagreement | None:
+    def disagreement(self, point_m: tuple[float, float], sigma_m: float) -> PositionOutlier | None:
         """Compare a position, east and north, with those before; None where it agrees, and is compared with later."""
         self._number += 1
-        now = _Agreed(self._number, complex(*point_m), sigma_m, self.moved)
+        now = _ConsistentPosition(self._number, complex(*point_m), sigma_m, self.moved)
         bias = self._bias()
         rows = [row for row in map(self._row_before, WINDOWS_M) if row >= 0]
         found = next(filter(None, (self._compared(row, now, bias) for row in rows)), None)
@@ -151,13 +151,13 @@ class GpsMotion:
         """The last position that agreed and is at least so far back; -1 where there is none."""
         return bisect_right(self._ways_m, self._way_m - window_m) - 1
 
-    def _compared(self, row: int, now: _Agreed, bias: complex) -> Disagreement | None:
+    def _compared(self, row: int, now: _ConsistentPosition, bias: complex) -> PositionOutlier | None:
         then, way_m, off_m = self._agreed[row], self._way_m - self._ways_m[row], self._off_m(row, now, bias)
         if off_m <= max(OFF_M, OFF_SIGMAS * max(then.sigma_m, now.sigma_m)) + OFF_SHARE * way_m:
             return None
-        return Disagreement(now.number - then.number, off_m, abs(now.point - then.point), way_m)
+        return PositionOutlier(now.number - then.number, off_m, abs(now.point - then.point), way_m)
 
-    def _off_m(self, row: int, now: _Agreed, bias: complex) -> float:
+    def _off_m(self, row: int, now: _ConsistentPosition, bias: complex) -> float:
         """By how much a position differs from where an earlier one and the motion since put it; 0 where not known."""
         then = self._agreed[row]
         (lengths, directions), unknown = then.at.unknown, now.at.unknown
@@ -168,7 +168,7 @@ class GpsMotion:
             return max(0.0, abs(moved) - abs(bias) * (self._way_m - self._ways_m[row]))
         return abs(moved - bias * (now.at.meters - then.at.meters))
 
-    def _doubt_m(self, rows: list[int], now: _Agreed, bias: complex) -> float:
+    def _doubt_m(self, rows: list[int], now: _ConsistentPosition, bias: complex) -> float:
         """One standard deviation by what a position differs from the best known one before: either may be right."""
         if not rows:
             return 0.0
@@ -176,7 +176,7 @@ class GpsMotion:
         sigma_m, row = min((math.hypot(self._agreed[row].sigma_m, off_m), row) for row, off_m in drift_m.items())
         return math.sqrt(max(0.0, self._off_m(row, now, bias) ** 2 - sigma_m**2) / 2)
 
-    def _learn(self, now: _Agreed) -> None:
+    def _learn(self, now: _ConsistentPosition) -> None:
         """From a position that is as doubtful: if both are off, they are by as much."""
         near = self._row_before(LEARNED_FROM_M)
         rows = [row for row in (self._row_before(LEARNED_M), 0, near) if 0 <= row <= near]
@@ -202,7 +202,7 @@ def disagreements(
     sigma_m: NDArray[np.float64],
     driven_m: NDArray[np.float64],
     heading_deg: NDArray[np.float64],
-) -> Iterator[Disagreement | None]:
+) -> Iterator[PositionOutlier | None]:
     """Of each position of a drive in turn: points_m (N, 2) east and north, all others (N,)."""
     motion = GpsMotion()
     for point_m, *values in zip(points_m, sigma_m, driven_m, heading_deg, strict=True):

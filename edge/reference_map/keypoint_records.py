@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import Camera, Keypoints, Points
+from edge.keypoints import CameraModel, Keypoints, MapPoints
 from edge.reference_map.keypoint_file import KEYPOINT, STEPS, KeypointsKey
 
 
-def camera_of(key: KeypointsKey) -> Camera:
+def camera_of(key: KeypointsKey) -> CameraModel:
     """The camera of a map's pictures."""
-    return Camera(key.width, key.height, key.fov_deg, key.alone)
+    return CameraModel(key.width, key.height, key.fov_deg, key.alone)
 
 
 def record_of(keypoints: Keypoints, key: KeypointsKey) -> NDArray[np.void]:
@@ -36,14 +36,14 @@ def keypoints_of(record: NDArray[np.void], key: KeypointsKey) -> Keypoints:
     return Keypoints(xy, scores, np.ascontiguousarray(record["descriptor"][used]), (key.height, key.width))
 
 
-def points_of(record: NDArray[np.void]) -> Points:
+def points_of(record: NDArray[np.void]) -> MapPoints:
     """Its points, in the order of `keypoints_of`."""
     record = record[record["descriptor"].any(axis=-1)]
     places = np.column_stack([record["direction"], record["inverse"]]).astype(np.float64)
-    return Points(places, record["sigma"].astype(np.float64))
+    return MapPoints(places, record["sigma"].astype(np.float64))
 
 
-def put_points(record: NDArray[np.void], points: Points) -> None:
+def put_points(record: NDArray[np.void], points: MapPoints) -> None:
     """Write the points of a place's keypoints into its records."""
     count = len(points.sigma)
     record["direction"][:count], record["inverse"][:count] = points.places[:, :2], points.places[:, 2]

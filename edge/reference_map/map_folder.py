@@ -19,7 +19,7 @@ from edge.errors import MapError
 from edge.extras import import_extra
 from edge.files import read_key
 from edge.reference_map.map_set import ExcludedMap, MapSet, name_of, printable
-from edge.reference_map.map_so_far import MapSoFar
+from edge.reference_map.map_so_far import PartialMap
 from edge.reference_map.store import (
     HEADER,
     MapHeader,
@@ -45,7 +45,7 @@ def open_map_set(
     *,
     require_signature_by: Path | None = None,
     every_file: bool = False,
-    newest: MapSoFar | None = None,
+    newest: PartialMap | None = None,
     with_retired: bool = False,
 ) -> MapSet:
     """Open the map at a path, or the maps of a folder that are searched: those that are not `is_retired`.

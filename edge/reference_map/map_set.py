@@ -23,7 +23,7 @@ from edge.errors import MapError, one_line
 from edge.geodesy import Origin, east_north, first_known
 from edge.reference_map.checksums import ChecksumSchedule, check_files
 from edge.reference_map.costs import CostMatcher
-from edge.reference_map.map_so_far import CAPACITY, MapSoFar
+from edge.reference_map.map_so_far import CAPACITY, PartialMap
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.self_similarity import lap_places
@@ -106,9 +106,9 @@ class MapSet:
     @cached_property
     def matchers(self) -> tuple[CostMatcher, ...]:
         """Of all maps."""
-        return tuple(one.matcher if isinstance(one, MapSoFar) else CostMatcher.of(one) for one in self.maps)
+        return tuple(one.matcher if isinstance(one, PartialMap) else CostMatcher.of(one) for one in self.maps)
 
-    def with_newest(self, newest: MapSoFar) -> MapSet:
+    def with_newest(self, newest: PartialMap) -> MapSet:
         """A new set with the map of this drive as it now is, after all others; places that were there stay theirs."""
         others = [one for one in self.maps if one.path != newest.path]  # those before it: it is always the last
         first = sum(one.header.places for one in others)
@@ -132,7 +132,7 @@ class MapSet:
     @cached_property
     def laps(self) -> tuple[int | None, ...]:
         """How many places a lap has, of each segment; None where it is not closed, or grows."""
-        growing = len(self.maps[-1].header.segments) if isinstance(self.maps[-1], MapSoFar) else 0
+        growing = len(self.maps[-1].header.segments) if isinstance(self.maps[-1], PartialMap) else 0
         segments = self.index.segments[: len(self.index.segments) - growing]
         return (*lap_places(self.maps, self.places, self.index, segments), *[None] * growing)
 

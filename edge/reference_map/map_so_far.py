@@ -17,7 +17,7 @@ CAPACITY = 200_000
 
 
 @dataclass(frozen=True)
-class MapSoFar(ReferenceMap):
+class PartialMap(ReferenceMap):
     """The first places of a growing map, as a map that can be searched.
 
     matcher: of these places, whose descriptors are renewed. mean, deviation: (R, D) when it was made. keypoints: what

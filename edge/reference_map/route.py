@@ -43,7 +43,7 @@ class Position:
 
 
 @dataclass(frozen=True)
-class Drive:
+class MapDrive:
     """What is known of a segment around a place: how far it goes along its route_m, and how far places are apart.
 
     NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. checked_m:
@@ -68,7 +68,7 @@ class Drive:
 
 
 @runtime_checkable
-class Mapped(Protocol):
+class MapPlaces(Protocol):
     """A set of maps, or what a recorded drive has of one."""
 
     @property
@@ -87,11 +87,11 @@ class Mapped(Protocol):
 class Route:
     """The drives of a set of maps as lines on the ground."""
 
-    def __init__(self, map_set: Mapped) -> None:
+    def __init__(self, map_set: MapPlaces) -> None:
         self._places, self._index = map_set.places, map_set.index
-        self._drives: dict[tuple[int, int], Drive] = {}  # those asked for, the one of longest ago first
+        self._drives: dict[tuple[int, int], MapDrive] = {}  # those asked for, the one of longest ago first
 
-    def grow(self, map_set: Mapped) -> None:
+    def grow(self, map_set: MapPlaces) -> None:
         """Follow a set from now on that has further places after those of the last one."""
         self._places, self._index = map_set.places, map_set.index
         self._drives.clear()
@@ -139,7 +139,7 @@ class Route:
             _sigma_between_m(drive, target_m, after),
         )
 
-    def drive(self, place_index: int) -> Drive:
+    def drive(self, place_index: int) -> MapDrive:
         """The drive of a place as far as its map goes, and well into the tiles beside it."""
         key = self._index.segment_of(place_index), self._index.map_of(place_index)
         drive = self._drives.pop(key) if key in self._drives else self._extract(*key)
@@ -148,7 +148,7 @@ class Route:
             self._drives.pop(next(iter(self._drives)))
         return drive
 
-    def _extract(self, segment: int, map_index: int) -> Drive:
+    def _extract(self, segment: int, map_index: int) -> MapDrive:
         first, last = self._index.rows[map_index]
         begin, end = self._index.segment(segment)
         records = self._places[max(begin, first - BEYOND) : min(end, last + BEYOND)]
@@ -168,10 +168,10 @@ class Route:
             checked_m = float(np.hypot(*east_north(lat_deg, lon_deg).T).max(initial=0.0))
         whole_sigma_m = UNKNOWN_WHOLE_M if whole_m is None else (whole_m, 0.0)
         about = segment, self._index.recording(segment), checked_m, whole_sigma_m, len(records)
-        return Drive(*about, *extent_m, spacing_m, *lines)
+        return MapDrive(*about, *extent_m, spacing_m, *lines)
 
 
-def _sigma_between_m(drive: Drive, target_m: float, after: int) -> float:
+def _sigma_between_m(drive: MapDrive, target_m: float, after: int) -> float:
     """Of a position interpolated before the drive's place number `after`; the road may bend between places far apart.
 
     Then a straight line is wrong by at most the distance to the nearer place.

@@ -39,7 +39,7 @@ with wheels 0.3 % wrong, 3.6 m off alone (95 %), are 12 to 13 m off with 0.02, o
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class KeyframeMatch:
     """One look: the keypoints of the frame agree with those of one place of the map, so its camera was near that one's.
 
     place_index: of that place, counted through all maps that are open. points: matches of known distance that agree on
@@ -57,13 +57,13 @@ class Seen:
     confidence: float
 
     def __eq__(self, other: object) -> bool:
-        mine, theirs = vars(self), vars(other) if isinstance(other, Seen) else {}
+        mine, theirs = vars(self), vars(other) if isinstance(other, KeyframeMatch) else {}
         return mine.keys() == theirs.keys() and all(np.array_equal(mine[name], theirs[name]) for name in mine)
 
     __hash__ = None  # type: ignore[assignment]
 
 
-class Agreeing(NamedTuple):
+class Correspondences(NamedTuple):
     """Points of a picture and of a place that agree on one pose.
 
     shares: (n, 4) x and y in the picture and in the place's, as shares of width and height.
@@ -87,13 +87,12 @@ class PlaceMatch:
     sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
-    means off the map, or one of several that look alike. by_votes: the answer without `Travel.reckoned`, None where it
-    is this one; whoever judges what the reckoning rests on, goes by `alone`.
-    half_width_places: half the number of places around it that are nearly as good.
-    seen: what the frame's keypoints say of where its camera was, of the place that is believed; None where they say
-    nothing, or were not asked. has_line: False where no line leads to the place, which is believed by looks alone, as
-    of a vehicle that stands; it then is that of `seen`, and slope, distance and the like say nothing.
-    event: accepted, and not held off.
+    means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.reckoned`, None
+    where it is this one; whoever judges what the reckoning rests on, goes by `alone`. half_width_places: half the
+    number of places around it that are nearly as good. seen: what the frame's keypoints say of where its camera was, of
+    the place that is believed; None where they say nothing, or were not asked. has_line: False where no line leads to
+    the place, which is believed by looks alone, as of a vehicle that stands; it then is that of `seen`, and slope,
+    distance and the like say nothing. event: accepted, and not held off.
     """
 
     place_index: int
@@ -110,7 +109,7 @@ class PlaceMatch:
     half_width_places: float = 0.5
     step: float = 1.0
     passed: tuple[float, ...] = ()
-    seen: Seen | None = None
+    seen: KeyframeMatch | None = None
     has_line: bool = True
     map: str | None = None
     event: bool = False
@@ -123,21 +122,21 @@ class PlaceMatch:
 
 
 @dataclass(frozen=True)
-class Near:
+class SearchRegion:
     """Where the vehicle may be: degrees, and how many meters the position may be wrong."""
 
     lat_deg: float
     lon_deg: float
     radius_m: float
 
-    def holds(self, other: Near, radius_m: float) -> bool:
+    def holds(self, other: SearchRegion, radius_m: float) -> bool:
         """Whether all that lies within `radius_m` of the other position lies within this circle."""
         away_m = apart_m(self.lat_deg, self.lon_deg, np.array([other.lat_deg]), np.array([other.lon_deg]))
         return bool(away_m[0] + radius_m <= self.radius_m)
 
 
 @dataclass(frozen=True)
-class Reckoning:
+class DeadReckoningPosition:
     """Where GPS and odometry alone have the vehicle: degrees, and one standard deviation in each direction."""
 
     lat_deg: float
@@ -146,7 +145,7 @@ class Reckoning:
 
 
 @dataclass(frozen=True)
-class Travel:
+class MotionPrior:
     """What is known of the vehicle at a frame, beside its picture.
 
     distance_m: the odometer, None where it is not known. missed: places that were passed since the last frame without
@@ -157,9 +156,9 @@ class Travel:
 
     distance_m: float | None = None
     missed: int = 0
-    near: Near | None = None
+    near: SearchRegion | None = None
     course_rad: float | None = None
-    reckoned: Reckoning | None = None
+    reckoned: DeadReckoningPosition | None = None
 
 
-NOTHING_KNOWN = Travel()
+NOTHING_KNOWN = MotionPrior()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig
 from edge.reference_map import COST_ONE
 from edge.sequence import MOST_ASIDE_RAD, ORDERS, Direction, PlaceMatch
-from edge.sequence.search import NO_LINE, Lines, SequenceSearch
+from edge.sequence.search import NO_LINE, SequenceCosts, SequenceSearch
 
 BESIDE = 0.3
 """Share of a window between a place and the two beside it that its line is held against. A window is what is driven
@@ -134,7 +134,7 @@ def match_at(
     place: int,
     plane: int,
     search: SequenceSearch,
-    lines: Lines,
+    lines: SequenceCosts,
     newest: NDArray[np.int32],
     neighborhood: Neighborhood,
 ) -> PlaceMatch:

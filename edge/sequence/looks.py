@@ -64,7 +64,7 @@ def sign_of(direction: Direction) -> int:
 
 
 @dataclass(frozen=True)
-class Sighted:
+class KeyframeVote:
     """A look on the map: where it puts the vehicle along a drive, and which way that goes.
 
     lap_m: see `PlaceVote`. at_m, uncertain_m: driven by then, and how uncertain that is. odds: by this look alone.
@@ -83,13 +83,13 @@ class Sighted:
         return self.along_m + (driven_m - self.at_m) * sign_of(self.direction)
 
 
-class Looks:
+class KeyframeConsensus:
     """The newest looks, and the belief that they add up to."""
 
     def __init__(self) -> None:
-        self._kept = deque[Sighted | None](maxlen=KEPT)
+        self._kept = deque[KeyframeVote | None](maxlen=KEPT)
 
-    def add(self, sighted: Sighted | None) -> None:
+    def add(self, sighted: KeyframeVote | None) -> None:
         """A look at a frame; None if it showed no place of the map."""
         self._kept.append(sighted)
 
@@ -102,7 +102,7 @@ class Looks:
         being at a point along a drive without any look.
         """
         kept = [one for one in self._kept if one is not None and driven_m - one.at_m <= REACH_M]
-        best: tuple[float, Sighted, list[Sighted]] | None = None
+        best: tuple[float, KeyframeVote, list[KeyframeVote]] | None = None
         for newest in reversed(kept):
             group = [one for one in kept if _agree(newest, one, driven_m, positions_of)]
             odds = max(one.odds for one in group) * (ALONE if len(group) > 1 else 1.0)
@@ -117,7 +117,7 @@ class Looks:
         return PlaceBelief(*where, confidence, confidence >= least)
 
 
-def _agree(one: Sighted, other: Sighted, driven_m: float, positions_of: PositionsOf) -> bool:
+def _agree(one: KeyframeVote, other: KeyframeVote, driven_m: float, positions_of: PositionsOf) -> bool:
     """Whether two looks put the vehicle at one place."""
     apart_m = abs(one.uncertain_m - other.uncertain_m) + APART_M
     at_m, other_m = one.now_m(driven_m), other.now_m(driven_m)
@@ -130,7 +130,7 @@ def _agree(one: Sighted, other: Sighted, driven_m: float, positions_of: Position
 def joined(
     looks: PlaceBelief, votes: PlaceBelief | None, least: float, *, is_one_place: bool
 ) -> tuple[PlaceBelief, PlaceBelief | None]:
-    """Both beliefs with what they say together: of one place, or against each other. least: see `Looks`."""
+    """Both beliefs with what they say together: of one place, or against each other. least: see `KeyframeConsensus`."""
     if votes is None:
         return looks, None
     odds = [one.confidence / max(1 - one.confidence, 1e-9) for one in (looks, votes)]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor import NormalizedRows
 from edge.reference_map import Drives, MapSet, Ranges
-from edge.sequence import NOTHING_KNOWN, Direction, Near, PlaceMatch, Travel
+from edge.sequence import NOTHING_KNOWN, Direction, MotionPrior, PlaceMatch, SearchRegion
 from edge.sequence.lane import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
 
@@ -68,8 +68,10 @@ class PlaceSearch:
         self._span: float = config.sequence_frames  # the most places that lines have room for
         self.part: Submap | None = None
         """What is searched now; None while scanning, since it is not known where to look."""
-        self._reach: Near | None = None  # of the part, if it lies around a position
-        self._beside: Near | None = None  # what a scan has found, or a belief has confirmed since, beside a position
+        self._reach: SearchRegion | None = None  # of the part, if it lies around a position
+        self._beside: SearchRegion | None = (
+            None  # what a scan has found, or a belief has confirmed since, beside a position
+        )
         self._settled = 0  # the place that a part without positions lies around
         self._is_fresh = True  # the part was matched with no row of the ring yet
         self._unbelieved = 0  # frames since a place was believed
@@ -143,7 +145,7 @@ class PlaceSearch:
         self,
         change: NormalizedRows,
         ring: Ring,
-        travel: Travel = NOTHING_KNOWN,
+        travel: MotionPrior = NOTHING_KNOWN,
         *,
         step: float = 1.0,
         usual: float = 1.0,
@@ -206,7 +208,7 @@ class PlaceSearch:
         self._is_fresh = False
         return self.part.refill(costs, self._driven[-len(costs) :])
 
-    def _look_around(self, near: Near) -> None:
+    def _look_around(self, near: SearchRegion) -> None:
         """Search around the position, if the part does not reach as far as it must."""
         is_by_place = self.part is not None and self._reach is None
         # A position says nothing of maps without any, nor of a place that was recognized on one.
@@ -214,7 +216,7 @@ class PlaceSearch:
             return
         must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
         if self._reach is None or not self._reach.holds(near, must_m):
-            self._search_around(Near(near.lat_deg, near.lon_deg, must_m + SLACK_M))
+            self._search_around(SearchRegion(near.lat_deg, near.lon_deg, must_m + SLACK_M))
 
     def _follow(self, place_index: int) -> None:
         """Move the part on before the vehicle comes to its end."""
@@ -240,27 +242,27 @@ class PlaceSearch:
         self._search([(max(first, place_index - some), min(end, place_index + some))], None)
         self._settled = place_index
 
-    def _around(self, place_index: int) -> Near | None:
+    def _around(self, place_index: int) -> SearchRegion | None:
         """A place's own surroundings, None where its position is not known."""
         record = self.map_set.places[place_index]
         if np.isnan(record["lat_deg"]):
             return None
         radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
-        return Near(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
+        return SearchRegion(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
-    def _search_around(self, reach: Near) -> None:
+    def _search_around(self, reach: SearchRegion) -> None:
         near, beside = self._within(reach), self._within(self._beside) if self._beside else []
         self._search(self.map_set.index.widened(sorted(near + beside), math.ceil(self._span)), reach)
         if self.part is None and beside:
             self._search(self.map_set.index.widened(beside, math.ceil(self._span)), reach)
 
-    def _within(self, reach: Near) -> Ranges:
+    def _within(self, reach: SearchRegion) -> Ranges:
         return self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
 
     def _everything(self) -> Ranges:
         return [(0, self.map_set.index.places)] if self._is_whole else []
 
-    def _search(self, ranges: Ranges, reach: Near | None) -> None:
+    def _search(self, ranges: Ranges, reach: SearchRegion | None) -> None:
         """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
         count = sum(end - start for start, end in ranges)
         is_some = 0 < count <= self._most

@@ -43,7 +43,7 @@ def slopes_around_diagonal(limit_rad: float, count: int) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class Lines:
+class SequenceCosts:
     """The lowest line sum that ends at each place: costs (N,) int32 over `length` frames, NO_LINE where none is whole.
 
     by_plane: the same of the lines of each of `SequenceSearch.planes` alone.
@@ -237,7 +237,7 @@ class SequenceSearch:
 
     def lines(
         self, against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({}), length: int | None = None
-    ) -> Lines | None:
+    ) -> SequenceCosts | None:
         """The best line that ends at each place (eq. 2); None until there are enough rows: all, or some with open ends.
 
         against: places (N,) at which none ends in a direction, by direction. length: rows, of the ring if None.
@@ -265,7 +265,7 @@ class SequenceSearch:
         costs = by_plane[0] if len(by_plane) == 1 else np.minimum(*by_plane[:2])
         for other in by_plane[2:]:
             np.minimum(costs, other, out=costs)
-        return Lines(costs, by_plane, length)
+        return SequenceCosts(costs, by_plane, length)
 
     def _whole_near_start(self, length: int) -> NDArray[np.int32]:
         """The best of those lines that do not begin before their segment, (near,), NO_LINE where there is none."""

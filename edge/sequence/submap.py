@@ -17,7 +17,7 @@ from edge.reference_map import COST_ONE, MapSet, Ranges
 from edge.sequence import ORDERS, VIEWS_ALIKE, VIEWS_OPPOSED, Alignment, Direction, PlaceMatch
 from edge.sequence.evidence import Neighborhood, Roads, match_at
 from edge.sequence.lane import Lanes, lane_costs
-from edge.sequence.search import FIRST_FRAMES, NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import FIRST_FRAMES, NO_LINE, SequenceCosts, SequenceSearch, slopes_around_diagonal
 
 Segments = list[tuple[int, int]]
 SLOPES = 21
@@ -35,7 +35,7 @@ class RowMatcher:
     lines: the best line that ends at each place, after the newest row; None before the ring is full.
     """
 
-    lines: Lines | None = None
+    lines: SequenceCosts | None = None
     _against: Mapping[Direction, NDArray[np.bool_]] = MappingProxyType({})
     """Places (N,) that the vehicle cannot pass in a direction."""
 
@@ -107,13 +107,13 @@ class RowMatcher:
         """The best line of half as many rows; None where none are searched. It costs nothing where nobody asks."""
         return self._best_of(self._search.lines(self._against, self._half)) if self._half else None
 
-    def _best_of(self, lines: Lines | None) -> PlaceMatch | None:
+    def _best_of(self, lines: SequenceCosts | None) -> PlaceMatch | None:
         if lines is None:
             return None
         best = int(lines.costs.argmin())
         return self._match(best, lines.plane(best), lines)
 
-    def _match(self, place: int, plane: int, lines: Lines) -> PlaceMatch | None:
+    def _match(self, place: int, plane: int, lines: SequenceCosts) -> PlaceMatch | None:
         """The line of that plane that ends at a place; None where no whole one does."""
         if lines.by_plane[plane][place] == NO_LINE:
             return None
@@ -213,7 +213,7 @@ class Submap(RowMatcher):
         number, at = np.unravel_index(int(costs.argmin()), costs.shape)
         return self._match(start + int(at), planes[number], self.lines)
 
-    def _match(self, place: int, plane: int, lines: Lines) -> PlaceMatch | None:
+    def _match(self, place: int, plane: int, lines: SequenceCosts) -> PlaceMatch | None:
         match = super()._match(place, plane, lines)
         if match is None:
             return None
@@ -271,7 +271,7 @@ class GlobalSearch:
         """Match one slice with the ring (n, R, D); the best match of all maps at the end of a pass, else None.
 
         maps: the same during a pass, but for further places at their end. span: the most places within a line, see
-        `SequenceSearch`. lanes: see `lane_costs`. course_rad: see `Travel`.
+        `SequenceSearch`. lanes: see `lane_costs`. course_rad: see `MotionPrior`.
         """
         if len(ring) < self._config.sequence_frames:
             return None

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.backoff import BackOff, Exchange
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
-from edge.localization import AGREE_SIGMAS, Fix, PlaceFix, PositionEstimator, Used, offset_m
+from edge.localization import AGREE_SIGMAS, Fix, FixFeedback, PlaceFix, PositionEstimator, offset_m
 from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
@@ -87,7 +87,7 @@ class Command(Exchange):
 
 
 @dataclass(frozen=True)
-class Sent:
+class FixTransmission:
     """A position that was sent at `at_ns` of CLOCK_MONOTONIC.
 
     own: the autopilot's position then, None where it had none. is_again: since the first was not answered. recorded_ns:
@@ -141,15 +141,17 @@ class PositionUse:
 
     def new_session(self) -> None:
         """The autopilot may be another one, and has lost all that was sent before."""
-        self.newest: Sent | None = None
+        self.newest: FixTransmission | None = None
         """The newest that was sent, None before the first."""
         self.command = Command()
         """That which carries one that is acknowledged."""
-        self._followed: tuple[Sent, int] | None = None  # and when it was accepted; 0: not yet
-        self._stream: Sent | None = None  # with which the positions of a stream are compared, until they are checked
+        self._followed: tuple[FixTransmission, int] | None = None  # and when it was accepted; 0: not yet
+        self._stream: FixTransmission | None = (
+            None  # with which the positions of a stream are compared, until they are checked
+        )
         self._unused = ""  # why a stream is not used, as it was published
 
-    def expect(self, sent: Sent, *, is_reset: bool, unused: str = "") -> None:
+    def expect(self, sent: FixTransmission, *, is_reset: bool, unused: str = "") -> None:
         """A position is sent now: keep what it should be answered, and how far it should move the autopilot's own.
 
         is_reset: it is acknowledged; else it is one of a stream. unused: why the autopilot will not use that.
@@ -163,7 +165,7 @@ class PositionUse:
         elif sent.own is not None:
             self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > MOVED_NS)
 
-    def _follow_stream(self, sent: Sent, unused: str, *, is_new: bool) -> None:
+    def _follow_stream(self, sent: FixTransmission, unused: str, *, is_new: bool) -> None:
         if unused and unused != self._unused:
             log.error("the autopilot uses no positions: %s; see firmware_config", unused)
             self._publisher.warn(f"Lookback: positions unused: {unused}")
@@ -178,7 +180,7 @@ class PositionUse:
                 self._publish_check(sent.place, distance_m, "fixes sent", moved=moved)
         # So near, an autopilot follows the stream.
         if distance_m <= AGREE_SIGMAS * sigma_m:
-            self._drive.update(sent.at_ns, Used(sent.fix, distance_m))
+            self._drive.update(sent.at_ns, FixFeedback(sent.fix, distance_m))
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The autopilot has answered the newest position."""
@@ -195,7 +197,7 @@ class PositionUse:
             log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
             self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
 
-    def overdue(self, now_ns: int) -> Sent | None:
+    def overdue(self, now_ns: int) -> FixTransmission | None:
         """The position whose answer did not come in time, the first time; None while there is none."""
         if not self.command.is_overdue(now_ns) or self.newest is None:
             return None
@@ -229,7 +231,7 @@ class PositionUse:
         self._followed = None
         self._publish_check(sent.place, remaining_m, "fix accepted", moved=moved)
         if moved:
-            self._drive.update(now_ns, Used(sent.fix, remaining_m))
+            self._drive.update(now_ns, FixFeedback(sent.fix, remaining_m))
         else:
             self.command.pause.failed(now_ns)
 

@@ -17,19 +17,19 @@ from edge.journal.records import LinkChanged, Record
 from edge.localization import (
     GPS_HEALTHY,
     TWO_AUTOPILOTS,
-    Break,
+    AutopilotState,
+    Discontinuity,
     Fix,
+    FixRequest,
     GpsVerdict,
-    Limits,
-    Own,
+    NoFix,
     PlaceFix,
     PositionEstimator,
-    Refusal,
 )
 from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.firmware import GPS_SET
-from edge.telemetry.kept_bound import KeptBound
+from edge.telemetry.kept_bound import AidingStore
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
@@ -93,8 +93,8 @@ class AutopilotConnection:
         self.drive = drive = drive or PositionEstimator(Config(gates=gates))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
-        self._bound = KeptBound(config.journal, drive, clock_ns())
-        self._own: Own | None = None
+        self._bound = AidingStore(config.journal, drive, clock_ns())
+        self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
         self._service: Service | None = None
@@ -210,11 +210,11 @@ class AutopilotConnection:
             self.requests.believe(fix)
         self._update_state()
 
-    def position_due(self) -> Limits | None:
+    def position_due(self) -> FixRequest | None:
         """What holds for the position that is due to the autopilot, by [telemetry] emit; None while none is."""
         return self.positions.due(self.clock_ns()) if self.state == "up" else None
 
-    def send_position(self, answer: Fix | Refusal) -> bool:
+    def send_position(self, answer: Fix | NoFix) -> bool:
         """Send the autopilot the position that was due, or publish why there is none; True if it was sent."""
         messages = self.positions.send(answer, self.clock_ns())
         self.send(messages)
@@ -334,7 +334,7 @@ class AutopilotConnection:
         if self.requests.session is not self.vehicle.session:
             self.requests = Requests(self.config, self.vehicle, asks_attitude=self.requests.asks_attitude)
             self.positions.new_session()
-            self.drive.update(now_ns, Break("reboot"))
+            self.drive.update(now_ns, Discontinuity("reboot"))
             self.history.clear()
         if self.vehicle.is_doubled != self._was_doubled:
             self._was_doubled = self.vehicle.is_doubled

@@ -22,7 +22,7 @@ GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
 
 
 @dataclass(frozen=True)
-class Sending:
+class MessageContext:
     """What a position message carries besides the fix.
 
     boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix.
@@ -39,7 +39,7 @@ def heartbeat(system_status: int, kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLE
     return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3)
 
 
-def external_position(fix: PlaceFix, sending: Sending) -> Message:
+def external_position(fix: PlaceFix, sending: MessageContext) -> Message:
     """COMMAND_INT 43003: where the vehicle was `age_s` seconds before `boot_s` on the autopilot's boot clock.
 
     param1 does not wrap, although MAVLink allows it: ArduPilot then stamps every later fix 500 ms late. z is NaN,
@@ -63,7 +63,7 @@ def external_position(fix: PlaceFix, sending: Sending) -> Message:
     )
 
 
-def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
+def global_position_sensor(fix: PlaceFix, sending: MessageContext) -> Message:
     """GLOBAL_POSITION_SENSOR 296: where the vehicle is now, by a camera; heights NaN, since a place has none.
 
     PX4 1.18 ignores both times, so the fix must have been moved on to the moment of sending. ValueError as above.
@@ -86,7 +86,7 @@ def global_position_sensor(fix: PlaceFix, sending: Sending) -> Message:
     )
 
 
-def _position(fix: PlaceFix, sending: Sending) -> tuple[float, float]:
+def _position(fix: PlaceFix, sending: MessageContext) -> tuple[float, float]:
     if not fix.is_position or fix.lat_deg is None or fix.lon_deg is None:
         raise ValueError("a position estimate needs a latitude, a longitude and a finite sigma")
     if not (math.isfinite(sending.boot_s) and math.isfinite(sending.age_s)):

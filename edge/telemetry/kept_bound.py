@@ -6,26 +6,26 @@ from pathlib import Path
 
 import msgspec
 
-from edge.files import BOOT_ID, KeptFile
+from edge.files import BOOT_ID, PersistentFile
 from edge.localization import PERIOD_NS, PositionEstimator
 
 
-class Bound(msgspec.Struct, frozen=True):
+class AidingFile(msgspec.Struct, frozen=True):
     """The file: a snapshot, and the boot of this computer that its times are of."""
 
     boot: str
     snapshot: bytes
 
 
-class KeptBound:
+class AidingStore:
     """The newest snapshot of a drive. It is not flushed: it has to outlive this program, not this computer's power."""
 
     def __init__(self, journal: str, drive: PositionEstimator, now_ns: int) -> None:
         """Have the drive go on with what an earlier run has kept beside this journal in this boot; "" keeps nothing."""
         path = Path(journal).with_suffix(".bound") if journal else None
-        self._file = KeptFile(path, Bound, "nothing bounds the autopilot's position yet", is_flushed=False)
+        self._file = PersistentFile(path, AidingFile, "nothing bounds the autopilot's position yet", is_flushed=False)
         self._drive, self.due_ns = drive, 0
-        self._kept = Bound(BOOT_ID.read_text(encoding="ascii").strip(), b"")
+        self._kept = AidingFile(BOOT_ID.read_text(encoding="ascii").strip(), b"")
         kept = self._file.read()
         drive.restore(now_ns, kept.snapshot if kept and kept.boot == self._kept.boot else b"")
 
@@ -33,5 +33,5 @@ class KeptBound:
         """Where it is another one, at `due_ns`; nothing to keep removes the file."""
         self.due_ns, snapshot = now_ns + PERIOD_NS, self._drive.snapshot()
         if snapshot != self._kept.snapshot:
-            self._kept = Bound(self._kept.boot, snapshot)
+            self._kept = AidingFile(self._kept.boot, snapshot)
             self._file.write_behind(self._kept if snapshot else None)

@@ -140,7 +140,7 @@ class GpsNews:
         return verdict.state == "wrong"
 
     def warn_of_lost(self, session: Session, now_ns: int, *, is_bounded: bool) -> None:
-        """Where GPS is lost, and the autopilot had not used it yet. is_bounded: see `Known`."""
+        """Where GPS is lost, and the autopilot had not used it yet. is_bounded: see `EstimatorState`."""
         receivers = session.gps.receiver_state(now_ns)
         if self._had_gps is session and receivers == "not healthy" and not is_bounded:
             self._publisher.warn("Lookback: GPS lost before the autopilot used it")

@@ -60,7 +60,7 @@ class PositionHistory:
         return _between(before, after, stamp_ns)
 
 
-class Awaiting(Generic[T]):
+class ExposureQueue(Generic[T]):
     """What waits for the position at its exposure, in order: whoever owns it asks now and then what waits no more."""
 
     def __init__(self, history: PositionHistory) -> None:

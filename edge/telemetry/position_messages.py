@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import Sending
+from edge.telemetry.encoders import MessageContext
 
 TimeBase: TypeAlias = Literal["exposure", "now"]
 """The moment whose position a message carries: that of an exposure, or that of sending."""
@@ -25,7 +25,7 @@ class PositionMessage:
     """
 
     name: str
-    encode: Callable[[PlaceFix, Sending], Message]
+    encode: Callable[[PlaceFix, MessageContext], Message]
     time_base: TimeBase
     period_s: float | None
     max_age_s: float

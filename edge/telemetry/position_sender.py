@@ -20,18 +20,18 @@ from edge.localization import (
     CORRELATION_M,
     NO_PLACES,
     Fix,
-    Limits,
+    FixFeedback,
+    FixRequest,
+    NoFix,
     PlaceFix,
     PositionEstimator,
     ProtectionLevel,
-    Refusal,
-    Used,
     distance_from,
 )
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, PositionUse, Sent
+from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, FixTransmission, PositionUse
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import Sending
+from edge.telemetry.encoders import MessageContext
 from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
@@ -68,7 +68,7 @@ class PositionSender:
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
         self._confirmed: tuple[int, Fix] | None = None  # when a position confirmed the autopilot's own last
-        self._refused = Refusal(NO_PLACES)
+        self._refused = NoFix(NO_PLACES)
         self._said = ("", 0, "")  # why, since when, and what people read of it
 
     def new_session(self) -> None:
@@ -100,18 +100,18 @@ class PositionSender:
         """Whether a GPS that is ignored is taken from the autopilot as well."""
         return self._gates.doubted_gps == "switch" and self.enabled
 
-    def due(self, now_ns: int) -> Limits | None:
+    def due(self, now_ns: int) -> FixRequest | None:
         """What holds for the position that is due now, None while none is; once more for one that was not answered."""
         message, use = self.message, self.use
         if message is None:
             return None
-        limits = Limits(message.time_base, message.max_age_s, message.acknowledged)
+        limits = FixRequest(message.time_base, message.max_age_s, message.acknowledged)
         overdue = use.overdue(now_ns)
         if overdue is not None:
             return replace(limits, again=overdue.fix)
         return limits if use.command.is_due(now_ns) and self._since_s(now_ns) >= self._period_s(message) else None
 
-    def send(self, answer: Fix | Refusal, now_ns: int) -> list[Message]:
+    def send(self, answer: Fix | NoFix, now_ns: int) -> list[Message]:
         """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
         overdue, newest = self.use.overdue(now_ns), self.use.newest
         place = answer.place if isinstance(answer, Fix) else answer.fix
@@ -120,9 +120,9 @@ class PositionSender:
             return []  # the last exposure was sent already
         messages: list[Message] = []
         if isinstance(answer, Fix) and self.message is not None:
-            self._withheld, self._refused = None, Refusal(NO_PLACES)
+            self._withheld, self._refused = None, NoFix(NO_PLACES)
             messages = self._encode(answer, now_ns, self.message, again=is_again)
-        elif isinstance(answer, Refusal) and overdue is None:
+        elif isinstance(answer, NoFix) and overdue is None:
             self._withhold(answer)
             if answer.confirms is not None:
                 self._confirm(answer.confirms, answer.distance_m or 0.0, now_ns)
@@ -158,7 +158,7 @@ class PositionSender:
             self._said = str(self._refused), now_ns, words
         return words
 
-    def _withhold(self, refused: Refusal) -> None:
+    def _withhold(self, refused: NoFix) -> None:
         fix, before = refused.fix, self._withheld
         self._refused = refused
         if fix is not None and (before is None or str(refused) != before.reason):
@@ -168,7 +168,7 @@ class PositionSender:
     def _confirm(self, fix: Fix, distance_m: float, now_ns: int) -> None:
         """The autopilot's own position agrees with one that might be sent, which bounds it as one that it used."""
         place, self._confirmed = fix.place, (now_ns, fix)
-        self._drive.update(now_ns, Used(fix, distance_m))
+        self._drive.update(now_ns, FixFeedback(fix, distance_m))
         self._publisher.record(
             FixConfirmed(
                 place.place,
@@ -194,13 +194,13 @@ class PositionSender:
         own, newest = vehicle.position(now_ns), self.use.newest
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
-        sent = Sent(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
+        sent = FixTransmission(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
-        self._drive.update(now_ns, Used(fix))
+        self._drive.update(now_ns, FixFeedback(fix))
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
-        sending = Sending(vehicle.target_id, boot_s, age_s=(now_ns - place.stamp_ns) / 1e9, sensor_id=sensor_id)
+        sending = MessageContext(vehicle.target_id, boot_s, age_s=(now_ns - place.stamp_ns) / 1e9, sensor_id=sensor_id)
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
@@ -210,7 +210,7 @@ class PositionSender:
         resets = [] if message.acknowledged else self._reset_from_gps(sent, sending)
         return [*resets, message.encode(place, sending), *values]
 
-    def _reset_from_gps(self, sent: Sent, sending: Sending) -> list[Message]:
+    def _reset_from_gps(self, sent: FixTransmission, sending: MessageContext) -> list[Message]:
         """A reset beside a stream once GPS is taken away, and again while the autopilot is far from the stream.
 
         PX4 1.18 fuses the first of a stream where it is less certain, hardly moves, and takes none of the rest for 7 s:
@@ -230,7 +230,7 @@ class PositionSender:
         self._record(sent, message, sending)
         return [message.encode(sent.place, sending)]
 
-    def _record(self, sent: Sent, message: PositionMessage, sending: Sending) -> None:
+    def _record(self, sent: FixTransmission, message: PositionMessage, sending: MessageContext) -> None:
         fix, own = sent.place, sent.own
         self._publisher.record(
             FixSent(

@@ -17,23 +17,23 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition
 from edge.journal.records import Direction, Heading, Latitude, Longitude, MapName, Order, Record, unit
 from edge.localization import (
-    Break,
+    AutopilotState,
     DeadReckoning,
+    Discontinuity,
     Entry,
     Fix,
-    Frame,
-    Limits,
-    Maps,
-    Moved,
-    Own,
+    FixRequest,
+    ImageProcessed,
+    MapUpdate,
+    NoFix,
+    OdometryUpdate,
     PositionEstimator,
-    Refusal,
 )
-from edge.telemetry.position_history import Awaiting, PositionHistory
+from edge.telemetry.position_history import ExposureQueue, PositionHistory
 
 PERIOD_NS, AGAIN_NS = 1_000_000_000, 200_000_000
 """Between two records; how soon it is asked again where no new picture was placed since the last one."""
-LIMITS = Limits(oldest_s=5.0, moves_autopilot=False)
+LIMITS = FixRequest(oldest_s=5.0, moves_autopilot=False)
 """As old as an autopilot takes positions."""
 
 
@@ -63,7 +63,7 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     map: MapName = UNSET
 
 
-class _Waiting(NamedTuple):
+class _PendingRecord(NamedTuple):
     stamp_ns: int
     speed_mps: float
     driven_m: float | None
@@ -80,24 +80,24 @@ class Shadow:
         self._was_bound = False
         self._due_ns = self._last_ns = 0
         self._history: PositionHistory | None = None
-        self._waiting: Awaiting[_Waiting]
+        self._waiting: ExposureQueue[_PendingRecord]
 
     def update(self, t_ns: int, entry: Entry) -> None:
         """Follow the drive, without GPS from when it has bounded the autopilot once."""
         match entry:
-            case Frame():
+            case ImageProcessed():
                 match = None if entry.match is None else entry.match.alone
                 self._estimator.update(t_ns, replace(entry, match=match, gps=None))
-            case Own():
+            case AutopilotState():
                 if not self._was_bound:
                     self._was_bound = entry.gps_sigma_m is not None
                     self._estimator.update(t_ns, entry)
                 self._estimator.update(t_ns, replace(entry, gps="not healthy", gps_why="", gps_sigma_m=None))
-            case Break() | Maps() | Moved():
-                self._was_bound &= not (isinstance(entry, Break) and entry.kind == "reboot")
+            case Discontinuity() | MapUpdate() | OdometryUpdate():
+                self._was_bound &= not (isinstance(entry, Discontinuity) and entry.kind == "reboot")
                 self._estimator.update(t_ns, entry)
 
-    def fix(self, now_ns: int, unable: str = "") -> Fix | Refusal:
+    def fix(self, now_ns: int, unable: str = "") -> Fix | NoFix:
         """What would be published now. unable: why nothing is recognized, "" while it is."""
         return self._estimator.fix(now_ns, replace(LIMITS, unable=unable))
 
@@ -106,7 +106,7 @@ class Shadow:
         recognized, "" while it is.
         """
         if self._history is None:
-            self._history, self._waiting = history, Awaiting(history)
+            self._history, self._waiting = history, ExposureQueue(history)
         self._write()
         speed_mps = motion.speed_mps(now_ns)
         if now_ns < self._due_ns or speed_mps is None or speed_mps < self._min_speed_mps:
@@ -118,7 +118,7 @@ class Shadow:
             return
         self._last_ns, self._due_ns = stamp_ns, now_ns + PERIOD_NS
         driven_m = motion.driven_m(now_ns)
-        waiting = _Waiting(stamp_ns, speed_mps, driven_m, answer if isinstance(answer, Fix) else str(answer))
+        waiting = _PendingRecord(stamp_ns, speed_mps, driven_m, answer if isinstance(answer, Fix) else str(answer))
         self._waiting.add(stamp_ns, waiting)
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ class Shadow:
                 self._record(_compared(waiting, position))
 
 
-def _compared(one: _Waiting, own: VehiclePosition | None) -> ShadowPosition:
+def _compared(one: _PendingRecord, own: VehiclePosition | None) -> ShadowPosition:
     found = ShadowPosition(one.stamp_ns, one.speed_mps, one.driven_m)
     if own is not None:
         gps = {"gps_lat_deg": own.lat_deg, "gps_lon_deg": own.lon_deg}

@@ -20,7 +20,7 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import ConfigError
-from edge.files import KeptFile, read_key
+from edge.files import PersistentFile, read_key
 
 Stream: TypeAlias = tuple[int, int, int]
 """Link, system, component: all three are covered by a signature."""
@@ -52,7 +52,7 @@ class Signer:
         self._link_id = link_id
         self._unix_time_s = unix_time_s
         lost = "replayed signed frames of the last minute may be accepted"
-        self._file = KeptFile(timestamp_file, SigningClock, lost)
+        self._file = PersistentFile(timestamp_file, SigningClock, lost)
         self._stored = self._file.read() or SigningClock()
         self._heard_stored = dict(self._stored.heard)
         self._heard: set[Stream] = set()  # since the start

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition
-from edge.localization import DeadReckoning, GpsFix, Own
+from edge.localization import AutopilotState, DeadReckoning, GpsFix
 from edge.telemetry.codec import FusionStatus, Message
 from edge.telemetry.session import Modes, Origin, Session
 from edge.telemetry.vehicle_velocity import LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
@@ -148,11 +148,11 @@ class Vehicle:
         """Where GPS puts the vehicle at a moment, None without GPS."""
         return self.session.gps.fix(self.position(now_ns), stamp_ns, now_ns)
 
-    def own(self, now_ns: int) -> Own:
+    def own(self, now_ns: int) -> AutopilotState:
         """All that the position estimator needs of it, as of now."""
         position, gps, motion = self.position(now_ns), self.session.gps, self.motion
         boot_ns = self.session.clock.boot_ns(now_ns)
-        return Own(
+        return AutopilotState(
             gps=gps.state(now_ns),
             gps_why=gps.why(now_ns),
             gps_sigma_m=gps.bound_m(position, now_ns),

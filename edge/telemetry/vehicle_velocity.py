@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, Integral, OwnMotion, ShownScale
+from edge.localization import DeadReckoning, GyroOdometer, Integral, OdometerCalibration
 from edge.telemetry.codec import Message
 
 WHEELS_APART_NS = 2_500_000_000
@@ -61,10 +61,10 @@ class VehicleVelocity:
     def __init__(self, motion: DeadReckoning) -> None:
         """motion: gets the speeds and velocities that count."""
         self._motion = motion
-        self.without_gps = OwnMotion()
+        self.without_gps = GyroOdometer()
         """The displacement by what GPS has no part in: gyros, with wheels, odometry or our camera, or the autopilot
         without GPS."""
-        self.shown = ShownScale()
+        self.shown = OdometerCalibration()
         """What GPS has shown of the wheels."""
         self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
         """Gets what GPS has no part in, stamped: meters by WHEELS, m/s by ODOMETRY or CAMERA; None: a session ended."""
@@ -85,7 +85,7 @@ class VehicleVelocity:
         for motion in (self._motion, self.without_gps):
             motion.end_leg(is_same_vehicle=is_same_vehicle)
         self.listen(0, 0.0, None)
-        self.shown = ShownScale() if not is_same_vehicle else self.shown
+        self.shown = OdometerCalibration() if not is_same_vehicle else self.shown
         self._wheels = self._own = self._seen = None
         self._tilt = 0, 0.0, 0.0
         self._speeds.clear()

@@ -29,7 +29,7 @@ from edge.telemetry.firmware import (
 from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import NO_SPEED
-from edge_plugins.doctor.findings import Examined, Found, bad, good, note
+from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
 TURN_S = 0.01
@@ -69,7 +69,7 @@ def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
     return {*(one.parameter for one in needed), *firmware.examined, *firmware.aid_parameters}
 
 
-def check_autopilot(examined: Examined) -> Iterator[Found]:
+def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
     """Listen to the autopilot until all is known, at most `seconds`, and judge what it reports."""
     config = examined.settings.telemetry
     try:
@@ -130,7 +130,7 @@ def check_autopilot(examined: Examined) -> Iterator[Found]:
         yield _judge_witness(examined, witness, missing)
 
 
-def _judge_witness(examined: Examined, witness: str, missing: str) -> Found:
+def _judge_witness(examined: DoctorContext, witness: str, missing: str) -> Found:
     """What decides between GPS and places that contradict it."""
     doubted = f'[gates] doubted_gps = "{examined.settings.gates.doubted_gps}"'
     if missing == NO_SPEED and examined.settings.of(MotionConfig).use in ("odometer", "send"):
@@ -141,7 +141,7 @@ def _judge_witness(examined: Examined, witness: str, missing: str) -> Found:
     return bad(f"{doubted} does nothing: GPS that the places contradict is called wrong only with {missing}", remedy)
 
 
-def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
+def _judge_velocity_aid(examined: DoctorContext, vehicle: Vehicle) -> Iterator[Found]:
     """What measures velocity without GPS; without it, nothing replaces a GPS that the places contradict."""
     doubted_gps, firmware = examined.settings.gates.doubted_gps, vehicle.session.firmware
     aid, sends = velocity_aid(vehicle, GPS_SET), examined.settings.of(MotionConfig).use == "send"
@@ -170,7 +170,7 @@ def _judge_velocity_aid(examined: Examined, vehicle: Vehicle) -> Iterator[Found]
         yield bad(words, firmware.aid_remedy)
 
 
-def check_parameters(examined: Examined) -> Iterator[Found]:
+def check_parameters(examined: DoctorContext) -> Iterator[Found]:
     """What the configured message and wheel encoders need, and whether the filter uses the GPS that is there."""
     config, vehicle = examined.settings.telemetry, examined.autopilot
     if config.emit == "report" or vehicle is None:
@@ -203,11 +203,11 @@ def _judge_modes_of_rover(vehicle: Vehicle) -> Found:
     return note(f"{words}, and a mission for Descend", "put Stabilized or Manual on a switch, or fit a velocity aid")
 
 
-def _takes_gps_from_px4(examined: Examined, vehicle: Vehicle) -> bool:
+def _takes_gps_from_px4(examined: DoctorContext, vehicle: Vehicle) -> bool:
     return examined.settings.gates.doubted_gps == "switch" and vehicle.session.firmware.gps_switch == "fusion"
 
 
-def _judge_gps_of_px4(examined: Examined, vehicle: Vehicle) -> Iterator[Found]:
+def _judge_gps_of_px4(examined: DoctorContext, vehicle: Vehicle) -> Iterator[Found]:
     """Whether PX4 uses its GPS, and what it does with one that the places contradict."""
     doubted_gps, is_on = examined.settings.gates.doubted_gps, vehicle.session.gps.is_fusion_on
     if is_on is False and examined.has_receiver:

@@ -18,7 +18,7 @@ import msgspec
 
 from edge.errors import EXIT_SETUP, LookbackError
 from edge_plugins.doctor import autopilot, computer, setup
-from edge_plugins.doctor.findings import Examined, Finding, Found
+from edge_plugins.doctor.findings import DoctorContext, Finding, Found
 
 MARKS: dict[str, str] = {"good": "ok  ", "note": "note", "bad": "BAD "}
 Need: TypeAlias = Literal["devices", "config", "network", "maps", "autopilot"]
@@ -33,7 +33,7 @@ class Check:
 
     what: str
     needs: tuple[Need, ...]
-    look: Callable[[Examined], Iterable[Found]]
+    look: Callable[[DoctorContext], Iterable[Found]]
     remedy: str = ""
 
 
@@ -84,7 +84,7 @@ def examine(path: Path | None, seconds: float, dev: Path = Path("/dev"), *, offl
 
     dev: where its devices are. offline: only what the config file and the files that it names say.
     """
-    examined = Examined(path, dev, seconds)
+    examined = DoctorContext(path, dev, seconds)
     for check in CHECKS:
         there = {name for name in ("config", "network", "maps", "autopilot") if getattr(examined, name) is not None}
         if set(check.needs) <= (there if offline else there | {"devices"}):

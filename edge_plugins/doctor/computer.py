@@ -27,7 +27,7 @@ from edge.config import change_paths
 from edge.errors import LookbackError
 from edge.extras import install_command
 from edge.files import HOME_FOLDERS
-from edge_plugins.doctor.findings import Examined, Found, bad, good, note
+from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.layers.stored import CLOCK_SET_UNIX_S
 from edge_plugins.mapping import MappingConfig
 
@@ -36,7 +36,7 @@ OAK_VENDOR = "03e7"
 SHOW = ("systemctl", "show", "lookback.service", "--property=User,SupplementaryGroups,ExecStart")
 
 
-def act_as_service(examined: Examined) -> Iterator[Found]:
+def act_as_service(examined: DoctorContext) -> Iterator[Found]:
     """Where root examines the config of the installed service: take its user and groups until the program ends."""
     unit = _show_unit() if os.geteuid() == 0 and examined.path else {}
     starts = unit.get("ExecStart", "")
@@ -61,7 +61,7 @@ def _show_unit() -> dict[str, str]:
     return dict(line.split("=", 1) for line in shown.splitlines())
 
 
-def check_home_folders(examined: Examined) -> list[Found]:
+def check_home_folders(examined: DoctorContext) -> list[Found]:
     """Paths that a person can read and the service cannot, since its unit closes all home folders."""
     found: list[Found] = []
 
@@ -76,13 +76,13 @@ def check_home_folders(examined: Examined) -> list[Found]:
     return found
 
 
-def check_computer(examined: Examined) -> Iterator[Found]:
+def check_computer(examined: DoctorContext) -> Iterator[Found]:
     """Versions and processor."""
     machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
     yield good(f"lookback {edge.__version__}, Python {platform.python_version()}, {machine}")
 
 
-def list_cameras(examined: Examined) -> Iterator[Found]:
+def list_cameras(examined: DoctorContext) -> Iterator[Found]:
     """V4L2 devices that give images, by their stable names, and OAK cameras on USB."""
     nodes = sorted(examined.dev.glob("v4l/by-id/*-index0")) or sorted(examined.dev.glob("video*"))
     yield from map(_permissions, nodes)
@@ -100,7 +100,7 @@ def list_cameras(examined: Examined) -> Iterator[Found]:
             yield note(none, "plug one in; a recorded feed and the simulator need none")
 
 
-def list_ports(examined: Examined) -> Iterator[Found]:
+def list_ports(examined: DoctorContext) -> Iterator[Found]:
     """Serial ports, by their stable names."""
     ports = sorted({Path(port.device) for port in comports()} | set(examined.dev.glob("serial0")))
     stable = {name.resolve(): name for name in examined.dev.glob("serial/by-id/*")}
@@ -129,7 +129,7 @@ def _user() -> str:
         return str(os.geteuid())
 
 
-def check_clock(examined: Examined) -> Iterator[Found]:
+def check_clock(examined: DoctorContext) -> Iterator[Found]:
     """Whether the wall clock was ever set."""
     now_s = time.time()
     now = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(now_s))
@@ -139,7 +139,7 @@ def check_clock(examined: Examined) -> Iterator[Found]:
         yield good(now)
 
 
-def check_camera(examined: Examined) -> Iterator[Found]:
+def check_camera(examined: DoctorContext) -> Iterator[Found]:
     """The configured camera, opened and read once."""
     config = examined.settings.camera
     where = f"[camera] {config.source}"
@@ -169,7 +169,7 @@ def check_camera(examined: Examined) -> Iterator[Found]:
         yield note(difference, "set [camera] to what the device gives")
 
 
-def check_disk(examined: Examined) -> Iterator[Found]:
+def check_disk(examined: DoctorContext) -> Iterator[Found]:
     """Where the journal is written."""
     journal = examined.settings.telemetry.journal
     if journal:
@@ -178,7 +178,7 @@ def check_disk(examined: Examined) -> Iterator[Found]:
         yield note('[telemetry] journal = "": no journal is written')
 
 
-def check_mapping(examined: Examined) -> Iterator[Found]:
+def check_mapping(examined: DoctorContext) -> Iterator[Found]:
     """Whether drives can become maps: the folder can be written, and has room."""
     config, mapping = examined.settings, examined.settings.of(MappingConfig)
     if not mapping.folder:

@@ -27,7 +27,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 @dataclass
-class Examined:
+class DoctorContext:
     """path: of the config, None where none was named. dev: where the devices are. seconds: to wait for the autopilot.
 
     What follows is found by one check for those after it. as_service: whether the rights are the service's.

@@ -23,7 +23,7 @@ from edge.recognition.recognizer import network_for, open_recognizer
 from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
-from edge_plugins.doctor.findings import Examined, Found, bad, good, note
+from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import plan_way_home
 from edge_plugins.mapping import MappingConfig
@@ -38,7 +38,7 @@ LEAST_GROUND = 0.1
 """Of the picture: of one of 4 : 3 that is level, at 80 degrees, it is 30 %."""
 
 
-def check_config(examined: Examined) -> Iterator[Found]:
+def check_config(examined: DoctorContext) -> Iterator[Found]:
     """Whether every key of the config is right."""
     path = examined.path
     if path is None:
@@ -57,7 +57,7 @@ def check_config(examined: Examined) -> Iterator[Found]:
     yield good(f"{path}: every key is valid")
 
 
-def check_last_state(examined: Examined) -> Iterator[Found]:
+def check_last_state(examined: DoctorContext) -> Iterator[Found]:
     """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
     path = examined.settings.telemetry.journal
     with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ def check_last_state(examined: Examined) -> Iterator[Found]:
             yield note(f"the last run was{when}: {record}")
 
 
-def check_model(examined: Examined) -> Iterator[Found]:
+def check_model(examined: DoctorContext) -> Iterator[Found]:
     """Whether the model is complete, and how long it takes."""
     network = open_network(network_for(examined.settings))
     time_ms = _describe_ms(network)
@@ -84,7 +84,7 @@ def _describe_ms(network: Network) -> float:
     return (time.perf_counter() - started_s) * 1e3
 
 
-def check_map(examined: Examined) -> Iterator[Found]:
+def check_map(examined: DoctorContext) -> Iterator[Found]:
     """Each map, whether they fit the model and the config, and whether there are enough places with positions."""
     config, path = examined.settings, Path(examined.settings.map.path)
     key = config.map.require_signature_by
@@ -111,12 +111,12 @@ def _has_maps(path: Path) -> bool:
     return path.exists() and (not path.is_dir() or any(path.glob("map.json")) or any(path.glob("*/map.json")))
 
 
-def check_accuracy(examined: Examined) -> Iterator[Found]:
+def check_accuracy(examined: DoctorContext) -> Iterator[Found]:
     """How well the maps know where their places are."""
     yield good(spell_accuracy(_maps(examined).places))
 
 
-def check_way_home(examined: Examined) -> Iterator[Found]:
+def check_way_home(examined: DoctorContext) -> Iterator[Found]:
     """Whether the whole of the newest drive can be driven back, where [home] is enabled."""
     home = examined.settings.of(HomeConfig)
     if not home.enabled:
@@ -131,12 +131,12 @@ def check_way_home(examined: Examined) -> Iterator[Found]:
         yield good(str(way))
 
 
-def _maps(examined: Examined) -> MapSet:
+def _maps(examined: DoctorContext) -> MapSet:
     assert examined.maps is not None  # the check needs them
     return examined.maps
 
 
-def check_motion(examined: Examined) -> Iterator[Found]:
+def check_motion(examined: DoctorContext) -> Iterator[Found]:
     """How much of the road the camera of [motion] shows, and whether its height is known."""
     config, motion = examined.settings, examined.settings.of(MotionConfig)
     if motion.use == "off":
@@ -160,7 +160,7 @@ def check_motion(examined: Examined) -> Iterator[Found]:
         yield note("the camera's height is not known yet", f"drive {WINDOWS * WINDOW_M:g} m with GPS")
 
 
-def check_links(examined: Examined) -> Iterator[Found]:
+def check_links(examined: DoctorContext) -> Iterator[Found]:
     """The connection strings and signing keys of all links; no port is opened."""
     config = examined.settings.telemetry
     links = (LinkConfig(config.connection, config.signing_key), *config.links)

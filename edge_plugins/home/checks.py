@@ -29,7 +29,7 @@ MOST_WAYPOINTS = 700
 
 
 @dataclass(frozen=True)
-class Finding:
+class RouteFinding:
     """What a check found. refuses: the way must not be driven like this; else it is a warning.
 
     brief: a warning in at most BRIEF characters, as a pilot reads it while driving.
@@ -43,53 +43,55 @@ class Finding:
         return f"{'refused' if self.refuses else 'warning'}: {self.text}"
 
 
-def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig) -> Iterator[Finding]:
+def length_check(way_m: NDArray[np.float64], waypoints: int, config: HomeConfig) -> Iterator[RouteFinding]:
     """The length of the way (N,), in meters along it, and the number of its waypoints."""
     if way_m[-1] > config.max_length_m:
-        yield Finding(True, f"the way is {way_m[-1]:.0f} m long; max_length_m is {config.max_length_m:g}")
+        yield RouteFinding(True, f"the way is {way_m[-1]:.0f} m long; max_length_m is {config.max_length_m:g}")
     if way_m[-1] < SHORTEST_M:
-        yield Finding(True, "the vehicle is at the start of the drive")
+        yield RouteFinding(True, "the vehicle is at the start of the drive")
     if waypoints > MOST_WAYPOINTS:
-        yield Finding(
+        yield RouteFinding(
             True, f"{waypoints} waypoints are more than autopilots store ({MOST_WAYPOINTS}); use a larger tolerance_m"
         )
 
 
-def short_check(short_m: float, length_m: float, config: HomeConfig, *, is_named: bool) -> Iterator[Finding]:
+def short_check(short_m: float, length_m: float, config: HomeConfig, *, is_named: bool) -> Iterator[RouteFinding]:
     """A way that ends where the map was interrupted, so far from where its recording began. is_named: by the user."""
     if short_m > config.max_gap_m:
         text = f"the way ends {short_m:.0f} m short of where the recording began: its map was interrupted there"
         refuses = short_m > length_m and not is_named
-        yield Finding(refuses, f"{text}; name an earlier drive", f"way ends {short_m:.0f} m short of home")
+        yield RouteFinding(refuses, f"{text}; name an earlier drive", f"way ends {short_m:.0f} m short of home")
 
 
-def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+def gap_check(way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[RouteFinding]:
     """Stretches between places, at (N,) meters of the way, without a position."""
     apart_m = np.diff(way_m)
     for run in _runs(apart_m > config.max_gap_m):
         text = f"no position for {apart_m[run].max():.0f} m; max_gap_m is {config.max_gap_m:g}"
-        yield Finding(True, f"{_stretch(way_m[run[0]], way_m[run[-1] + 1])}: {text}")
+        yield RouteFinding(True, f"{_stretch(way_m[run[0]], way_m[run[-1] + 1])}: {text}")
 
 
-def motion_check(line: DriveLine, rows: int, length_m: float) -> Iterator[Finding]:
+def motion_check(line: DriveLine, rows: int, length_m: float) -> Iterator[RouteFinding]:
     """Where positions of the first rows of a drive do not move as the vehicle did. length_m: of the way home."""
     was_off = False
     columns = line.points_m[:rows], line.sigma_m[:rows], line.driven_m[:rows], line.heading_deg[:rows]
     for row, found in enumerate(disagreements(*columns)):
         if found is not None and not was_off:
             first_m, last_m = length_m - line.along_m[[row, row - found.since]]
-            yield Finding(True, f"{_stretch(first_m, last_m)}: {found}")
+            yield RouteFinding(True, f"{_stretch(first_m, last_m)}: {found}")
         was_off = found is not None
 
 
-def accuracy_check(way_m: NDArray[np.float64], sigma_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+def accuracy_check(
+    way_m: NDArray[np.float64], sigma_m: NDArray[np.float64], config: HomeConfig
+) -> Iterator[RouteFinding]:
     """Stretches whose positions, at (N,) meters of the way, were not measured well: one standard deviation (N,)."""
     for run in _runs(sigma_m > config.max_sigma_m):
         text = f"the positions are only known to {sigma_m[run].max():.0f} m; max_sigma_m is {config.max_sigma_m:g}"
-        yield Finding(True, f"{_stretch(way_m[run[0]], way_m[run[-1]])}: {text}")
+        yield RouteFinding(True, f"{_stretch(way_m[run[0]], way_m[run[-1]])}: {text}")
 
 
-def turn_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[Finding]:
+def turn_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64], config: HomeConfig) -> Iterator[RouteFinding]:
     """Turns at the waypoints (N, 2), at (N,) meters of the way, that need a smaller radius than the vehicle's.
 
     An arc of radius R joins two legs that differ by an angle a, and touches them R tan(a / 2) from the corner: the arcs
@@ -100,43 +102,45 @@ def turn_check(points_m: NDArray[np.float64], way_m: NDArray[np.float64], config
     turn_rad = np.abs((np.diff(course_rad) + np.pi) % (2 * np.pi) - np.pi)
     tangents = np.tan(np.r_[0.0, np.minimum(turn_rad, 0.99 * np.pi), 0.0] / 2)
     for row in np.flatnonzero(turn_rad > SHARPEST_RAD) + 1:
-        yield Finding(
+        yield RouteFinding(
             True, f"at {way_m[row]:.0f} m: a turn of {math.degrees(turn_rad[row - 1]):.0f} degrees on the spot"
         )
     both = np.maximum(tangents[:-1] + tangents[1:], 1e-9)
     radius_m = (np.hypot(*legs_m.T) + SLACK * config.tolerance_m) / both
     for row in np.flatnonzero(radius_m < config.turning_radius_m):
-        yield Finding(
+        yield RouteFinding(
             True,
             f"{_stretch(way_m[row], way_m[row + 1])}: needs a turning radius of {radius_m[row]:.1f} m;"
             f" turning_radius_m is {config.turning_radius_m:g}",
         )
 
 
-def pass_check(along_m: Sequence[float]) -> Iterator[Finding]:
+def pass_check(along_m: Sequence[float]) -> Iterator[RouteFinding]:
     """Passes of the drive, in meters from its start, between which nothing decides: none, or more than one."""
     if along_m:
         places = " and ".join(f"{meters:.0f} m" for meters in along_m)
-        yield Finding(
+        yield RouteFinding(
             True,
             f"the vehicle may be where the drive was at {places} from its start, which are not one road: drive on to"
             " where it passed once",
         )
 
 
-def start_check(away_m: float, sigma_m: float | None, turn_rad: float | None, config: HomeConfig) -> Iterator[Finding]:
+def start_check(
+    away_m: float, sigma_m: float | None, turn_rad: float | None, config: HomeConfig
+) -> Iterator[RouteFinding]:
     """Where the vehicle is: its distance from the drive, how well that is known, and the turn to the way home."""
     if away_m > config.max_start_m:
-        yield Finding(True, f"the vehicle is {away_m:.0f} m from the drive; max_start_m is {config.max_start_m:g}")
+        yield RouteFinding(True, f"the vehicle is {away_m:.0f} m from the drive; max_start_m is {config.max_start_m:g}")
     if sigma_m is not None and sigma_m > config.max_start_m:
-        yield Finding(
+        yield RouteFinding(
             True, f"the vehicle's position is only known to {sigma_m:.0f} m; max_start_m is {config.max_start_m:g}"
         )
     if turn_rad is None or turn_rad < math.pi / 2:
         return
     needs_m = config.turning_radius_m * (1 - math.cos(turn_rad))
     degrees = math.degrees(turn_rad)
-    yield Finding(
+    yield RouteFinding(
         needs_m > config.max_start_m,
         f"the vehicle points {degrees:.0f} degrees away from the way home: it needs {needs_m:.0f} m beside it to turn,"
         " or turn it first",

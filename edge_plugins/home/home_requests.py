@@ -25,7 +25,7 @@ from edge.telemetry.session import Session
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.mission_transfer import MissionTransfer, Next
 from edge_plugins.home.replaced_mission import ReplacedMission
-from edge_plugins.home.way_home import MissionItem, Start, WayHome, mission_items
+from edge_plugins.home.way_home import HomeStart, MissionItem, WayHome, mission_items
 
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
@@ -35,7 +35,7 @@ REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
 CHECK_AGAIN_NS = 30_000_000_000
 """From a check of a mission that may be cut off to the next, where the first came to no end."""
-Plan = Callable[[Start], WayHome]
+Plan = Callable[[HomeStart], WayHome]
 Sender = tuple[int, int]
 """System and component of a command."""
 log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class HomeAnswered(Record, frozen=True, tag="home"):
 
 
 @dataclass(frozen=True)
-class Answer:
+class HomeReply:
     """The answer to a request. result: MAV_RESULT; items: of the mission; text: one line for people."""
 
     result: int
@@ -68,7 +68,7 @@ class Answer:
         return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
 
 
-Asker: TypeAlias = Sender | Callable[[Answer], object]
+Asker: TypeAlias = Sender | Callable[[HomeReply], object]
 """Whoever requested: a component, or a program of this computer that gets each answer."""
 
 
@@ -86,7 +86,7 @@ class Upload:
     asker: Asker | None = None
 
 
-class Rejected(Exception):
+class HomeRequestError(Exception):
     """A request that cannot be done now; carries its MAV_RESULT and the reason."""
 
     def __init__(self, result: int, why: str) -> None:
@@ -110,7 +110,7 @@ class HomeRequests:
         self._check: tuple[Session, int] | None = (
             None  # where the pilot was warned, and when the mission is looked at next
         )
-        self._last: tuple[Sender, int, Answer] | None = None  # to whom, when, what
+        self._last: tuple[Sender, int, HomeReply] | None = None  # to whom, when, what
 
     @property
     def is_ready(self) -> bool:
@@ -119,7 +119,7 @@ class HomeRequests:
         is_known = own is not None and self._drive.known.own_sigma_m is not None
         return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
 
-    def ask(self, reply: Callable[[Answer], object]) -> None:
+    def ask(self, reply: Callable[[HomeReply], object]) -> None:
         """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
         self._link.send(self._request(reply, self._link.clock_ns()))
 
@@ -156,13 +156,13 @@ class HomeRequests:
     def _command(self, message: Message, now_ns: int) -> list[Message]:
         sender = message.get_srcSystem(), message.get_srcComponent()
         if self._upload is not None and sender == self._upload.asker:
-            return self._reply(sender, Answer(mavlink.MAV_RESULT_IN_PROGRESS, ""), now_ns)
+            return self._reply(sender, HomeReply(mavlink.MAV_RESULT_IN_PROGRESS, ""), now_ns)
         if message.confirmation and self._last is not None:
             to, answered_ns, answer = self._last
             if to == sender and now_ns - answered_ns < REPEATED_NS:
                 return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *sender)]
         if (message.param1, message.param2) != HOME_PARAMS:
-            denied = Answer(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
+            denied = HomeReply(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
             return self._reply(sender, denied, now_ns)
         return self._request(sender, now_ns)
 
@@ -172,8 +172,8 @@ class HomeRequests:
         try:
             self._check_request()
             items, what = self._way_items(now_ns, home_first=home_first)
-        except Rejected as error:
-            return self._reply(asker, self._answered(Answer(error.result, f"no way home: {error}")), now_ns)
+        except HomeRequestError as error:
+            return self._reply(asker, self._answered(HomeReply(error.result, f"no way home: {error}")), now_ns)
         system_id = self._vehicle.target_id
 
         def keep(present: list[MissionItem]) -> Next:
@@ -184,19 +184,19 @@ class HomeRequests:
         transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
         self._upload = Upload(transfer, len(items), f"uploaded and verified: {what}", "no way home", asker)
         log.info("uploading %s", what)
-        begun = Answer(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
+        begun = HomeReply(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
         return [*self._reply(asker, begun, now_ns), *transfer.start(now_ns)]
 
     def _check_request(self) -> None:
         """Rejected where no request can be done now."""
         if not self._config.enabled:
-            raise Rejected(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
+            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, "[home] enabled is false")
         why = "a mission is being uploaded" if self._upload is not None else self._why_not_now()
         if why:
-            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
+            raise HomeRequestError(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
         if self._vehicle.session.autopilot not in FIRMWARES:
             names = " nor ".join(one.name for one in FIRMWARES.values())
-            raise Rejected(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
+            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
 
     def _way_items(self, now_ns: int, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
         way, config = self._planned(now_ns), self._config
@@ -229,18 +229,22 @@ class HomeRequests:
     def _planned(self, now_ns: int) -> WayHome:
         """The way home from here; Rejected."""
         if self._vehicle.session.kind not in ON_THE_GROUND and not self._config.altitude_m:
-            raise Rejected(mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0")
+            raise HomeRequestError(
+                mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0"
+            )
         position, sigma_m = self._vehicle.position(now_ns), self._drive.known.own_sigma_m
         if position is None or sigma_m is None or self.plan is None:
             what = "autopilot reports no position" if position is None else "unknown how far off the position is"
-            raise Rejected(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, "there is no map" if self.plan is None else what)
+            raise HomeRequestError(
+                mavlink.MAV_RESULT_TEMPORARILY_REJECTED, "there is no map" if self.plan is None else what
+            )
         try:
-            way = self.plan(Start(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
+            way = self.plan(HomeStart(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
         except SetupError as error:
-            raise Rejected(mavlink.MAV_RESULT_FAILED, str(error)) from None
+            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, str(error)) from None
         if way.refusals:
             more = f" (and {len(way.refusals) - 1} more)" if len(way.refusals) > 1 else ""
-            raise Rejected(mavlink.MAV_RESULT_FAILED, way.refusals[0] + more)
+            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, way.refusals[0] + more)
         return way
 
     def _why_not_now(self) -> str:
@@ -262,13 +266,13 @@ class HomeRequests:
             self._replaced.settle()
         if outcome.verified:
             done = f"{upload.done}{self._replaced.where}"
-            answer = self._answered(Answer(mavlink.MAV_RESULT_ACCEPTED, done, upload.items))
+            answer = self._answered(HomeReply(mavlink.MAV_RESULT_ACCEPTED, done, upload.items))
         else:
             more = self._replaced.where if outcome.is_settled and upload.asker is None else ""
-            answer = self._answered(Answer(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
+            answer = self._answered(HomeReply(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
         return [] if upload.asker is None else self._reply(upload.asker, answer, now_ns)
 
-    def _answered(self, answer: Answer) -> Answer:
+    def _answered(self, answer: HomeReply) -> HomeReply:
         """Publish a final answer."""
         log.info("way home: %s", answer.text)
         self._record(HomeAnswered(answer.is_accepted, answer.text, answer.items))
@@ -276,7 +280,7 @@ class HomeRequests:
         self._send_text(f"Lookback: {answer.text}", severity)
         return answer
 
-    def _reply(self, asker: Asker, answer: Answer, now_ns: int) -> list[Message]:
+    def _reply(self, asker: Asker, answer: HomeReply, now_ns: int) -> list[Message]:
         """Hand an answer to whoever requested; the messages that are due for it."""
         if callable(asker):
             asker(answer)

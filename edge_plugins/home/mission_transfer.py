@@ -43,7 +43,7 @@ REQUESTS = (mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT, mavlink.MAVLINK_MSG_ID_M
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TransferResult:
     """How a transfer ended. verified: the autopilot has exactly these items, and begins with the first.
 
     why: what went wrong, "" if nothing. is_settled: whether the autopilot cannot have a part of the items.
@@ -54,7 +54,7 @@ class Outcome:
     is_settled: bool = True
 
 
-class Failed(Exception):
+class TransferError(Exception):
     """The transfer cannot succeed; carries the reason."""
 
 
@@ -88,7 +88,7 @@ class MissionTransfer:
         decide: what is done about the present mission, before anything is changed.
         """
         self._items, self._system_id, self._first_is_home, self._decide = items, system_id, first_is_home, decide
-        self.outcome: Outcome | None = None
+        self.outcome: TransferResult | None = None
         self._phase: Literal["look", "upload", "verify", "begin", "clear"] = "look"
         self._began = False  # the autopilot may have changed its mission
         self._steps = self._whole()
@@ -123,7 +123,7 @@ class MissionTransfer:
         """End it without success."""
         if self.outcome is not None or self._phase == "clear":
             return []
-        return self._advance(partial(self._steps.throw, Failed(why)), now_ns)
+        return self._advance(partial(self._steps.throw, TransferError(why)), now_ns)
 
     def abandon(self) -> list[Message]:
         """End it without waiting for an answer; PX4 keeps its last mission, where ArduPilot would have a part of each.
@@ -134,7 +134,7 @@ class MissionTransfer:
             return []
         # PX4 stores what is complete.
         is_stored = self._phase != "look" and (self._first_is_home or self._phase != "upload")
-        self.outcome = Outcome(verified=False, why="Lookback ended", is_settled=not is_stored)
+        self.outcome = TransferResult(verified=False, why="Lookback ended", is_settled=not is_stored)
         empty = [mavlink.MAVLink_mission_count_message(self._system_id, 1, 0, MISSION)] if is_stored else []
         return [self._ended(mavlink.MAV_MISSION_OPERATION_CANCELLED), *empty]
 
@@ -151,24 +151,24 @@ class MissionTransfer:
         request.ask(now_ns)
         return request.messages
 
-    def _whole(self) -> Steps[Outcome]:
+    def _whole(self) -> Steps[TransferResult]:
         """The transfer, and what follows where it fails: the autopilot may have a mission of old and new items."""
         try:
             return (yield from self._transfer())
-        except Failed as error:
+        except TransferError as error:
             why = str(error)
         if not self._began:
-            return Outcome(verified=False, why=why, is_settled=self._phase == "look")
+            return TransferResult(verified=False, why=why, is_settled=self._phase == "look")
         # PX4 ignores the second during a transfer, and waits 5 s for one that has stopped.
         return (yield from self._clear(mavlink.MAV_MISSION_OPERATION_CANCELLED, why))
 
-    def _transfer(self) -> Steps[Outcome]:
+    def _transfer(self) -> Steps[TransferResult]:
         counted = yield from self._answer(self._list(), lambda message: message.get_msgId() == COUNT)
         present = yield from self._download(counted.count)
         decision = self._decide(present)
         if decision == "leave":
             yield Request([self._ended()], wait_ns=0, repetitions=0)
-            return Outcome(verified=False, why="the mission is not one that was cut off")
+            return TransferResult(verified=False, why="the mission is not one that was cut off")
         if decision == "clear":
             return (yield from self._clear(ACCEPTED, "a mission that was cut off is cleared"))
         yield from self._upload()
@@ -177,7 +177,7 @@ class MissionTransfer:
         # that it was sent, PX4 sends that once a second.
         begin = [self._ended(), mavlink.MAVLink_mission_set_current_message(self._system_id, 1, 0)]
         yield from self._answer(Request(begin), lambda message: message.get_msgId() == CURRENT and message.seq == 0)
-        return Outcome(verified=True)
+        return TransferResult(verified=True)
 
     def _upload(self) -> Steps[None]:
         """Send the items that are requested, until the autopilot has all of them as they were sent."""
@@ -191,7 +191,7 @@ class MissionTransfer:
                 message = yield None
             if message is None:
                 if request.most > 1:
-                    raise Failed(self._unanswered())
+                    raise TransferError(self._unanswered())
                 is_assumed = True  # repeated, the item would be an error for ArduPilot
             if message is None or message.get_msgId() == ACK:
                 self._phase = "verify"
@@ -203,11 +203,11 @@ class MissionTransfer:
             number = message.seq if message.get_msgId() in REQUESTS else last
             self._began = True
             if number > last:
-                raise Failed(f"the autopilot requests item {number} of {len(self._items)}")
+                raise TransferError(f"the autopilot requests item {number} of {len(self._items)}")
             item = item_message(self._system_id, number, self._items[number])
             request = Request([item], repetitions=0 if number == last and not is_assumed else REPETITIONS)
         if message.count != len(self._items):
-            raise Failed(f"the autopilot has {message.count} items of {len(self._items)}")
+            raise TransferError(f"the autopilot has {message.count} items of {len(self._items)}")
         yield from self._download(message.count, self._items)
 
     def _is_upload_answer(self, message: Message) -> bool:
@@ -230,20 +230,20 @@ class MissionTransfer:
             items.append(mission_item(item))
             is_compared = sent is not None and not (self._first_is_home and number == 0)
             if sent is not None and is_compared and not is_same(items[-1], sent[number]):
-                raise Failed(f"item {number} is not the one that was uploaded")
+                raise TransferError(f"item {number} is not the one that was uploaded")
         return items
 
-    def _clear(self, ended: int, why: str) -> Steps[Outcome]:
+    def _clear(self, ended: int, why: str) -> Steps[TransferResult]:
         """Clear the mission, after the transfer has `ended` with a MAV_MISSION_RESULT."""
         self._phase = "clear"
         clear = mavlink.MAVLink_mission_clear_all_message(self._system_id, 1, MISSION)
         request = Request([self._ended(ended), clear], repetitions=CLEAR_REPETITIONS)
         try:
             yield from self._answer(request, lambda message: message.get_msgId() == ACK and message.type == ACCEPTED)
-        except Failed:
+        except TransferError:
             why += "; do not start the autopilot's mission: it may be incomplete, and could not be cleared"
-            return Outcome(verified=False, why=why, is_settled=False)
-        return Outcome(verified=False, why=why)
+            return TransferResult(verified=False, why=why, is_settled=False)
+        return TransferResult(verified=False, why=why)
 
     def _answer(self, request: Request, is_answer: Callable[[Message], bool]) -> Steps[Message]:
         """Send, and wait for the answer; Failed where the autopilot refuses, or does not answer."""
@@ -255,7 +255,7 @@ class MissionTransfer:
                 _check(message.type)
             message = yield None
         if message is None:
-            raise Failed(self._unanswered())
+            raise TransferError(self._unanswered())
         return message
 
     def _unanswered(self) -> str:
@@ -287,4 +287,4 @@ def _is_item(message: Message, *, number: int) -> bool:
 def _check(result: int) -> None:
     if result != ACCEPTED:
         name = result_name(result, "MAV_MISSION_RESULT", "MAV_MISSION_")
-        raise Failed(f"the autopilot refuses the mission: {name}")
+        raise TransferError(f"the autopilot refuses the mission: {name}")

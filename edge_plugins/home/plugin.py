@@ -9,7 +9,7 @@ from edge.plugin import Parts, Plugin
 from edge.reference_map import MapSet
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
-from edge_plugins.home.way_home import Start, WayHome, plan_way_home
+from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
 
 if TYPE_CHECKING:
     from edge_plugins.mapping.plugin import Mapping
@@ -26,11 +26,11 @@ class Home(Plugin):
         """From now on there are maps to plan by."""
         self.requests.plan = self._plan
 
-    def _plan(self, start: Start) -> WayHome:
+    def _plan(self, start: HomeStart) -> WayHome:
         """With the map of this drive up to the vehicle, if there is one."""
         maps = self._parts.recognizer.map_set
 
-        def driven(mapping: Mapping) -> tuple[MapSet, Start]:
+        def driven(mapping: Mapping) -> tuple[MapSet, HomeStart]:
             return maps.with_newest(mapping.live.store.whole()), replace(start, route_m=mapping.driven_m())
 
         maps, start = self._parts.plugins.ask("mapping", driven) or (maps, start)

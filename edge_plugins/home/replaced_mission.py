@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.errors import reason
-from edge.files import KeptFile, replacing
+from edge.files import PersistentFile, replacing
 from edge.telemetry.codec import Message
 from edge_plugins.home.way_home import MissionItem
 
@@ -28,7 +28,7 @@ SAME_FRAMES = {mavlink.MAV_FRAME_GLOBAL_INT: 0, mavlink.MAV_FRAME_GLOBAL_RELATIV
 MISSION = mavlink.MAV_MISSION_TYPE_MISSION
 
 
-class Kept(msgspec.Struct, frozen=True):
+class MissionBackup(msgspec.Struct, frozen=True):
     """The file. replaced, uploaded: the missions; is_settled: whether the autopilot cannot have a part of the upload.
 
     first: number of the first item that counts; 1 where item 0 is the autopilot's own home position.
@@ -47,8 +47,8 @@ class ReplacedMission:
     def __init__(self, path: Path | None) -> None:
         """path: None keeps it in memory only, and writes no file of waypoints beside it."""
         self._waypoints = path and path.with_suffix(".waypoints")
-        self._file = KeptFile(path, Kept, "a mission that was cut off is not known")
-        self.kept = self._file.read() or Kept()
+        self._file = PersistentFile(path, MissionBackup, "a mission that was cut off is not known")
+        self.kept = self._file.read() or MissionBackup()
 
     @property
     def where(self) -> str:
@@ -60,7 +60,7 @@ class ReplacedMission:
         """Keep the present mission, unless it is what earlier uploads have left; returns why that failed, or ""."""
         is_known = self.kept.system_id == system_id and self._explains(present)
         replaced = self.kept.replaced if is_known else tuple(present)
-        why = self._store(Kept(system_id, first, replaced, tuple(uploaded), is_settled=False))
+        why = self._store(MissionBackup(system_id, first, replaced, tuple(uploaded), is_settled=False))
         if not self.where or self._waypoints is None:
             return why
         try:
@@ -92,7 +92,7 @@ class ReplacedMission:
             if number >= self.kept.first
         )
 
-    def _store(self, kept: Kept) -> str:
+    def _store(self, kept: MissionBackup) -> str:
         self.kept = kept
         return self._file.write(kept)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.geodesy import east_north, moved
 from edge.reference_map import MapSet
 from edge_plugins.home import HomeConfig, checks
-from edge_plugins.home.checks import Finding
+from edge_plugins.home.checks import RouteFinding
 from edge_plugins.home.drive_line import DriveLine, along, drive_line, nearest_on, simplified
 from edge_plugins.home.passes import first_row
 
@@ -24,7 +24,7 @@ GROUND_SPEED, THROTTLE_UNCHANGED = 1.0, -1.0
 
 
 @dataclass(frozen=True)
-class Start:
+class HomeStart:
     """Where the vehicle is, in degrees. sigma_m: one standard deviation of that; None for a position of the user's.
 
     route_m: how far it has driven by the odometer of the newest drive; None where that is not known.
@@ -49,7 +49,7 @@ class WayHome:
     positions_deg: tuple[tuple[float, float], ...]
     along_m: tuple[float, ...]
     places: int
-    findings: tuple[Finding, ...]
+    findings: tuple[RouteFinding, ...]
 
     @property
     def length_m(self) -> float:
@@ -76,7 +76,7 @@ class WayHome:
 
 
 def plan_way_home(
-    maps: MapSet, start: Start | None, config: HomeConfig, left_m: float = 0.0, drive: int | None = None
+    maps: MapSet, start: HomeStart | None, config: HomeConfig, left_m: float = 0.0, drive: int | None = None
 ) -> WayHome:
     """The way from `start` along a drive of the maps, the newest by default, to the drive's own start.
 
@@ -85,7 +85,7 @@ def plan_way_home(
     MapError where no drive has positions.
     """
     line = drive_line(maps, drive)
-    start = start or Start(*_degrees(line, line.points_m[-1]), route_m=float(line.driven_m[-1]))
+    start = start or HomeStart(*_degrees(line, line.points_m[-1]), route_m=float(line.driven_m[-1]))
     here_m = east_north(np.array([start.lat_deg]), np.array([start.lon_deg]), line.origin)[0]  # as the line's points
     row, unsure = first_row(line, here_m, start.sigma_m or 0.0, start.route_m)
     nearest_m = nearest_on(here_m, *line.points_m[[row, row + 1]])

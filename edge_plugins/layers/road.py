@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Stretch:
+class LayerRows:
     """rows: of each layer, by number of the drive, the row closest to it. opposed: of drives that looked against it."""
 
     rows: dict[int, int]
@@ -40,7 +40,7 @@ class Stretch:
         return {*self.rows, *self.opposed}
 
 
-def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[Stretch]:
+def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[LayerRows]:
     """Of all drives with positions, in both ways of looking, even where one has no layer. every: step of rows."""
     places = [one.places for one in maps]
     known = (first_known(one["lat_deg"], one["lon_deg"]) for one in places)
@@ -61,7 +61,7 @@ def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[Stretch]:
                     rows[center][cosine > 0][number] = row
     found = []
     for ways in rows:
-        found += [Stretch(*ways), Stretch(*ways[::-1])]
+        found += [LayerRows(*ways), LayerRows(*ways[::-1])]
     return found
 
 

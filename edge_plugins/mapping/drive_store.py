@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge.config import PINHOLE, Lens
 from edge.errors import ConfigError, MapError, reason
 from edge.files import DISK_ERRORS, locked, named_by_time
-from edge.reference_map import MapSoFar
+from edge.reference_map import PartialMap
 from edge_plugins.layers.stored import source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.earlier_drives import finish_earlier
@@ -86,7 +86,7 @@ class DriveStore:
         """How many places are not in the file yet."""
         return self._log.waiting if self._log is not None else 0
 
-    def whole(self) -> MapSoFar:
+    def whole(self) -> PartialMap:
         """The map with all places, also those that are not searched yet."""
         return self.growing.first(self.growing.count)
 
@@ -191,7 +191,7 @@ class DriveStore:
         log.warning("mapping stopped: %s", why)
 
 
-class SearchedPart:
+class SearchablePart:
     """The first places of the map, `count` of them, which are searched; and what people are shown of it."""
 
     def __init__(self, store: DriveStore, behind_m: float) -> None:
@@ -199,11 +199,11 @@ class SearchedPart:
         self._store, self._behind_m = store, behind_m
         self.count = store.growing.count
 
-    def so_far(self) -> MapSoFar:
+    def so_far(self) -> PartialMap:
         """As a map."""
         return self._store.growing.first(self.count)
 
-    def grown(self, at_m: float, *, at_once: bool) -> MapSoFar | None:
+    def grown(self, at_m: float, *, at_once: bool) -> PartialMap | None:
         """With further places that lie far enough behind the vehicle by now; None while there are too few.
 
         at_m: where it is, along all drives of the map. at_once: one further place is enough, as where none follow.

@@ -21,7 +21,7 @@ from edge.config import SamplingConfig
 from edge.descriptor import RunningStatistics, normalized
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from edge.reference_map.keypoint_file import KeypointsKey
-from edge.reference_map.map_so_far import CAPACITY, MapSoFar
+from edge.reference_map.map_so_far import CAPACITY, PartialMap
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
@@ -117,13 +117,13 @@ class GrowingMap(DriveByDrive):
             rows = range(first, min(first + RENEWED, self.count))
             self._encode(rows, self._raw_rows(rows))
 
-    def first(self, places: int) -> MapSoFar:
+    def first(self, places: int) -> PartialMap:
         """A map of the first places."""
         records = self._places[:places]
         header = replace(self._header.first(places), bounds=bounds_of(records))
         descriptors = self._descriptors[:, :places]
         matcher = CostMatcher(descriptors, self._inverse[:places])
-        return MapSoFar(
+        return PartialMap(
             self.path,
             header,
             descriptors,

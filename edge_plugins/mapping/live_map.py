@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import VehiclePosition
-from edge.reference_map import MapSoFar
+from edge.reference_map import PartialMap
 from edge.reference_map.gps_motion import GpsMotion
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place, thumbnail
-from edge_plugins.mapping.drive_store import DriveStore, SearchedPart
+from edge_plugins.mapping.drive_store import DriveStore, SearchablePart
 from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
-from edge_plugins.mapping.own_motion import OwnMotion
+from edge_plugins.mapping.own_motion import GpsConsistency
 from edge_plugins.mapping.place_log_records import MappedPlace
 from edge_plugins.mapping.status import MappingStatus
 
@@ -35,8 +35,8 @@ class LiveMap:
     def __init__(self, config: MappingConfig, store: DriveStore, *, keeps_pictures: bool = True) -> None:
         """It goes on with what is in the store. keeps_pictures: small ones of places, for people."""
         self._keeps_pictures = keeps_pictures
-        self._config, self.store, self.searched = config, store, SearchedPart(store, config.behind_m)
-        self.own = OwnMotion(config, store.header.sampling.spacing_m)
+        self._config, self.store, self.searched = config, store, SearchablePart(store, config.behind_m)
+        self.own = GpsConsistency(config, store.header.sampling.spacing_m)
         """Whoever owns this compares it before it adds the places that follow."""
         self._why = "no place yet"
         self._odometer = _Odometer(float(store.growing.places["route_m"][-1]) if self.searched.count else 0.0)
@@ -83,7 +83,7 @@ class LiveMap:
         if distance_m is not None and not why_no_truth(position, self._config):
             self._trail.add(self._route_m(distance_m), position)
 
-    def newly_searchable(self, distance_m: float | None) -> MapSoFar | None:
+    def newly_searchable(self, distance_m: float | None) -> PartialMap | None:
         """The map with further places that now lie far enough behind the vehicle; None while there are too few."""
         return None if distance_m is None else self.searched.grown(self._route_m(distance_m), at_once=bool(self._why))
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from edge.geodesy import WORST_FIRST, VehiclePosition, east_north_of, moved
-from edge.reference_map.gps_motion import OFF_SHARE, GpsMotion, Moved
+from edge.reference_map.gps_motion import OFF_SHARE, GpsMotion, PlanarOdometry
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace
@@ -24,11 +24,11 @@ MOST_PLACES = 200
 """That wait to be placed: 32 or 55 kB each. On a map of 2 m they are as long as `max_sigma_m` of 5 m allows."""
 
 
-class Waiting(NamedTuple):
+class PendingPlace(NamedTuple):
     """A place that has no position yet, how the vehicle has moved, and places missed before."""
 
     new: MappedPlace
-    at: Moved
+    at: PlanarOdometry
     missed: int
 
 
@@ -38,8 +38,8 @@ class Outage:
     def __init__(self, most_sigma_m: float) -> None:
         """most_sigma_m: of a place's position, beyond which the outage is not bridged."""
         self._most_sigma_m = most_sigma_m
-        self._begin: tuple[Place, Moved] | None = None
-        self._waiting: list[Waiting] = []
+        self._begin: tuple[Place, PlanarOdometry] | None = None
+        self._waiting: list[PendingPlace] = []
         self._missed = 0
 
     def reset(self) -> None:
@@ -51,10 +51,10 @@ class Outage:
         """Whether a place that waits may be placed later: there was a good position before, and not too far back."""
         return self._begin is not None
 
-    def wait(self, new: MappedPlace, at: Moved, missed: int) -> None:
+    def wait(self, new: MappedPlace, at: PlanarOdometry, missed: int) -> None:
         """A place without a good position; missed: places that were passed before it without a frame."""
         assert self._begin is not None
-        self._waiting.append(Waiting(new, at, missed + self._missed))
+        self._waiting.append(PendingPlace(new, at, missed + self._missed))
         self._missed = 0
         way_m = at.way_m - self._begin[1].way_m
         if OFF_SHARE * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_PLACES:
@@ -76,7 +76,7 @@ class Outage:
         return None if placed is None else [*placed, (new, missed)]
 
     def _placed(
-        self, begin: Place, then: Moved, waiting: list[Waiting], end: Place, motion: GpsMotion
+        self, begin: Place, then: PlanarOdometry, waiting: list[PendingPlace], end: Place, motion: GpsMotion
     ) -> list[tuple[MappedPlace, int]] | None:
         now = motion.moved
         way_m = now.way_m - then.way_m

@@ -18,7 +18,7 @@ from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.outage import why_no_truth
 
 
-class OwnDriven(NamedTuple):
+class GpsFreeDistance(NamedTuple):
     """Meters driven by a moment, less those backwards, by what GPS has no part in; gaps: how often nobody counted."""
 
     stamp_ns: int
@@ -26,11 +26,11 @@ class OwnDriven(NamedTuple):
     gaps: int
 
 
-class OwnMeters:
+class GpsFreeOdometer:
     """Meters by the wheels, else by odometry, else by our camera."""
 
     def __init__(self) -> None:
-        self.driven: OwnDriven | None = None
+        self.driven: GpsFreeDistance | None = None
         """None before the first of them has counted."""
         self._newest: dict[int, tuple[int, float]] = {}
         self._moving: dict[int, int] = {}  # when each was last known to say a speed
@@ -64,17 +64,17 @@ class OwnMeters:
         last_ns, driven_m, gaps = self.driven or (stamp_ns, 0.0, 0)
         if since_ns != last_ns or not abs(moved_m) <= MAX_SPEED_MPS * (stamp_ns - last_ns) / 1e9:
             moved_m, gaps = 0.0, gaps + 1
-        self.driven = OwnDriven(stamp_ns, driven_m + moved_m, gaps)
+        self.driven = GpsFreeDistance(stamp_ns, driven_m + moved_m, gaps)
 
 
-class OwnMotion:
+class GpsConsistency:
     """What has counted so far, and whether the positions of the present drive agree with it."""
 
     def __init__(self, config: MappingConfig, spacing_m: float) -> None:
         """spacing_m: least way between two comparisons."""
         self._config, self._spacing_m = config, spacing_m
         self._motion = GpsMotion()
-        self._newest: OwnDriven | None = None
+        self._newest: GpsFreeDistance | None = None
         self._compared_m = math.nan
         self._agrees = True
 
@@ -86,7 +86,7 @@ class OwnMotion:
         """Whether all positions of the drive up to a moment moved so; False where that is not known."""
         return self._agrees and self._newest is not None and stamp_ns - self._newest.stamp_ns <= WHEELS_APART_NS
 
-    def compare(self, own: OwnDriven, position: VehiclePosition | None) -> None:
+    def compare(self, own: GpsFreeDistance, position: VehiclePosition | None) -> None:
         """What has counted since the last time, and the position at its stamp, None where that is not known."""
         before, self._newest = self._newest, own
         if before is None or own.gaps != before.gaps:

@@ -24,12 +24,12 @@ from edge.feed.sampling import Sampler
 from edge.health.monitor import notify
 from edge.plugin import Parts, Plugin, UsedFrame
 from edge.recognition.recognizer import model_key
-from edge.reference_map import MapSoFar, RegionsKey
-from edge.telemetry.position_history import Awaiting
+from edge.reference_map import PartialMap, RegionsKey
+from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters
+from edge_plugins.mapping.own_motion import GpsFreeDistance, GpsFreeOdometer
 from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
 
@@ -43,7 +43,7 @@ LEAST_SHARE = 1 / 8
 """Share of the time in which the first camera is busy that the second one may use in any case, or it would starve."""
 
 
-class OwnCamera:
+class MappingCamera:
     """A camera that maps: described only as often as the first one leaves time for it."""
 
     def __init__(self, parts: Parts, frames: Frames, pictures: PictureCheck) -> None:
@@ -84,15 +84,15 @@ class Mapping(Plugin):
     def __init__(self, config: MappingConfig, parts: Parts) -> None:
         """SetupError for its camera."""
         self._parts = parts
-        self._meters, velocity = OwnMeters(), parts.autopilot.vehicle.velocity
+        self._meters, velocity = GpsFreeOdometer(), parts.autopilot.vehicle.velocity
         with ExitStack() as opened:
             self._open(config, opened)
             opened.callback(setattr, velocity, "listen", velocity.listen)
             self._opened = opened.pop_all()
         velocity.listen = self._meters.hear
-        self._awaiting: Awaiting[MappedFrame] = Awaiting(parts.autopilot.history)
-        self._counted: Awaiting[OwnDriven] = Awaiting(parts.autopilot.history)
-        self._driven: OwnDriven | None = None  # the newest of those
+        self._awaiting: ExposureQueue[MappedFrame] = ExposureQueue(parts.autopilot.history)
+        self._counted: ExposureQueue[GpsFreeDistance] = ExposureQueue(parts.autopilot.history)
+        self._driven: GpsFreeDistance | None = None  # the newest of those
         self._gaps = parts.autopilot.vehicle.motion.gaps
         self._newest = self.live.searched.so_far()
         """Why a person has mapping pause; "" where nobody has."""
@@ -112,12 +112,12 @@ class Mapping(Plugin):
         device: NewestFrame | None = None
         if camera is not UNSET and frames is None:
             frames = device = NewestFrame.configured(camera, self._parts.clock_ns)
-        self._own: OwnCamera | None = None
+        self._own: MappingCamera | None = None
         if frames is not None:
             opened.enter_context(closing(frames))
             kind = "" if camera is UNSET else camera.kind
             pictures = open_picture_check(device, kind, config.gates.min_speed_mps)
-            self._own = OwnCamera(self._parts, frames, pictures)
+            self._own = MappingCamera(self._parts, frames, pictures)
 
     @property
     def status(self) -> MappingStatus:
@@ -138,7 +138,7 @@ class Mapping(Plugin):
         self._notice_gap()
         return self.live.driven_m(self._distance_m())
 
-    def newest_map(self) -> MapSoFar:
+    def newest_map(self) -> PartialMap:
         """The part that lies far enough behind the vehicle to be searched."""
         return self._newest
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.journal.records import Record, unit
 from edge_plugins.motion import MotionConfig
-from edge_plugins.motion.ground import GroundView, Step, measure
+from edge_plugins.motion.ground import GroundMotion, GroundView, measure
 from edge_plugins.motion.height import CameraHeight, read_height
 
 LEAST_NS, LONGEST_NS = 60_000_000, 500_000_000
@@ -87,7 +87,7 @@ class CameraMotion:
         self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence_frames, path)
         self._view: GroundView | None = None
         self._seen: tuple[NDArray[np.uint8], int] | None = None
-        self._step: Step | None = None
+        self._step: GroundMotion | None = None
         self._stepped_ns = 0
         self.speed: CameraSpeed | None = None
         """The newest, None where it could not be measured."""
@@ -139,7 +139,7 @@ class CameraMotion:
         sigma = math.hypot(kept * self._pitch_sigma, math.sqrt(1 - kept**2) * RESTS_RAD)
         return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
-    def _use(self, step: Step, stamp_ns: int, gps_mps: float | None) -> None:
+    def _use(self, step: GroundMotion, stamp_ns: int, gps_mps: float | None) -> None:
         before, since_s, high_m = self._step, (stamp_ns - self._stepped_ns) / 1e9, self.height.height_m or LEAST_M
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * high_m
         has_jumped = jump_mps > STRONGEST_MPS2 * since_s

@@ -60,7 +60,7 @@ SEEN = 20 * CONTRAST**2  # of a strip of which hardly anything is seen, some 20 
 
 
 @dataclass(frozen=True)
-class Step:
+class GroundMotion:
     """Motion between two pictures, `elapsed_s` apart, in heights of the camera above the ground.
 
     ahead: along the way the camera looks; turn_rad: to the right. pitch_rad: of the camera afterwards, down
@@ -159,10 +159,10 @@ def measure(
     before: NDArray[np.uint8],
     now: NDArray[np.uint8],
     elapsed_s: float,
-    last: Step | None,
+    last: GroundMotion | None,
     pitch: tuple[float, float],
     turned: tuple[float, float] | None = None,
-) -> Step | str:
+) -> GroundMotion | str:
     """The motion between two pictures, as `GroundView.contrast` gives them; else why it cannot be seen.
 
     last: the step before, None where none is known. pitch: of the camera in radians, and its standard deviation.
@@ -194,7 +194,7 @@ def measure(
     ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
     pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
     values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
-    return Step(elapsed_s, *map(float, values))
+    return GroundMotion(elapsed_s, *map(float, values))
 
 
 def _likeness(

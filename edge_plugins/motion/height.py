@@ -16,7 +16,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from edge.files import KeptFile
+from edge.files import PersistentFile
 
 EARLIER_SHARE = 0.1
 """One standard deviation, as a share: another mount, tires or load. So much is sent to no autopilot (MOST_SCALE)."""
@@ -42,14 +42,14 @@ SPANNED_NS = 2_000_000_000
 SAVED_NS = 60_000_000_000  # between writes of the file
 
 
-class Measured(NamedTuple):
+class HeightMeasurement(NamedTuple):
     """A height in meters, and its standard deviation as a share of it."""
 
     height_m: float
     share: float
 
 
-class PassedLine(NamedTuple):
+class SequencePosition(NamedTuple):
     """The line of a match: so many frames ago it was `along_m` along a drive of the map, the way the vehicle goes."""
 
     drive: str
@@ -57,7 +57,7 @@ class PassedLine(NamedTuple):
     back: float
 
 
-class KeptHeight(msgspec.Struct, frozen=True):
+class HeightRecord(msgspec.Struct, frozen=True):
     """The file: what it holds for, the camera's pitch down from the horizon, and the newest comparisons with GPS."""
 
     camera: str
@@ -68,12 +68,12 @@ class KeptHeight(msgspec.Struct, frozen=True):
 class CameraHeight:
     """The height of one camera, by what has been compared so far."""
 
-    def __init__(self, kept: KeptHeight, frames: int, path: Path | None = None) -> None:
+    def __init__(self, kept: HeightRecord, frames: int, path: Path | None = None) -> None:
         """kept: by earlier drives. frames: of the line of a match. path: of the file."""
         self.kept, self.pitch_rad = kept, kept.pitch_rad
         self._file, self._saved_ns = kept_height(path), 0
         earlier = _by_windows(kept.heights_m)
-        self._earlier = earlier and Measured(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
+        self._earlier = earlier and HeightMeasurement(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
         self._gps, self._places, self._is_by_gps = _ByGps(), _ByPlaces(frames), False
         self._combine()
 
@@ -97,11 +97,11 @@ class CameraHeight:
             gps = None
         if gps is not None and places is not None:
             agrees = abs(places.height_m / gps.height_m - 1) / CONTRADICTS
-            gps = Measured(gps.height_m, max(gps.share, math.sqrt(max(0.0, agrees**2 - places.share**2))))
+            gps = HeightMeasurement(gps.height_m, max(gps.share, math.sqrt(max(0.0, agrees**2 - places.share**2))))
         known = [one for one in (self._earlier, gps, places) if one is not None]
         weights = [one.share**-2 for one in known]
         mean_m = sum(w * one.height_m for w, one in zip(weights, known, strict=True)) / sum(weights) if known else 0.0
-        self._best = Measured(mean_m, math.hypot(LEAST_SHARE, sum(weights) ** -0.5)) if known else None
+        self._best = HeightMeasurement(mean_m, math.hypot(LEAST_SHARE, sum(weights) ** -0.5)) if known else None
 
     def drive(self, heights_per_s: float, now_ns: int) -> None:
         """It moves ahead so fast now, in heights a second; `compare` follows where GPS measures it as well."""
@@ -118,12 +118,12 @@ class CameraHeight:
         self._combine()
         heights_m = _newest(self.kept.heights_m, window_m)
         self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
-        self.kept = KeptHeight(self.kept.camera, self.pitch_rad, heights_m)
+        self.kept = HeightRecord(self.kept.camera, self.pitch_rad, heights_m)
         if len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
             self._saved_ns = now_ns
             self._file.write_behind(self.kept)
 
-    def use_frame(self, line: PassedLine | None) -> None:
+    def use_frame(self, line: SequencePosition | None) -> None:
         """A frame that lines may lead through; line: that of its match, None where none is believed."""
         self._places.use_frame(line)
         self._combine()
@@ -147,7 +147,7 @@ class _ByGps:
         return window_m
 
     @property
-    def measured(self) -> Measured | None:
+    def measured(self) -> HeightMeasurement | None:
         """By the newest of them."""
         return _by_windows(self.windows_m)
 
@@ -175,7 +175,7 @@ class _ByPlaces:
         else:
             self._driven += (before_per_s + heights_per_s) / 2 * (now_ns - before_ns) / 1e9
 
-    def use_frame(self, line: PassedLine | None) -> None:
+    def use_frame(self, line: SequencePosition | None) -> None:
         """A frame that lines may lead through was exposed here."""
         self._frames.append(self._driven)
         at = -1.0 if line is None else len(self._frames) - 1 - line.back
@@ -194,7 +194,7 @@ class _ByPlaces:
         self._sums = kept * self._sums + (1, x, y, x * x, x * y)
 
     @property
-    def measured(self) -> Measured | None:
+    def measured(self) -> HeightMeasurement | None:
         """The slope, with as many independent lines as there are stretches of APART_M; None where it says nothing."""
         count, x, y, xx, xy = self._sums
         spread = xx / count - (x / count) ** 2 if count else 0.0
@@ -203,19 +203,19 @@ class _ByPlaces:
             return None
         apart_m = height_m * math.sqrt(spread)
         share = LINE_M / (apart_m * math.sqrt(1 + math.sqrt(12) * apart_m / APART_M))
-        return Measured(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
+        return HeightMeasurement(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
 
 
-def kept_height(path: Path | None) -> KeptFile[KeptHeight]:
+def kept_height(path: Path | None) -> PersistentFile[HeightRecord]:
     """What is kept beside the journal at `path`."""
-    return KeptFile(path, KeptHeight, "the camera's height is learned again")
+    return PersistentFile(path, HeightRecord, "the camera's height is learned again")
 
 
-def read_height(path: Path | None, camera: str, pitch_rad: float) -> KeptHeight:
+def read_height(path: Path | None, camera: str, pitch_rad: float) -> HeightRecord:
     """What is kept for this camera; else nothing, with the pitch of its configuration."""
     kept = kept_height(path).read()
     is_known = kept and kept.camera == camera and all(height_m > 0 for height_m in kept.heights_m)
-    return kept if kept and is_known else KeptHeight(camera, pitch_rad)
+    return kept if kept and is_known else HeightRecord(camera, pitch_rad)
 
 
 def _newest(windows_m: tuple[float, ...], window_m: float) -> tuple[float, ...]:
@@ -225,10 +225,10 @@ def _newest(windows_m: tuple[float, ...], window_m: float) -> tuple[float, ...]:
     return windows_m[-WINDOWS:] if off.min() > SLIPPED else windows_m
 
 
-def _by_windows(heights_m: tuple[float, ...]) -> Measured | None:
+def _by_windows(heights_m: tuple[float, ...]) -> HeightMeasurement | None:
     """The median, and its error by the median distance from it: 1.48 and 1.25 are those of normal errors."""
     if not heights_m:
         return None
     middle_m = float(np.median(heights_m))
     spread = 1.48 * float(np.median(np.abs(np.array(heights_m) - middle_m))) / middle_m
-    return Measured(middle_m, 1.25 * max(WINDOW_SHARE, spread) / math.sqrt(len(heights_m)))
+    return HeightMeasurement(middle_m, 1.25 * max(WINDOW_SHARE, spread) / math.sqrt(len(heights_m)))

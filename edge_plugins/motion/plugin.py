@@ -7,7 +7,7 @@ from edge.localization.place_fix import line_middle
 from edge.plugin import Parts, Plugin, UsedFrame
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
-from edge_plugins.motion.height import PassedLine
+from edge_plugins.motion.height import SequencePosition
 from edge_plugins.motion.velocity_sender import VelocitySender
 
 
@@ -41,4 +41,4 @@ class Motion(Plugin):
             height.use_frame(None)
             return
         along_m = line.along_m if match.direction == "forward" else -line.along_m
-        height.use_frame(PassedLine(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
+        height.use_frame(SequencePosition(f"{line.segment} {match.direction} {match.order}", along_m, line.back))

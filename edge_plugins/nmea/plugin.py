@@ -12,7 +12,7 @@ from pathlib import Path
 
 from edge.backoff import BackOff
 from edge.geodesy import east_north_of
-from edge.localization import NO_PLACES, STANDING, Fix, Limits, Moved, PlaceFix, Refusal
+from edge.localization import NO_PLACES, STANDING, Fix, FixRequest, NoFix, OdometryUpdate, PlaceFix
 from edge.plugin import Parts, Plugin
 from edge_plugins.nmea import NmeaConfig
 from edge_plugins.nmea.outlets import PtyOutlet, TcpOutlet
@@ -39,8 +39,8 @@ class Nmea(Plugin):
         self._tcp: TcpOutlet | None = None
         self._back_off = BackOff(AGAIN_FIRST_NS, AGAIN_LAST_NS)
         self._due_ns = 0
-        self._given: _At | None = None  # the newest position that may be published
-        self._stopped: _At | None = None
+        self._given: _PositionSample | None = None  # the newest position that may be published
+        self._stopped: _PositionSample | None = None
 
     def start(self) -> None:
         """Serve it; a port that cannot be had yet is tried again."""
@@ -85,16 +85,16 @@ class Nmea(Plugin):
         """Where the vehicle is now, None where nobody knows."""
         parts, motion = self._parts, self._parts.autopilot.vehicle.motion
         unable, driven_m = parts.health().unable(parts.pictures.why_no_position), motion.driven_m(now_ns)
-        parts.drive.update(now_ns, Moved(motion.displacement(now_ns)))
-        answer = parts.drive.fix(now_ns, Limits("now", moves_autopilot=False, unable=unable))
+        parts.drive.update(now_ns, OdometryUpdate(motion.displacement(now_ns)))
+        answer = parts.drive.fix(now_ns, FixRequest("now", moves_autopilot=False, unable=unable))
         if driven_m is None:
             return None
         if isinstance(answer, Fix):
-            self._given, self._stopped = _At(now_ns, driven_m, answer.place), None
+            self._given, self._stopped = _PositionSample(now_ns, driven_m, answer.place), None
             return answer.place
         return self._where_it_stands(now_ns, driven_m, answer)
 
-    def _where_it_stands(self, now_ns: int, driven_m: float, refused: Refusal) -> PlaceFix | None:
+    def _where_it_stands(self, now_ns: int, driven_m: float, refused: NoFix) -> PlaceFix | None:
         """Where it stopped, for `standing_s`, and where nothing else speaks against its last position."""
         given, fix = self._given, refused.fix
         if given is None or refused.reason not in (STANDING, NO_PLACES):
@@ -102,13 +102,13 @@ class Nmea(Plugin):
         if now_ns - given.stamp_ns > self._config.standing_s * 1e9:
             return None
         if refused.reason == STANDING and fix is not None and given.leads_to(fix, driven_m):
-            self._stopped = _At(now_ns, driven_m, fix)
+            self._stopped = _PositionSample(now_ns, driven_m, fix)
         stopped = self._stopped
         return None if stopped is None or driven_m - stopped.driven_m > STANDING_M else stopped.place
 
 
 @dataclass(frozen=True)
-class _At:
+class _PositionSample:
     """Where the vehicle was at a moment, and how far it had driven by then."""
 
     stamp_ns: int

@@ -37,7 +37,7 @@ import edge
 from edge_plugins.page import PageConfig
 from edge_plugins.page.connections import BACKLOG, QUEUE, LimitedConnection
 from edge_plugins.page.metrics import as_metrics
-from edge_plugins.page.snapshot import MapView, Snapshot
+from edge_plugins.page.snapshot import MapView, PageSnapshot
 
 HTML = Path(__file__).with_name("page.html")
 FRESH_S = 0.2
@@ -72,7 +72,7 @@ class StatusPage:
         """Whether somebody waits for a snapshot."""
         self._map = map_view
         self._answer_s = answer_s
-        self._snapshot: Snapshot | None = None
+        self._snapshot: PageSnapshot | None = None
         self._shown_s = 0.0
         self._jpeg: tuple[int | None, bytes] = None, b""
         self._pending: asyncio.Future[None] | None = None
@@ -84,7 +84,7 @@ class StatusPage:
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: PageSnapshot) -> None:
         """Hand over what was wanted, unless the page has stopped; called by the daemon's loop."""
         self.wanted = False
         with contextlib.suppress(RuntimeError):  # its thread has ended, and the loop with it
@@ -113,12 +113,12 @@ class StatusPage:
         finally:
             self._loop.close()
 
-    def _receive(self, snapshot: Snapshot) -> None:
+    def _receive(self, snapshot: PageSnapshot) -> None:
         self._snapshot, self._shown_s = snapshot, time.monotonic()
         if self._pending is not None and not self._pending.done():
             self._pending.set_result(None)
 
-    async def _fresh(self) -> Snapshot | None:
+    async def _fresh(self) -> PageSnapshot | None:
         """A snapshot of no more than FRESH_S ago; None when the daemon's loop does not answer."""
         if self._snapshot is None or time.monotonic() - self._shown_s > FRESH_S:
             if self._pending is None or self._pending.done():
@@ -137,7 +137,7 @@ class StatusPage:
         async def page(request: Request) -> Response:
             return HTMLResponse(html, headers={"Content-Security-Policy": policy})
 
-        async def status(request: Request, snapshot: Snapshot) -> Response:
+        async def status(request: Request, snapshot: PageSnapshot) -> Response:
             stamps = {name: request.query_params.get(name, "0") for name in ("since", "shown")}
             for name, stamp in stamps.items():
                 if not re.fullmatch(r"-?\d{1,19}", stamp):
@@ -146,10 +146,10 @@ class StatusPage:
             picture = self._picture(snapshot) if asked else b""
             return Response(snapshot.as_json(int(stamps["since"]), picture), media_type="application/json")
 
-        async def metrics(request: Request, snapshot: Snapshot) -> Response:
+        async def metrics(request: Request, snapshot: PageSnapshot) -> Response:
             return Response(as_metrics(snapshot.status), media_type="text/plain; version=0.0.4")
 
-        async def health(request: Request, snapshot: Snapshot) -> Response:
+        async def health(request: Request, snapshot: PageSnapshot) -> Response:
             state = snapshot.status.state
             is_ready = state not in NOT_READY
             asks_ready = request.url.path.endswith("/ready")
@@ -157,7 +157,7 @@ class StatusPage:
                 {"live": True, "ready": is_ready, "state": state}, 503 if asks_ready > is_ready else 200
             )
 
-        async def frame(request: Request, snapshot: Snapshot) -> Response:
+        async def frame(request: Request, snapshot: PageSnapshot) -> Response:
             data = self._picture(snapshot)
             return Response(data, media_type="image/jpeg") if data else PlainTextResponse("no frame yet\n", 404)
 
@@ -188,7 +188,7 @@ class StatusPage:
         )
 
     def _with_snapshot(
-        self, answer: Callable[[Request, Snapshot], Awaitable[Response]]
+        self, answer: Callable[[Request, PageSnapshot], Awaitable[Response]]
     ) -> Callable[[Request], Awaitable[Response]]:
         async def endpoint(request: Request) -> Response:
             snapshot = await self._fresh()
@@ -198,7 +198,7 @@ class StatusPage:
 
         return endpoint
 
-    def _picture(self, snapshot: Snapshot) -> bytes:
+    def _picture(self, snapshot: PageSnapshot) -> bytes:
         """The newest frame as a small JPEG; encoded once however many look."""
         stamp_ns, image = _stamp_ns(snapshot), snapshot.image
         if image is None:
@@ -214,7 +214,7 @@ class StatusPage:
         return self._jpeg[1]
 
 
-def _stamp_ns(snapshot: Snapshot) -> int | None:
+def _stamp_ns(snapshot: PageSnapshot) -> int | None:
     return snapshot.status.newest.stamp_ns if snapshot.status.newest else None
 
 

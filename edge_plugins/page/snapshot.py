@@ -19,7 +19,7 @@ from edge.camera import CameraHealth, Frame
 from edge.config import FEWEST_FRAMES, SamplingConfig
 from edge.journal.records import FrameUsed
 from edge.reference_map import Bounds, MapSet
-from edge.sequence import Agreeing, PlaceMatch
+from edge.sequence import Correspondences, PlaceMatch
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingView
 
@@ -75,7 +75,7 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class PageSnapshot:
     """A status with the newest used frame (H, W, 3) uint8 BGR.
 
     agreeing: points of that frame and of a place, by which it shows the place; None: no look, or nothing that agrees.
@@ -83,7 +83,7 @@ class Snapshot:
 
     status: Status
     image: NDArray[np.uint8] | None
-    agreeing: Agreeing | None = None
+    agreeing: Correspondences | None = None
 
     def as_json(self, since_ns: int, picture: bytes = b"") -> bytes:
         """The status, and its history after `since_ns`.
@@ -124,7 +124,7 @@ class LiveStatus:
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
-        self._looked: tuple[Frame, Agreeing] | None = None
+        self._looked: tuple[Frame, Correspondences] | None = None
         self.match: PlaceMatch | None = None
         self.frames_used = self.events = 0
 
@@ -134,7 +134,7 @@ class LiveStatus:
         match: PlaceMatch | None,
         used: FrameUsed,
         vehicle: tuple[float, float] | None,
-        agreeing: Agreeing | None = None,
+        agreeing: Correspondences | None = None,
     ) -> None:
         """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude.
 
@@ -148,7 +148,7 @@ class LiveStatus:
         self._unrecognized = 0 if used.accepted else self._unrecognized + 1
         self._history.append(HistoryFrame(used, vehicle, round(self._unrecognized * self._step, 1)))
 
-    def snapshot(self, daemon: DaemonStatus) -> Snapshot:
+    def snapshot(self, daemon: DaemonStatus) -> PageSnapshot:
         """What is to be shown now."""
         status = Status(
             **msgspec.structs.asdict(daemon),
@@ -164,11 +164,11 @@ class LiveStatus:
             history=tuple(self._history),
         )
         if self._frame is None:
-            return Snapshot(status, None)
+            return PageSnapshot(status, None)
         if self._looked and self.match and self._frame.stamp_ns - self._looked[0].stamp_ns <= LOOK_SHOWN_NS:
             frame, agreeing = self._looked
-            return Snapshot(status, frame.image, agreeing)
-        return Snapshot(status, self._frame.image)
+            return PageSnapshot(status, frame.image, agreeing)
+        return PageSnapshot(status, self._frame.image)
 
     def _fps(self, now_ns: int) -> float:
         stamps_ns = [sample.used.stamp_ns for sample in list(self._history)[-RATE_FRAMES:]]

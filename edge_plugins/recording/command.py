@@ -25,7 +25,7 @@ from edge.feed import Frame
 from edge.feed.sampling import Sampler
 from edge.feed.writer import FeedWriter
 from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.position_history import Awaiting
+from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.recording.recorder import DISK_FULL, Recorder, begun_feed, free_bytes_at
 
 TURN_S = 0.02  # at most this long between two reads of the MAVLink port
@@ -127,7 +127,7 @@ def _fill(
     None with a position before the age of a stream's pictures is known: it would be of another place.
     """
     camera_state, vehicle, warned = "", autopilot.vehicle, False
-    awaiting: Awaiting[tuple[Frame, float | None]] = Awaiting(autopilot.history)
+    awaiting: ExposureQueue[tuple[Frame, float | None]] = ExposureQueue(autopilot.history)
     # On a terminal only: the log of a service needs no counter.
     with tqdm(unit=" frames", disable=None) as counter:
         while (why := ended()) is None:

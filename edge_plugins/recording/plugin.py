@@ -9,7 +9,7 @@ from edge.camera import Frame
 from edge.feed.writer import FeedWriter
 from edge.files import named_by_time
 from edge.plugin import Parts, Plugin, UsedFrame
-from edge.telemetry.position_history import Awaiting
+from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.recording import RecordingConfig
 from edge_plugins.recording.recorder import Recorder, begun_feed
 
@@ -19,7 +19,7 @@ class RecordingPlugin(Plugin):
 
     def __init__(self, config: RecordingConfig, parts: Parts) -> None:
         self._parts = parts
-        self._awaiting: Awaiting[UsedFrame] = Awaiting(parts.autopilot.history)
+        self._awaiting: ExposureQueue[UsedFrame] = ExposureQueue(parts.autopilot.history)
 
         def begin(frame: Frame) -> FeedWriter:
             return begun_feed(named_by_time(Path(config.folder), time.time()), parts.config.camera, frame)

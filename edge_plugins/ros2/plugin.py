@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.geodesy import first_known
-from edge.localization import Fix, Limits
+from edge.localization import Fix, FixRequest
 from edge.plugin import Parts, Plugin, UsedFrame
 from edge_plugins.ros2 import Ros2Config
 from edge_plugins.ros2.participant import Ros2
@@ -44,7 +44,7 @@ class Ros2Plugin(Plugin):
         if ros2.published_ns is not None and now_ns - ros2.published_ns < parts.config.gates.min_interval_s * 1e9:
             return
         unable = health.unable(parts.pictures.why_no_position)
-        answer = parts.drive.fix(now_ns, Limits(oldest_s=OLDEST_S, moves_autopilot=False, unable=unable))
+        answer = parts.drive.fix(now_ns, FixRequest(oldest_s=OLDEST_S, moves_autopilot=False, unable=unable))
         if isinstance(answer, Fix):
             ros2.publish_position(answer.place)
 

@@ -101,7 +101,7 @@ def _stages(args: argparse.Namespace) -> int:
 
 
 @dataclass(frozen=True)
-class Run:
+class BoardRun:
     """frames: CPU milliseconds by stage. temperatures_c: of the hottest sensor. limits: what slowed the board down."""
 
     frames: Sequence[dict[str, float]]
@@ -109,7 +109,7 @@ class Run:
     limits: frozenset[str]
 
 
-def measure(folder: Path, places: int, seconds: float, network: Network) -> Run:
+def measure(folder: Path, places: int, seconds: float, network: Network) -> BoardRun:
     """Recognize pictures for that long, at least two of them, and read the sensors between them."""
     frames, temperatures, limits = [], [], set()
     until_ns = 0.0
@@ -122,10 +122,10 @@ def measure(folder: Path, places: int, seconds: float, network: Network) -> Run:
         limits |= throttling()
         if wall_ns() >= until_ns and len(frames) >= 2:
             break
-    return Run(frames, temperatures, frozenset(limits))
+    return BoardRun(frames, temperatures, frozenset(limits))
 
 
-def row(board: str, network: str, run: Run) -> str:
+def row(board: str, network: str, run: BoardRun) -> str:
     """The row of one board and one network."""
 
     def median(stage: str) -> str:

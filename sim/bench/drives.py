@@ -24,7 +24,7 @@ from edge.feed.writer import FeedWriter
 from edge.geodesy import VehiclePosition, moved
 from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import ModelKey, RegionsKey, open_map_set
-from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch, SearchRegion
 from edge.sequence.place_search import PlaceSearch
 from edge.sequence.submap import MEASURED_SLOPES
 from edge_plugins.mapping import MappingConfig
@@ -106,7 +106,7 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
             ahead, back = smooth_picture(rng, SIZE_PX), wide[:, PASSED_PX * place : PASSED_PX * place + width]
             whole_ns = time.process_time_ns()
             driven_m, began_ns = place * SPACING_M, thread_ns()
-            recognizer.observe(ahead, place * 200_000_000, Travel(driven_m))
+            recognizer.observe(ahead, place * 200_000_000, MotionPrior(driven_m))
             turned_ns = thread_ns()
             lat_deg = ORIGIN_LAT_DEG + driven_m / 110_800
             at = VehiclePosition(0, lat_deg, ORIGIN_LON_DEG, 0.0, 0.0, 10.0, sigma_m=1.0, source="gps")
@@ -123,7 +123,7 @@ def mapping(folder: Path, places: int) -> Iterator[Row]:
     yield Row("its keypoints, in their thread", "every point seen by all neighbors", Times(tuple(found)))
 
 
-class Drive:
+class BenchDrive:
     """A vehicle that drives along a map, a place a frame, and sees it as the map has it."""
 
     def __init__(self, path: Path, start: int, *, known: bool) -> None:
@@ -142,9 +142,9 @@ class Drive:
         self._ring = [*self._ring, seen][-self._length :]
         street, along_m = divmod(place * SPACING_M, STREET_M)
         at = moved(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, street * APART_M, along_m)
-        near = Near(*at, RADIUS_M) if self._known else None
+        near = SearchRegion(*at, RADIUS_M) if self._known else None
         self._place += 1
-        return self._search.push(NormalizedRows(seen[np.newaxis]), lambda: np.stack(self._ring), Travel(near=near))
+        return self._search.push(NormalizedRows(seen[np.newaxis]), lambda: np.stack(self._ring), MotionPrior(near=near))
 
 
 def maps(folder: Path, places: int, rounds: int, model: ModelKey) -> Iterator[Row]:
@@ -161,11 +161,13 @@ def maps(folder: Path, places: int, rounds: int, model: ModelKey) -> Iterator[Ro
     yield raced(
         "opening a map, wall-clock", size, few, lambda: PlaceSearch(open_map_set(path), Config()), clock=wall_ns
     )
-    whole = (f"{USUAL:,} places, whole", Drive(small, 100, known=False).step)
-    known = Drive(path, places // 2, known=True).step
+    whole = (f"{USUAL:,} places, whole", BenchDrive(small, 100, known=False).step)
+    known = BenchDrive(path, places // 2, known=True).step
     yield raced(f"frame, place known to {RADIUS_M:g} m", size, rounds, known, rival=whole, most=1.5)
     if places > USUAL:
-        yield raced("frame, place not known", size, rounds, Drive(path, places // 2, known=False).step, rival=whole)
+        yield raced(
+            "frame, place not known", size, rounds, BenchDrive(path, places // 2, known=False).step, rival=whole
+        )
     shutil.rmtree(path)
 
 

@@ -13,7 +13,7 @@ from edge.config import Config, DescriptorConfig, MapConfig, RigConfig
 from edge.descriptor.network import Network
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import open_map_set
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 
 SIZE_PX = (640, 480)
 LENGTH = 40
@@ -42,7 +42,7 @@ def run_frames(
         picture = smooth_picture(rng, SIZE_PX)
         milliseconds.clear()
         last_ns = time.thread_time_ns()
-        recognizer.observe(picture, frame * 200_000_000, Travel(frame * config.sampling.spacing_m))
+        recognizer.observe(picture, frame * 200_000_000, MotionPrior(frame * config.sampling.spacing_m))
         lap("answer")
         if frame >= LENGTH:
             yield dict(milliseconds)

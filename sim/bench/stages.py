@@ -21,7 +21,7 @@ from edge.keypoints.matching import verify
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from edge.sequence import VIEWS_OPPOSED
-from edge.sequence.search import NO_LINE, Lines, SequenceSearch, slopes_around_diagonal
+from edge.sequence.search import NO_LINE, SequenceCosts, SequenceSearch, slopes_around_diagonal
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.frames import SIZE_PX, smooth_picture
@@ -149,14 +149,14 @@ def search(places: int, rounds: int) -> Row:
     return raced("search", size, few, running(places, LENGTH), floor=floor, rival=rival)
 
 
-def running(places: int, length: int) -> Callable[[], Lines | None]:
+def running(places: int, length: int) -> Callable[[], SequenceCosts | None]:
     """One frame of the daemon's search: a row in, and the best line that ends at each place."""
     found = SequenceSearch([(0, places)], VIEWS_OPPOSED, length, SLOPES)
     *before, newest = _rows(places, length)
     for row in before:
         found.push(row)
 
-    def step() -> Lines | None:
+    def step() -> SequenceCosts | None:
         found.push(newest)
         return found.lines()
 

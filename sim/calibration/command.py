@@ -32,7 +32,7 @@ from sim.calibration.offset import (
     rig_key,
     sigma_key,
 )
-from sim.calibration.sightings import Sighting, sightings
+from sim.calibration.sightings import OffsetSample, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
@@ -73,7 +73,7 @@ def _share(text: str) -> float:
 
 def measure_rig(
     reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None, network: Network | None = None
-) -> tuple[list[Offset], list[Sighting]]:
+) -> tuple[list[Offset], list[OffsetSample]]:
     """The offsets of the drives, and the sightings they are measured on. FeedError, MapError, ModelError.
 
     network: instead of the one that the config names.
@@ -142,7 +142,7 @@ def rig_lines(offsets: Sequence[Offset]) -> Lines:
     return {("rig", key): getattr(rig, key) for key in keys}
 
 
-def _print_offsets(offsets: Sequence[Offset], seen: Sequence[Sighting]) -> None:
+def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> None:
     accepted = sum(one.accepted for one in seen)
     print(f"offset, from {accepted} accepted matches of {len(seen)}:")
     if not offsets:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import RigConfig
 from edge.sequence import ORDERS, Alignment, Direction, Order
-from sim.calibration.sightings import Sighting
+from sim.calibration.sightings import OffsetSample
 
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 OUTLIER = 4.0
@@ -54,13 +54,13 @@ class Offset:
     look_sigma_m: float = float("nan")
 
 
-def measure_offsets(seen: Sequence[Sighting]) -> list[Offset]:
+def measure_offsets(seen: Sequence[OffsetSample]) -> list[Offset]:
     """From the accepted matches; a direction and order with fewer than FEWEST of them has no offset."""
     found = (_measure(seen, (direction, order)) for direction in DIRECTIONS for order in ORDERS)
     return [offset for offset in found if offset is not None]
 
 
-def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
+def _measure(seen: Sequence[OffsetSample], plane: Alignment) -> Offset | None:
     accepted = [one for one in seen if one.accepted and (one.direction, one.order) == plane]
     placed = [one for one in accepted if not np.isnan(one.ahead_m)]
     if len(placed) < FEWEST:
@@ -97,7 +97,7 @@ def _measure(seen: Sequence[Sighting], plane: Alignment) -> Offset | None:
     )
 
 
-def _by_looks(seen: Sequence[Sighting]) -> tuple[float, float]:
+def _by_looks(seen: Sequence[OffsetSample]) -> tuple[float, float]:
     """The median offset of single looks, and one standard deviation of that; NaN of fewer than FEWEST."""
     if len(seen) < FEWEST:
         return float("nan"), float("nan")

@@ -14,7 +14,7 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
-from edge.localization.place_fix import LineReadings, line_middle
+from edge.localization.place_fix import OdometryWindow, line_middle
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
@@ -34,7 +34,7 @@ SAME_ROAD_M = 15.0
 
 
 @dataclass(frozen=True)
-class Sighting:
+class OffsetSample:
     """One match of the recognizer.
 
     ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
@@ -55,7 +55,7 @@ class Sighting:
     look_m: float = float("nan")
 
 
-def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[Sighting]:
+def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[OffsetSample]:
     """Every match of a row and a place whose positions are known, in order. FeedError and MapError where none are."""
     places = reference_map.places
     is_known = ~(np.isnan(places["lat_deg"]) | np.isnan(places["route_m"]))
@@ -66,7 +66,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
     config = config_for_feed(msgspec.structs.replace(config, rig=RigConfig()), feed)  # measured without any offset
     recognizer = open_recognizer(config, network=network, map_set=MapSet.of(reference_map))
     drives = MapDrives(reference_map, feed)
-    route, readings = Route(recognizer.map_set), LineReadings(config.sequence_frames)
+    route, readings = Route(recognizer.map_set), OdometryWindow(config.sequence_frames)
     for item in traverse(feed, config.sampling):
         match = item.match(recognizer)
         if item.distance_m is None:
@@ -81,7 +81,7 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             look_m = _look_m(match, drives, item.frame.index, looks_back=config.camera.view == "rear")
             kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
             place_m = float(places["route_m"][match.place])
-            yield Sighting(*kind, ahead_m, *belief, left_m, sigma_m, place_m, look_m)
+            yield OffsetSample(*kind, ahead_m, *belief, left_m, sigma_m, place_m, look_m)
 
 
 def _look_m(match: PlaceMatch, drives: MapDrives, row: int, *, looks_back: bool) -> float:
@@ -93,7 +93,7 @@ def _look_m(match: PlaceMatch, drives: MapDrives, row: int, *, looks_back: bool)
     return sign * drives.further_m(row, match.seen.place_index) + ahead_m
 
 
-def _refined(match: PlaceMatch, route: Route, readings: LineReadings) -> tuple[float, float]:
+def _refined(match: PlaceMatch, route: Route, readings: OdometryWindow) -> tuple[float, float]:
     """How far beyond its place in the direction of travel a line ends, by its middle and the odometer; and its sigma.
 
     0 and NaN for a line that the daemon would not use, or that is not as long as what was driven.

@@ -23,7 +23,7 @@ from edge.errors import LookbackError
 from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
 from edge.sequence.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.sequence.submap import Submap
-from sim.calibration.sightings import Sighting
+from sim.calibration.sightings import OffsetSample
 from sim.evaluation.metrics import Answers, precision_recall
 
 DEFAULT = AcceptanceConfig().confidence_from
@@ -70,7 +70,7 @@ def choose(curve: Curve, off_map: Sequence[float], precision: float) -> float:
     return max(DEFAULT, lowest, float(np.quantile(off_map, precision)) if off_map else DEFAULT)
 
 
-def curve_of_drive(seen: Sequence[Sighting], rig: RigConfig, tolerance_m: float, length: int) -> Curve:
+def curve_of_drive(seen: Sequence[OffsetSample], rig: RigConfig, tolerance_m: float, length: int) -> Curve:
     """From sightings with known positions; a vehicle off the map's drives makes every match wrong."""
     left_m = np.array([one.ahead_m - rig.ahead_m(one.direction, one.order) for one in seen])
     confidence = np.array([one.confidence for one in seen])

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, CameraConfig, Config, SequenceConfig
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 from edge_plugins.mapping.builder import NAN, Place
 from sim.compare.matching import Matches, OfFrame, gathered, line_ranking, no_match
 from sim.compare.plan import Pair
 from sim.compare.temporary_map import MappedDrive, temporary_map
-from sim.compare.traverses import Traverse
+from sim.compare.traverses import MethodTraverse
 
 Raw = NDArray[np.float32]
 
 
-def config_of(pair: Pair, reference: Traverse, query: Traverse, sequence: SequenceConfig) -> Config:
+def config_of(pair: Pair, reference: MethodTraverse, query: MethodTraverse, sequence: SequenceConfig) -> Config:
     """The configuration of a vehicle on this pair; places within twice the tolerance are the same place."""
     steps_m = np.diff(reference.distance_m)
     steps_m = steps_m[~np.isnan(steps_m)]
@@ -39,8 +39,8 @@ def config_of(pair: Pair, reference: Traverse, query: Traverse, sequence: Sequen
 
 
 def match_as_run(
-    reference: Traverse,
-    query: Traverse,
+    reference: MethodTraverse,
+    query: MethodTraverse,
     described: tuple[Raw, Raw],
     config: Config,
     model: ModelKey,
@@ -56,7 +56,7 @@ def match_as_run(
     drives = [MappedDrive(mapped[one], places[one], reference.feed.header.view) for one in reference.drives()]
     starts = {drive.start for drive in query.drives()}
     travel = [
-        Travel(None if np.isnan(distance_m) else distance_m, missed=missed)
+        MotionPrior(None if np.isnan(distance_m) else distance_m, missed=missed)
         for distance_m, missed in zip(query.distance_m.tolist(), query.missed.tolist(), strict=True)
     ]
     return run_on(drives, raw, travel, starts, config, model, answer)
@@ -65,7 +65,7 @@ def match_as_run(
 def run_on(
     drives: Sequence[MappedDrive],
     raw: Raw,
-    travel: Sequence[Travel],
+    travel: Sequence[MotionPrior],
     starts: Collection[int],
     config: Config,
     model: ModelKey,
@@ -95,7 +95,7 @@ def _found(matcher: SequenceMatcher, match: PlaceMatch | None, answer: str) -> O
     return match.place_index, confidence, match.direction == "reverse", newest, line_ranking(part.lines)
 
 
-def _places(reference: Traverse) -> list[Place]:
+def _places(reference: MethodTraverse) -> list[Place]:
     def known(value: float | None) -> float:
         return NAN if value is None else value
 

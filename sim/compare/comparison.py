@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.compare import plots
-from sim.compare.method_runner import MethodRunner, Outcome
+from sim.compare.method_runner import MethodResult, MethodRunner
 from sim.compare.plan import Pair
 from sim.compare.scores import at_threshold, intervals, of_curve, recall_at_1, recall_at_100
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall
-from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Several, Table, format_cell
+from sim.evaluation.report import Cell, Figure, Interval, Picture, ReportSection, ScoreGroup, Table, format_cell
 
-Results = dict[tuple[str, str], Outcome]
+Results = dict[tuple[str, str], MethodResult]
 """Outcome by the names of pair and method."""
 
 SCORES = ("method", "precision", "recall", "offset", "median ahead")
@@ -37,14 +37,14 @@ def compare(runner: MethodRunner, step: Callable[[str], None]) -> Results:
     return found
 
 
-def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
+def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> ReportSection:
     """All scores of one pair, its curves, and the matches of one method."""
     outcomes = [results[pair.name, text] for text in runner.plan.methods]
     shown = shown_outcome(runner, pair, results)
     slug = _slug(pair.name)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
     plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, shown.judged, pair.tolerance)
-    return Section(
+    return ReportSection(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),
         tables=[Table(f"{slug}_scores", "At the threshold", SCORES, list(map(_scores_of, outcomes)), SCORE_NOTE)],
@@ -59,7 +59,7 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> Section:
     )
 
 
-def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> Outcome:
+def shown_outcome(runner: MethodRunner, pair: Pair, results: Results) -> MethodResult:
     """The outcome whose matches are drawn and written: that of Lookback, or of the last method."""
     texts = runner.plan.methods
     return results[pair.name, "Lookback" if "Lookback" in texts else texts[-1]]
@@ -80,7 +80,7 @@ def summary(runner: MethodRunner, results: Results) -> Table:
     return Table("scores", "Every method on every pair", SUMMARY, rows, note)
 
 
-def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: Outcome) -> list[Cell]:
+def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: MethodResult) -> list[Cell]:
     # Sequences that far apart share no frame.
     first, *curve = intervals(of_curve, outcome.answers, 2 * outcome.length, runner.plan.resamples)
     others = [outcome.recall_within(count) for count in (5, 10)]
@@ -109,15 +109,15 @@ def means(runner: MethodRunner, results: Results) -> Table:
     )
 
 
-def _mean_cell(each: NDArray[np.float64]) -> Several:
+def _mean_cell(each: NDArray[np.float64]) -> ScoreGroup:
     """R@1 and R@P100 (n, 2) of pairs of one kind."""
-    return Several(dict(zip(("R@1", "R@P100"), each.mean(axis=0).tolist(), strict=True)))
+    return ScoreGroup(dict(zip(("R@1", "R@P100"), each.mean(axis=0).tolist(), strict=True)))
 
 
 ANSWERS = ("query", "place", "score", "right", "query row", "place row")
 
 
-def answers_table(outcome: Outcome, name: str) -> Table:
+def answers_table(outcome: MethodResult, name: str) -> Table:
     """What the method answered to each frame of the query, and whether that is right: 1, 0, empty where not judged.
 
     query, place: counted as in matrices, place -1 without an answer; rows: of the recordings.
@@ -142,7 +142,7 @@ def as_short(cell: Cell) -> str:
     return format_cell(cell.value if isinstance(cell, Interval) else cell)
 
 
-def matched_pictures(outcome: Outcome) -> list[list[Picture]]:
+def matched_pictures(outcome: MethodResult) -> list[list[Picture]]:
     """Frames of the query, spread over the drive, each beside the place that was found."""
     answered = outcome.judged[outcome.matches.place[outcome.judged] >= 0]
     chosen = answered[np.linspace(0, len(answered) - 1, min(6, len(answered))).round().astype(int)]
@@ -158,7 +158,7 @@ def matched_pictures(outcome: Outcome) -> list[list[Picture]]:
     return rows
 
 
-def networks_section(runner: MethodRunner, results: Results) -> Section:
+def networks_section(runner: MethodRunner, results: Results) -> ReportSection:
     """What each network takes, and who owns it."""
     rows: list[list[Cell]] = []
     for name, network in runner.descriptions.opened().items():
@@ -166,23 +166,23 @@ def networks_section(runner: MethodRunner, results: Results) -> Section:
         size = f"{info.size[0]} x {info.size[1]}"
         rows.append([name, info.dimensions, size, f"{size_mb:.1f}", info.license.partition(",")[0]])
     columns = ("network", "dimensions", "image, pixels", "file, MB", "license")
-    return Section("Networks", tables=[Table("networks", "Networks", columns, rows)])
+    return ReportSection("Networks", tables=[Table("networks", "Networks", columns, rows)])
 
 
-def overview(runner: MethodRunner, results: Results) -> Section:
+def overview(runner: MethodRunner, results: Results) -> ReportSection:
     """All scores in one table, and the means of every method."""
     described = [f"{text}: {runner.method(text).description}." for text in runner.plan.methods]
     text = " ".join([*described, SUMMARY_NOTE])
-    return Section("Overview", text, [summary(runner, results), means(runner, results)])
+    return ReportSection("Overview", text, [summary(runner, results), means(runner, results)])
 
 
-def median_ahead(outcome: Outcome) -> float:
+def median_ahead(outcome: MethodResult) -> float:
     """How far ahead of the query right answers lie, in the direction of travel; NaN if none is right."""
     ahead = outcome.ahead_of_query()[outcome.judged[outcome.answers.correct]]
     return float(np.median(ahead)) if ahead.size else float("nan")
 
 
-def _describe(pair: Pair, outcome: Outcome) -> str:
+def _describe(pair: Pair, outcome: MethodResult) -> str:
     unit = "m" if pair.truth in ("positions", "route_m") else "frames"
     on_map = int(outcome.answers.has_truth.sum())
     known = outcome.errors[outcome.judged][outcome.answers.has_truth]
@@ -195,7 +195,7 @@ def _describe(pair: Pair, outcome: Outcome) -> str:
     )
 
 
-def _scores_of(outcome: Outcome) -> list[Cell]:
+def _scores_of(outcome: MethodResult) -> list[Cell]:
     """A row of the table of a pair."""
     precision, recall = at_threshold(outcome.answers, outcome.threshold)
     return [outcome.method.name, precision, recall, outcome.ahead, median_ahead(outcome)]

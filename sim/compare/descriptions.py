@@ -15,7 +15,7 @@ from edge.recognition.recognizer import model_key
 from edge.reference_map import ModelKey
 from sim.compare.networks import open_network
 from sim.compare.plan import Plan
-from sim.compare.traverses import Traverse, open_pictures
+from sim.compare.traverses import MethodTraverse, open_pictures
 from sim.compare.truth import read_array
 
 Raw = NDArray[np.float32]
@@ -48,15 +48,15 @@ class Descriptions:
             return ModelKey(name, "0" * 64, "file", dimensions)
         return model_key(self.network(name))
 
-    def raw(self, traverse: Traverse, name: str, regions: Regions) -> Raw:
+    def raw(self, traverse: MethodTraverse, name: str, regions: Regions) -> Raw:
         """Descriptors (n, R, D) float32 of a traverse as the network gives them."""
         return self._made(traverse, name, regions)[0]
 
-    def frame_ms(self, traverse: Traverse, name: str, regions: Regions) -> float:
+    def frame_ms(self, traverse: MethodTraverse, name: str, regions: Regions) -> float:
         """Milliseconds that a frame's description took, without reading its picture; NaN of files."""
         return self._made(traverse, name, regions)[1]
 
-    def _made(self, traverse: Traverse, name: str, regions: Regions) -> tuple[Raw, float]:
+    def _made(self, traverse: MethodTraverse, name: str, regions: Regions) -> tuple[Raw, float]:
         if self._plan.networks[name].descriptors:
             return self._read(traverse, name)
         network = self.network(name)
@@ -67,7 +67,7 @@ class Descriptions:
         rows, raw, frame_ms = self._raw[key]
         return raw[np.searchsorted(rows, traverse.rows)], frame_ms
 
-    def _read(self, traverse: Traverse, name: str) -> tuple[Raw, float]:
+    def _read(self, traverse: MethodTraverse, name: str) -> tuple[Raw, float]:
         """Descriptors of a traverse that were made elsewhere. ConfigError names what is missing."""
         files = self._plan.networks[name].descriptors
         if traverse.name not in files:
@@ -83,7 +83,7 @@ class Descriptions:
             )
         return raw.astype(np.float32), float("nan")
 
-    def _described(self, traverse: Traverse, network: Network, regions: Regions) -> tuple[Raw, float]:
+    def _described(self, traverse: MethodTraverse, network: Network, regions: Regions) -> tuple[Raw, float]:
         """ConfigError names a picture that cannot be read."""
         shape = (len(traverse.rows), region_count(network.info, regions), network.info.dimensions)
         out, took_s = np.empty(shape, dtype=np.float32), 0.0

@@ -15,7 +15,7 @@ from edge.descriptor import NormalizedRows
 from edge.feed import View
 from edge.reference_map import COST_ONE
 from edge.sequence.evidence import Neighborhood
-from edge.sequence.search import NO_LINE, Lines
+from edge.sequence.search import NO_LINE, SequenceCosts
 from edge.sequence.submap import RowMatcher
 from sim.compare import seqslam
 from sim.evaluation.metrics import Answers
@@ -150,7 +150,7 @@ def no_match(costs: NDArray[np.float32]) -> OfFrame:
     return -1, float("nan"), False, costs, np.full(len(costs), np.inf, np.float32)
 
 
-def line_ranking(lines: Lines) -> NDArray[np.float32]:
+def line_ranking(lines: SequenceCosts) -> NDArray[np.float32]:
     """The costs (N,) of the lines that end at each place, inf where none does; float32 has them exactly."""
     return np.where(lines.costs == NO_LINE, np.inf, lines.costs).astype(np.float32)
 

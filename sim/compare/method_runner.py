@@ -34,7 +34,7 @@ from sim.compare.matching import (
 )
 from sim.compare.methods import SEQUENCES, Method, find_method, query_rows, reference_rows
 from sim.compare.plan import Pair, Plan
-from sim.compare.traverses import Traverse, place_coordinates, true_errors
+from sim.compare.traverses import MethodTraverse, place_coordinates, true_errors
 from sim.compare.truth import read_matrix
 from sim.compare.verification import Verification
 from sim.evaluation.metrics import Answers
@@ -47,7 +47,7 @@ FURTHEST = 4
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MethodResult:
     """Answers of a method on a pair.
 
     ahead: how far ahead of the query its right place lies, see `Pair.ahead`. errors: (Q, N) distance of every query's
@@ -60,8 +60,8 @@ class Outcome:
     pair: Pair
     method: Method
     length: int
-    reference: Traverse
-    query: Traverse
+    reference: MethodTraverse
+    query: MethodTraverse
     matches: Matches
     ahead: float
     errors: NDArray[np.float64]
@@ -115,7 +115,11 @@ class MethodRunner:
     """Runs the methods of a plan; each traverse is read once, and described once, when it is first needed."""
 
     def __init__(
-        self, plan: Plan, descriptions: Descriptions, open_traverse: Callable[[str], Traverse], data: Path = Path()
+        self,
+        plan: Plan,
+        descriptions: Descriptions,
+        open_traverse: Callable[[str], MethodTraverse],
+        data: Path = Path(),
     ) -> None:
         """open_traverse reads a traverse of the plan by its name. data: folder of the plan's matrices."""
         self._data = data
@@ -133,7 +137,7 @@ class MethodRunner:
         """Frames of a sequence of this pair."""
         return pair.length or max(1, round((pair.length_m or 0.0) / self.plan.sampling.spacing_m))
 
-    def run(self, pair: Pair, text: str) -> Outcome:
+    def run(self, pair: Pair, text: str) -> MethodResult:
         """One method on one pair."""
         method = self.method(text)
         reference, query = self.traverse(pair.reference), self.traverse(pair.query)
@@ -151,9 +155,9 @@ class MethodRunner:
             matches = matches.without(is_neither)
         answers = judge(matches, errors, pair.tolerance, judged)
         frame_ms = described_ms + matched_ms
-        return Outcome(pair, method, length, reference, query, matches, ahead, errors, judged, answers, frame_ms)
+        return MethodResult(pair, method, length, reference, query, matches, ahead, errors, judged, answers, frame_ms)
 
-    def _described_ms(self, method: Method, reference: Traverse, query: Traverse) -> float:
+    def _described_ms(self, method: Method, reference: MethodTraverse, query: MethodTraverse) -> float:
         """What a frame of the query took to describe; both are described then, so that matching can be timed alone."""
         if method.layer == "pixels":
             return query.pixels_ms
@@ -180,7 +184,9 @@ class MethodRunner:
             self._ahead[key] = float(np.median(ahead)) if len(ahead) >= FEWEST else 0.0
         return self._ahead[key]
 
-    def match(self, pair: Pair, method: Method, reference: Traverse, query: Traverse, length: int) -> Matches:
+    def match(
+        self, pair: Pair, method: Method, reference: MethodTraverse, query: MethodTraverse, length: int
+    ) -> Matches:
         """What a method answers on two traverses by the settings of a pair, before anything is judged."""
         if method.layer == "matrix":
             return self._match_matrix(pair, method, reference, query, length)
@@ -206,7 +212,9 @@ class MethodRunner:
             return self._verification.reordered(alone, reference, query, method.keypoints)
         return match(rows, costs_of_better_order(costs_of), self._open_search(pair, reference, query, length), starts)
 
-    def _match_matrix(self, pair: Pair, method: Method, reference: Traverse, query: Traverse, length: int) -> Matches:
+    def _match_matrix(
+        self, pair: Pair, method: Method, reference: MethodTraverse, query: MethodTraverse, length: int
+    ) -> Matches:
         """The answers by similarities (Q, N) that were made elsewhere."""
         name = method.name.removesuffix(SEQUENCES)
         if name not in pair.similarity:
@@ -221,7 +229,7 @@ class MethodRunner:
         rows = (NormalizedRows(row[np.newaxis]) for row in as_costs(similarity))
         return match(rows, lambda row: row[:, np.newaxis].astype(np.int32), search, starts)
 
-    def _open_search(self, pair: Pair, reference: Traverse, query: Traverse, length: int) -> RowMatcher:
+    def _open_search(self, pair: Pair, reference: MethodTraverse, query: MethodTraverse, length: int) -> RowMatcher:
         return open_matcher(
             *place_coordinates(reference, pair),
             2 * pair.tolerance,  # the second-best match of the uniqueness lies outside

@@ -25,15 +25,15 @@ from sim.compare.descriptions import Descriptions
 from sim.compare.method_runner import MethodRunner
 from sim.compare.options import plan_of, with_options
 from sim.compare.plan import Plan, TraversePlan, load_plan
-from sim.compare.traverses import Traverse, load_traverse
-from sim.evaluation.report import Section, Table, as_latex, as_markdown, write_report
+from sim.compare.traverses import MethodTraverse, load_traverse
+from sim.evaluation.report import ReportSection, Table, as_latex, as_markdown, write_report
 from sim.output import needing
 
 SHIPPED = Path(__file__).with_name("plans")
 PACKAGES = ("numpy", "onnxruntime", "opencv-python-headless", "numkong", "matplotlib")
 
 
-def run_plan(runner: MethodRunner) -> Iterator[Section]:
+def run_plan(runner: MethodRunner) -> Iterator[ReportSection]:
     """All comparisons of a plan, section by section."""
     plan = runner.plan
     with tqdm(total=len(plan.methods) * len(plan.pairs), unit="step", desc="plan") as progress:
@@ -62,7 +62,7 @@ class Folders:
 def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
     """A runner that reads traverses when they are first needed."""
 
-    def open_traverse(name: str) -> Traverse:
+    def open_traverse(name: str) -> MethodTraverse:
         traverse = plan.traverses[name]
         if traverse.scenario:
             paths = [feed_of(traverse, folders.scenarios, folders.rendered, plan.sampling)]

@@ -23,7 +23,7 @@ from sim.traverse import driven_m, traverse
 
 
 @dataclass(frozen=True)
-class Traverse:
+class MethodTraverse:
     """The frames of a feed, or of several, that the sampling chose; `paths` are what they were read from.
 
     rows: (n,) of the feed. drive_of: (n,) number of the feed in `paths`. distance_m: (n,) driven since the first row of
@@ -77,7 +77,7 @@ def open_pictures(feed: Feed) -> Pictures:
     return feed.pictures() if feed.pictures else FeedImages(feed)
 
 
-def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling: SamplingConfig) -> Traverse:
+def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling: SamplingConfig) -> MethodTraverse:
     """Read the feeds and choose their frames.
 
     FeedError if fewer than 2 frames of a feed are left, or it has no distance to choose by.
@@ -98,7 +98,7 @@ def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling
             raise FeedError(f"{path}: the sampling leaves {len(items) - count} frame(s); a traverse needs at least 2")
         before += len(feed.rows)
     rows, drive_of, distance_m, missed = zip(*items, strict=True)
-    return Traverse(
+    return MethodTraverse(
         name,
         tuple(paths),
         read_feeds(paths),
@@ -113,7 +113,7 @@ def load_traverse(name: str, plan: TraversePlan, paths: Sequence[Path], sampling
 
 
 def true_errors(
-    reference: Traverse, query: Traverse, pair: Pair, ahead: float = 0.0, folder: Path = Path()
+    reference: MethodTraverse, query: MethodTraverse, pair: Pair, ahead: float = 0.0, folder: Path = Path()
 ) -> NDArray[np.float64]:
     """Distance from each query's right place to each place, (Q, N), meters or frames as `Pair.truth` has it.
 
@@ -176,7 +176,7 @@ def moved_ahead(points: NDArray[np.float64], ahead: float) -> NDArray[np.float64
     return out
 
 
-def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def place_coordinates(reference: MethodTraverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where the places are, for `Neighborhood`: (N, 2) on the ground and (N,) along the drive, NaN where unknown.
 
     In meters, or in frames where the truth is: a loop is then a circle of so many frames.
@@ -195,7 +195,9 @@ def place_coordinates(reference: Traverse, pair: Pair) -> tuple[NDArray[np.float
     return np.column_stack([np.cos(angle), np.sin(angle)]) * (pair.loop / (2 * np.pi)), along
 
 
-def _points(reference: Traverse, query: Traverse, pair: Pair) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _points(
+    reference: MethodTraverse, query: MethodTraverse, pair: Pair
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The points of the chosen rows; ConfigError names the pair that asks for them."""
     kind: TruthKind = pair.truth  # type: ignore[assignment]  # a plan's names were checked
     try:

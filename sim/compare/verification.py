@@ -14,7 +14,7 @@ from edge.keypoints import Keypoints
 from edge.keypoints.matching import verify
 from edge.keypoints.network import MOST, KeypointNetwork
 from sim.compare.matching import Matches
-from sim.compare.traverses import Traverse, open_pictures
+from sim.compare.traverses import MethodTraverse, open_pictures
 
 
 class Verification:
@@ -27,15 +27,15 @@ class Verification:
     def _network(self) -> KeypointNetwork:
         return KeypointNetwork()
 
-    def keypoints(self, traverse: Traverse) -> list[Keypoints]:
+    def keypoints(self, traverse: MethodTraverse) -> list[Keypoints]:
         """Of each frame, at most MOST."""
         return self._of(traverse)[0]
 
-    def frame_ms(self, traverse: Traverse) -> float:
+    def frame_ms(self, traverse: MethodTraverse) -> float:
         """Milliseconds that the keypoints of a frame took, without reading its picture."""
         return self._of(traverse)[1]
 
-    def _of(self, traverse: Traverse) -> tuple[list[Keypoints], float]:
+    def _of(self, traverse: MethodTraverse) -> tuple[list[Keypoints], float]:
         key = (traverse.paths, traverse.rows.tobytes())
         if key not in self._found:
             images, found, took_s = open_pictures(traverse.feed), [], 0.0
@@ -47,7 +47,9 @@ class Verification:
             self._found[key] = found, 1e3 * took_s / len(found)
         return self._found[key]
 
-    def reordered(self, matches: Matches, reference: Traverse, query: Traverse, most: int = MOST) -> Matches:
+    def reordered(
+        self, matches: Matches, reference: MethodTraverse, query: MethodTraverse, most: int = MOST
+    ) -> Matches:
         """The ranked places by the inliers of each with the frame's `most` keypoints, which are the confidence.
 
         Of as many inliers, the place that was ranked first stays first.

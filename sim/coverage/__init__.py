@@ -9,6 +9,6 @@
 from sim.coverage.aliases import Alias, aliases
 from sim.coverage.passes import Pass, passes
 from sim.coverage.rehearsal import Conditions, Rehearsal
-from sim.coverage.sheet import Sheet, Stretch
+from sim.coverage.sheet import Sheet, SheetSpan
 
-__all__ = ["Alias", "Conditions", "Pass", "Rehearsal", "Sheet", "Stretch", "aliases", "passes"]
+__all__ = ["Alias", "Conditions", "Pass", "Rehearsal", "Sheet", "SheetSpan", "aliases", "passes"]

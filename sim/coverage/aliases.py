@@ -22,7 +22,7 @@ ELSEWHERE_M = 80.0
 
 
 @dataclass(frozen=True)
-class Span:
+class SegmentSpan:
     """Meters [from_m, to_m) of a segment."""
 
     segment: int
@@ -34,12 +34,12 @@ class Span:
 class Alias:
     """A stretch, and the one that it resembles."""
 
-    stretch: Span
-    other: Span
+    stretch: SegmentSpan
+    other: SegmentSpan
     share: float
 
 
-def aliases(maps: MapSet, drives: Drives, spans: Sequence[Span]) -> list[Alias]:
+def aliases(maps: MapSet, drives: Drives, spans: Sequence[SegmentSpan]) -> list[Alias]:
     """Of all stretches, within each map."""
     found = []
     for span in spans:
@@ -54,7 +54,7 @@ def aliases(maps: MapSet, drives: Drives, spans: Sequence[Span]) -> list[Alias]:
     return found
 
 
-def _rivals(maps: MapSet, drives: Drives, span: Span) -> list[int | None]:
+def _rivals(maps: MapSet, drives: Drives, span: SegmentSpan) -> list[int | None]:
     """For some places of a stretch, the place that each is mistaken for, numbered through all maps."""
     start, end = maps.index.segment(span.segment)
     number = maps.index.map_of(start)
@@ -79,6 +79,6 @@ def _mistaken_for(maps: MapSet, number: int, row: int) -> int | None:
     return nearest if elsewhere.size and costs[nearest] <= beside else None
 
 
-def _span_of(maps: MapSet, drives: Drives, row: int, spans: Sequence[Span]) -> Span | None:
+def _span_of(maps: MapSet, drives: Drives, row: int, spans: Sequence[SegmentSpan]) -> SegmentSpan | None:
     segment, along_m = maps.index.segment_of(row), drives.along_m(row)
     return next((one for one in spans if one.segment == segment and one.from_m <= along_m < one.to_m), None)

@@ -16,11 +16,11 @@ from edge.journal.records import FrameUsed
 from edge.reference_map import Drives, MapSet, open_map_set
 from edge.telemetry.shadow import ShadowPosition
 from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, passes
-from sim.coverage.aliases import Span
+from sim.coverage.aliases import SegmentSpan
 from sim.coverage.passes import shadow_passes
 from sim.coverage.picture import gap_in_words, verdict, write_sheet
 from sim.coverage.rehearsal import LIGHTS, WAYS
-from sim.coverage.sheet import KNOWN_M, SOON_M, Stretch, spans_of
+from sim.coverage.sheet import KNOWN_M, SOON_M, SheetSpan, spans_of
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
 from sim.output import refusing
@@ -155,38 +155,38 @@ def _basis(args: argparse.Namespace, driven: int) -> str:
     return " and ".join([*basis, *([f"{driven} earlier ones"] if args.journals else [])])
 
 
-def _name(span: Span) -> str:
+def _name(span: SegmentSpan) -> str:
     return f"drive {span.segment + 1}, {span.from_m:5.0f} to {span.to_m:5.0f} m"
 
 
-def _expected(one: Stretch) -> str:
+def _expected(one: SheetSpan) -> str:
     if one.share is None or one.soon is None:
         return "not driven"
     mean = " (mean of all so far from the start)" if one.is_mean else ""
     return f"{100 * one.share:3.0f} % of the frames; within {SOON_M:.0f} m {100 * one.soon:3.0f} %{mean}"
 
 
-def _drives(one: Stretch) -> str:
+def _drives(one: SheetSpan) -> str:
     return f"; believed on {one.believed_in} of {one.drives} earlier drives" if one.drives else ""
 
 
-def _alias(other: Span | None) -> str:
+def _alias(other: SegmentSpan | None) -> str:
     return f"; resembles {_name(other)}" if other else ""
 
 
-def _properties(one: Stretch, other: Span | None) -> dict[str, Any]:
+def _properties(one: SheetSpan, other: SegmentSpan | None) -> dict[str, Any]:
     share, soon = (None if value is None else round(value, 3) for value in (one.share, one.soon))
     drives = {"drives": one.drives, "believed_in": one.believed_in}
     found = {"share": share, "soon": soon, "is_mean": one.is_mean, **drives}
     return {**_where(one.span), **found, "alias": None if other is None else _where(other)}
 
 
-def _where(one: Span) -> dict[str, Any]:
+def _where(one: SegmentSpan) -> dict[str, Any]:
     """Drives of the map are counted from 1, as people read them."""
     return {"drive": one.segment + 1, "from_m": one.from_m, "to_m": one.to_m}
 
 
-def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias]) -> str:
+def _geojson(maps: MapSet, stretches: Sequence[SheetSpan], found: Sequence[Alias]) -> str:
     resembles = {one.stretch: one.other for one in found}
     lines = []
     for one in stretches:
@@ -195,7 +195,7 @@ def _geojson(maps: MapSet, stretches: Sequence[Stretch], found: Sequence[Alias])
     return as_geojson([line for line in lines if len(line.points) > 1])
 
 
-def _line(maps: MapSet, span: Span) -> list[list[float]]:
+def _line(maps: MapSet, span: SegmentSpan) -> list[list[float]]:
     """Longitude and latitude of its places."""
     places = maps.places[slice(*maps.index.segment(span.segment))]
     here = (places["route_m"] >= span.from_m) & (places["route_m"] <= span.to_m) & ~np.isnan(places["lat_deg"])

@@ -13,7 +13,7 @@ import numpy as np
 from edge.errors import ConfigError
 from edge.geodesy import east_north_of
 from sim.coverage.aliases import Alias
-from sim.coverage.sheet import Gap, Sheet, Stretch
+from sim.coverage.sheet import Gap, Sheet, SheetSpan
 from sim.output import needing
 
 if TYPE_CHECKING:
@@ -154,11 +154,11 @@ def _wrapped(text: str, columns: int) -> str:
     return "\n".join(textwrap.wrap(text, columns))
 
 
-def _color(one: Stretch) -> str:
+def _color(one: SheetSpan) -> str:
     return UNKNOWN if one.share is None else next(color for least, color, _ in LEVELS if one.share >= least)
 
 
-def _gap_m(gap: Gap | None, one: Stretch) -> tuple[float, float] | None:
+def _gap_m(gap: Gap | None, one: SheetSpan) -> tuple[float, float] | None:
     """The part of a stretch that lies in a gap, from where the stretch begins."""
     span = one.span
     if gap is None or gap.segment != span.segment or not (gap.from_m < span.to_m and span.from_m < gap.to_m):

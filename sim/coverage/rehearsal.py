@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed import View
-from edge.localization.dead_reckoning import Displacement, TurnAround
+from edge.localization.dead_reckoning import Odometry, TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 from sim.coverage.passes import Pass, road_between_m
 from sim.world.scenario import LightName
 
@@ -44,7 +44,7 @@ LIGHTS: tuple[LightName, ...] = get_args(LightName)
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Similarity:
     """What a place seen on another drive has in common with the map.
 
     gains: by the light, with a map by day. neighbors: how far away, in meters, the places lie whose mean it looks like,
@@ -58,17 +58,17 @@ class Likeness:
 
 AHEAD = {far_m: 1.0 - far_m / 48.0 for far_m in (4.0, 8.0, 12.0, 16.0, 20.0, 28.0, 36.0)}
 """Opposed views of a road share what is far ahead, the more the nearer the places are."""
-LIKENESS: dict[tuple[bool, Way], Likeness] = {
-    (True, "home"): Likeness(
+LIKENESS: dict[tuple[bool, Way], Similarity] = {
+    (True, "home"): Similarity(
         {"day": 0.53, "dusk": 0.42, "night": 0.40, "rain": 0.41, "snow": 0.34}, {4.0: 1.0, 6.0: 1.0}, unlike=0.61
     ),
-    (True, "again"): Likeness(
+    (True, "again"): Similarity(
         {"day": 0.70, "dusk": 0.53, "night": 0.50, "rain": 0.47, "snow": 0.26}, {0.0: 1.0}, unlike=0.45
     ),
-    (False, "home"): Likeness(
+    (False, "home"): Similarity(
         {"day": 0.40, "dusk": 0.33, "night": 0.30, "rain": 0.34, "snow": 0.33}, AHEAD, unlike=0.55
     ),
-    (False, "again"): Likeness(
+    (False, "again"): Similarity(
         {"day": 0.72, "dusk": 0.61, "night": 0.58, "rain": 0.54, "snow": 0.33}, AHEAD, unlike=0.37
     ),
 }
@@ -120,7 +120,7 @@ class Rehearsal:
                 for raw in self._unmapped(round(gap_m / self.spacing_m), noise):
                     driven_m += self.spacing_m
                     turn_around.add(None)
-                    matcher.push(raw, Travel(driven_m))
+                    matcher.push(raw, MotionPrior(driven_m))
             found.append(self._pass(segment, matcher, turn_around, noise, rng, driven_m))
             driven_m, before = driven_m + float(np.ptp(found[-1].along_m)), segment
         return found
@@ -208,9 +208,9 @@ class Rehearsal:
         where_m = self._drives.positions_m(np.full(len(along_m), segment), along_m).tolist()
         believed = np.zeros(len(along_m), dtype=bool)
         for at, raw in enumerate(chain.from_iterable(self._frames(segment, noise, rng))):
-            turn_around.add(None if math.isnan(where_m[at][0]) else Displacement(0, *where_m[at]))
+            turn_around.add(None if math.isnan(where_m[at][0]) else Odometry(0, *where_m[at]))
             now_m = driven_m + abs(float(along_m[at] - along_m[0]))
-            match = matcher.push(raw, Travel(now_m, course_rad=turn_around.course_rad))
+            match = matcher.push(raw, MotionPrior(now_m, course_rad=turn_around.course_rad))
             believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
         return Pass(segment, along_m, believed)
 

@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 
 from edge.reference_map import Drives, MapSet
-from sim.coverage.aliases import Span
+from sim.coverage.aliases import SegmentSpan
 from sim.coverage.passes import SPARE_M, Pass, road_between_m
 
 SOON_M = 100.0
@@ -25,13 +25,13 @@ REHEARSED_COUNT_AS = 2.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class SheetSpan:
     """share: of its frames that will be believed. soon: probability of a believed frame within SOON_M of entering it.
 
     Both None where nothing is known. drives, believed_in: real drives that passed, and had a believed frame there.
     """
 
-    span: Span
+    span: SegmentSpan
     share: float | None
     soon: float | None
     drives: int
@@ -58,7 +58,7 @@ class Sheet:
     completed: share of the drives on which the drift stays within a limit everywhere.
     """
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[SheetSpan, ...]
     gap: Gap | None
     completed: float
 
@@ -67,7 +67,7 @@ class Sheet:
         cls,
         maps: MapSet,
         drives: Drives,
-        spans: Sequence[Span],
+        spans: Sequence[SegmentSpan],
         rehearsed: Sequence[Sequence[Pass]],
         driven: Sequence[Sequence[Pass]],
         longest_m: float,
@@ -83,14 +83,14 @@ class Sheet:
         return cls(stretches, _typical(weighted), short / max(sum(weights), SPARE_M))
 
 
-def _pooled(stretches: Sequence[Stretch], rehearsed: Sequence[Sequence[Pass]]) -> tuple[Stretch, ...]:
+def _pooled(stretches: Sequence[SheetSpan], rehearsed: Sequence[Sequence[Pass]]) -> tuple[SheetSpan, ...]:
     """With the mean of all stretches far from where drives enter, in each of these that nobody has driven."""
     entries: dict[int, list[float]] = {}
     for one in chain.from_iterable(rehearsed):
         entries.setdefault(one.segment, []).extend(one.along_m[:1].tolist())
     entered_m = {segment: float(np.median(at_m)) for segment, at_m in entries.items() if at_m}
 
-    def is_far(one: Stretch) -> bool:
+    def is_far(one: SheetSpan) -> bool:
         at_m = entered_m.get(one.span.segment)
         near_m = math.inf if at_m is None else min(abs(one.span.from_m - at_m), abs(one.span.to_m - at_m))
         return near_m >= KNOWN_M and not one.drives and one.share is not None
@@ -102,13 +102,13 @@ def _pooled(stretches: Sequence[Stretch], rehearsed: Sequence[Sequence[Pass]]) -
     return tuple(replace(one, share=share, soon=soon, is_mean=True) if one in far else one for one in stretches)
 
 
-def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[Span]:
+def spans_of(maps: MapSet, drives: Drives, length_m: float) -> list[SegmentSpan]:
     """The stretches of all segments, of one length but for the last of each."""
     found = []
     for segment in range(len(maps.index.segments)):
         low_m, high_m = drives.extent_m(segment)
         for from_m in np.arange(low_m, max(high_m, low_m + SPARE_M), length_m):
-            found.append(Span(segment, float(from_m), float(min(from_m + length_m, high_m + SPARE_M))))
+            found.append(SegmentSpan(segment, float(from_m), float(min(from_m + length_m, high_m + SPARE_M))))
     return found
 
 
@@ -142,7 +142,7 @@ def _typical(gaps: Sequence[tuple[Gap | None, float]]) -> Gap | None:
     return ordered[min(int(at), len(ordered) - 1)][0]
 
 
-def _stretch(span: Span, both: Sequence[Sequence[Pass]], weights: Sequence[float], rehearsed: int) -> Stretch:
+def _stretch(span: SegmentSpan, both: Sequence[Sequence[Pass]], weights: Sequence[float], rehearsed: int) -> SheetSpan:
     frames = believed = passed = soon = 0.0
     real, believed_in = 0, 0
     was_driven = any(one.is_inside(span.segment, span.from_m, span.to_m) for one in chain(*both[rehearsed:]))
@@ -159,6 +159,6 @@ def _stretch(span: Span, both: Sequence[Sequence[Pass]], weights: Sequence[float
         passed, soon = passed + weight, soon + weight * (np.nanmin(until_m) <= SOON_M)
         if number >= rehearsed:
             real, believed_in = real + 1, believed_in + bool(of_drive.any())
-    return Stretch(
+    return SheetSpan(
         span, believed / frames if frames else None, float(soon / passed) if passed else None, real, believed_in
     )

@@ -60,7 +60,7 @@ ZONE_S, ZONES = 900.0, 56
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSignal:
     """Turning to the right and speed, each in a unit of its own, at each STEP_S from `start_s` on; NaN: not known."""
 
     start_s: float
@@ -79,8 +79,8 @@ class Alignment:
     sigma_s: float | None
     how: str
     offset_s: float = 0.0
-    pictures: Motion | None = None
-    track: Motion | None = None
+    pictures: MotionSignal | None = None
+    track: MotionSignal | None = None
     tried_s: Floats | None = None
     likelihood: Floats | None = None
 
@@ -153,7 +153,7 @@ def align(name: str, rows: Sequence[FeedRow], pictures: Pictures, track: Track, 
     return Alignment(start_ns, sigma_s, words, offset_s, seen, driven, tried_s, found - found[best])
 
 
-def picture_motion(rows: Sequence[FeedRow], pictures: Pictures) -> Motion:
+def picture_motion(rows: Sequence[FeedRow], pictures: Pictures) -> MotionSignal:
     """By optical flow between pictures STEP_S apart: of the upper half for turns, and how uneven it is for speed."""
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     before: tuple[NDArray[np.uint8], float] | None = None
@@ -175,11 +175,11 @@ def picture_motion(rows: Sequence[FeedRow], pictures: Pictures) -> Motion:
             found.append(((at_s + before[1]) / 2, turn, math.log(0.5 + np.hypot(*uneven.T).mean() / took_s)))
         before = np.asarray(gray, dtype=np.uint8), at_s
     if len(found) < 2:
-        return Motion(0.0, np.zeros(1), np.zeros(1))
+        return MotionSignal(0.0, np.zeros(1), np.zeros(1))
     return _motion(np.array(found), "picture")
 
 
-def track_motion(track: Track) -> Motion:
+def track_motion(track: Track) -> MotionSignal:
     """Of one position a second, however many there are: differences of more would be those of their noise."""
     stamps_ns = np.array([fix.stamp_ns for fix in track.fixes])
     known_s = (stamps_ns - stamps_ns[0]) / 1e9
@@ -195,10 +195,10 @@ def track_motion(track: Track) -> Motion:
     motion = _motion(np.column_stack([middle_s, turn, np.log1p(speed)]), "track")
     at_s = motion.start_s + STEP_S * np.arange(len(motion.turn))
     unknown = ~track.covers(stamps_ns[0] + (at_s * 1e9).astype(np.int64))
-    return Motion(motion.start_s, *(np.where(unknown, np.nan, line) for line in (motion.turn, motion.speed)))
+    return MotionSignal(motion.start_s, *(np.where(unknown, np.nan, line) for line in (motion.turn, motion.speed)))
 
 
-def _motion(measured: Floats, smoothed: str) -> Motion:
+def _motion(measured: Floats, smoothed: str) -> MotionSignal:
     """Of times, turns and speeds (N, 3)."""
     at_s = np.arange(measured[0, 0], measured[-1, 0] + STEP_S / 2, STEP_S)
     box = np.ones(max(1, round(SMOOTHED_S[smoothed] / STEP_S)))
@@ -208,10 +208,10 @@ def _motion(measured: Floats, smoothed: str) -> Motion:
         np.convolve(np.pad(np.interp(at_s, measured[:, 0], line), around, mode="edge"), triangle, "valid")
         for line in measured.T[1:]
     )
-    return Motion(float(at_s[0]), turn, speed)
+    return MotionSignal(float(at_s[0]), turn, speed)
 
 
-def likelihoods(seen: Motion, driven: Motion) -> tuple[Floats, Floats]:
+def likelihoods(seen: MotionSignal, driven: MotionSignal) -> tuple[Floats, Floats]:
     """Starts of `seen` in the time of `driven`, and the log-likelihood of each, 0 for motion with nothing in common.
 
     Only those at which at least half of the shorter one lies on the other.
@@ -226,7 +226,7 @@ def likelihoods(seen: Motion, driven: Motion) -> tuple[Floats, Floats]:
     return np.asarray(driven.start_s + lags[allowed] * STEP_S, dtype=np.float64), total[allowed]
 
 
-def _turns_ahead(driven: Motion, levers_m: Floats) -> Iterator[Floats]:
+def _turns_ahead(driven: MotionSignal, levers_m: Floats) -> Iterator[Floats]:
     """The turning of a track so far on along itself, at each of its times."""
     known = np.isfinite(driven.turn) & np.isfinite(driven.speed)
     turn, speed_mps = (np.where(known, line, 0.0) for line in (driven.turn, np.expm1(driven.speed)))

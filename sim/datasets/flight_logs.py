@@ -28,7 +28,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.errors import FeedError
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.gps import FIXES, SOURCES
-from sim.datasets.track import Fix, Track
+from sim.datasets.track import Track, TrackFix
 from sim.datasets.track_files import TRACKS
 from sim.output import refusing
 
@@ -67,7 +67,7 @@ class _Receiver:
         self.stamp_us, self.fix_type = stamp_us, fix_type
         self.accuracy_m = self.accuracy_m if accuracy_m is None else accuracy_m
 
-    def behind(self, fix: Fix) -> Fix:
+    def behind(self, fix: TrackFix) -> TrackFix:
         """A position with the accuracy and the source of that moment."""
         if self.fix_type is None:
             return fix
@@ -76,7 +76,7 @@ class _Receiver:
         return replace(fix, sigma_m=self.accuracy_m or math.nan, source=SOURCES.get(self.fix_type, "gps"))
 
 
-def _tlog_fixes(_: Path, data: bytes) -> Iterator[Fix]:
+def _tlog_fixes(_: Path, data: bytes) -> Iterator[TrackFix]:
     codec = MavlinkCodec(255, 0)
     system, receiver = None, _Receiver()
     for stamp_us, message_id, frame in tlog_frames(data):
@@ -92,7 +92,7 @@ def _tlog_fixes(_: Path, data: bytes) -> Iterator[Fix]:
                 receiver.report(stamp_us, message.fix_type, message.h_acc / 1000)
                 continue
             yield receiver.behind(
-                Fix(
+                TrackFix(
                     stamp_us * 1000,
                     message.lat / 1e7,
                     message.lon / 1e7,
@@ -124,7 +124,7 @@ def tlog_frames(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         at = end
 
 
-def _dataflash_fixes(file: Path, data: bytes) -> list[Fix]:
+def _dataflash_fixes(file: Path, data: bytes) -> list[TrackFix]:
     if not data.startswith(DATAFLASH_BEGINS):
         raise FeedError(f"{file}: not a DataFlash log")
     # DFReader is under the GPL, unlike the dialects: imported only here, for such a log.
@@ -137,7 +137,7 @@ def _dataflash_fixes(file: Path, data: bytes) -> list[Fix]:
             with DFReader_binary(str(file)) as log:
                 while (message := log.recv_match(type=["POS", "GPS", "GPA"])) is not None:
                     if message.get_type() == "POS":
-                        fix = Fix(message.TimeUS * 1000, message.Lat, message.Lng, message.Alt)
+                        fix = TrackFix(message.TimeUS * 1000, message.Lat, message.Lng, message.Alt)
                         fixes.append(receiver.behind(fix))
                     elif getattr(message, "I", 0) == 0 and message.get_type() == "GPS":
                         receiver.report(message.TimeUS, message.Status)
@@ -148,7 +148,7 @@ def _dataflash_fixes(file: Path, data: bytes) -> list[Fix]:
     return fixes
 
 
-def _ulog_fixes(file: Path, data: bytes) -> list[Fix]:
+def _ulog_fixes(file: Path, data: bytes) -> list[TrackFix]:
     from pyulog import ULog
 
     topic, of_receiver = "vehicle_global_position", "vehicle_gps_position"
@@ -164,7 +164,7 @@ def _ulog_fixes(file: Path, data: bytes) -> list[Fix]:
     for stamp_us, lat, lon, alt in _columns(found[topic], "timestamp", "lat", "lon", "alt"):
         while reports and reports[0][0] <= stamp_us:
             receiver.report(*reports.popleft())
-        fixes.append(receiver.behind(Fix(stamp_us * 1000, lat, lon, alt)))
+        fixes.append(receiver.behind(TrackFix(stamp_us * 1000, lat, lon, alt)))
     return fixes
 
 
@@ -173,7 +173,7 @@ def _columns(data: Mapping[str, NDArray[Any]], *names: str) -> Iterator[tuple[An
     return zip(*(data[name].tolist() for name in names), strict=True) if data else iter(())
 
 
-LOGS: dict[str, Callable[[Path, bytes], Iterable[Fix]]] = {
+LOGS: dict[str, Callable[[Path, bytes], Iterable[TrackFix]]] = {
     ".tlog": _tlog_fixes,
     ".bin": _dataflash_fixes,
     ".ulg": _ulog_fixes,

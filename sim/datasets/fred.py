@@ -19,7 +19,7 @@ from edge.feed import View
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles, list_pictures
 from sim.datasets.tables import read_numbers
-from sim.datasets.track import Fix, Track, from_local
+from sim.datasets.track import Track, TrackFix, from_local
 
 ZONE = "56J"  # Brisbane
 
@@ -40,10 +40,10 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     )
 
 
-def _fixes(path: Path) -> Iterator[Fix]:
+def _fixes(path: Path) -> Iterator[TrackFix]:
     for file in sorted((path / "utm").glob("*.txt")):
         east_m, north_m = read_numbers(file, 2, "it has an easting and a northing")[0].tolist()
-        yield Fix(_stamp_ns(file), *from_local(east_m, north_m, ZONE), source="gps")
+        yield TrackFix(_stamp_ns(file), *from_local(east_m, north_m, ZONE), source="gps")
 
 
 def _stamp_ns(file: Path) -> int:

@@ -22,12 +22,12 @@ from edge.errors import FeedError
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.field_of_view import of_film
 from sim.datasets.pictures import PictureFiles, know_heif, list_pictures
-from sim.datasets.track import Fix, row_at
+from sim.datasets.track import TrackFix, row_at
 
 log = logging.getLogger(__name__)
 
 GPS = ExifTags.GPS
-NOWHERE = Fix(0, math.nan, math.nan)
+NOWHERE = TrackFix(0, math.nan, math.nan)
 UNTIMED = -1
 LYING = range(5, 9)
 """Orientations of pictures that are stored on their side, and shown upright."""
@@ -67,7 +67,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     )
 
 
-def read_exif(file: Path) -> tuple[Fix, float | None]:
+def read_exif(file: Path) -> tuple[TrackFix, float | None]:
     """Time and position of one picture, NaN where there is none, and its field of view. FeedError names the picture."""
     know_heif(file)
     try:
@@ -95,11 +95,11 @@ def _stamp_ns(image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:
     return int(seconds) * 1_000_000_000 + round(float(f"0.{fraction}") * 1e9)
 
 
-def _position(gps: Mapping[int, Any]) -> Fix:
+def _position(gps: Mapping[int, Any]) -> TrackFix:
     if GPS.GPSLatitude not in gps or GPS.GPSLongitude not in gps:
         return NOWHERE
     alt_m = float(gps.get(GPS.GPSAltitude, math.nan))
-    return Fix(
+    return TrackFix(
         0,
         _degrees(gps[GPS.GPSLatitude], str(gps.get(GPS.GPSLatitudeRef, "N"))),
         _degrees(gps[GPS.GPSLongitude], str(gps.get(GPS.GPSLongitudeRef, "E"))),

@@ -23,8 +23,8 @@ from edge.geodesy import PositionSource
 from sim.datasets import ReadOptions, Traverse
 from sim.datasets.field_of_view import of_euroc
 from sim.datasets.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures
-from sim.datasets.tables import Record, parse_time_ns, read_records
-from sim.datasets.track import Fix, Track, from_local
+from sim.datasets.tables import TableRecord, parse_time_ns, read_records
+from sim.datasets.track import Track, TrackFix, from_local
 
 NAMES = {
     "time": ("stamp_ns", "timestamp", "time", "t", "stamp", "unix_time", "gps_time", "utc", "datetime", "date_time"),
@@ -88,7 +88,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     )
 
 
-def positions_in(file: Path) -> Iterator[Fix]:
+def positions_in(file: Path) -> Iterator[TrackFix]:
     """The positions of a CSV file that has their times. FeedError names the file, the line, and all that it lacks."""
     records = read_records(file, (), "it gives the time and the position of each moment")
     header = tuple(records[0].values)
@@ -150,7 +150,7 @@ def _plain(column: str) -> str:
     return name if name == "stamp_ns" else re.sub(r"_(ns|us|ms|s|sec|seconds|deg|degrees)$", "", name)
 
 
-def _picture_of(path: Path, record: Record, column: str, names: Collection[str]) -> str:
+def _picture_of(path: Path, record: TableRecord, column: str, names: Collection[str]) -> str:
     """The picture that a line names, with or without its folder and suffix. FeedError names the line."""
     name = Path(record.values[column].strip()).name
     found = (
@@ -164,14 +164,14 @@ def _picture_of(path: Path, record: Record, column: str, names: Collection[str])
 class _TimeColumn:
     """A column of times, all of one unit."""
 
-    def __init__(self, column: str, records: Sequence[Record]) -> None:
+    def __init__(self, column: str, records: Sequence[TableRecord]) -> None:
         self._column = column
         unit = re.search(r"[_\[( ](ns|us|ms|s)\b", column.lower())
         numbers = [text for text in (record.values[column].strip() for record in records) if _is_number(text)]
         self._is_number = bool(numbers)
         self._unit_ns = UNITS_NS[unit[1]] if unit else _unit_ns(max(map(float, numbers), default=0.0))
 
-    def stamp_ns(self, record: Record) -> int:
+    def stamp_ns(self, record: TableRecord) -> int:
         """FeedError names the line."""
         text = record.values[self._column].strip()
         if self._is_number:
@@ -201,7 +201,7 @@ def _scaled(text: str, unit_ns: int) -> int:
     return int(text) * unit_ns if text.isdigit() else round(float(text) * unit_ns)
 
 
-def _stamps_ns(file: Path, records: Sequence[Record], times: _TimeColumn | None, fps: float | None) -> list[int]:
+def _stamps_ns(file: Path, records: Sequence[TableRecord], times: _TimeColumn | None, fps: float | None) -> list[int]:
     if times:
         return [times.stamp_ns(record) for record in records]
     if fps is None or not fps > 0:
@@ -209,7 +209,7 @@ def _stamps_ns(file: Path, records: Sequence[Record], times: _TimeColumn | None,
     return [round(index * 1e9 / fps) for index in range(len(records))]
 
 
-def _fixes(stamps_ns: Sequence[int], records: Sequence[Record], columns: Mapping[str, str]) -> list[Fix]:
+def _fixes(stamps_ns: Sequence[int], records: Sequence[TableRecord], columns: Mapping[str, str]) -> list[TrackFix]:
     """A position for each line that has one."""
     pair = next((pair for pair in (("lat", "lon"), ("x", "y")) if pair[0] in columns), None)
     if pair is None:
@@ -223,10 +223,10 @@ def _fixes(stamps_ns: Sequence[int], records: Sequence[Record], columns: Mapping
             if pair == ("x", "y"):
                 (lat_deg, lon_deg), source = from_local(lat_deg, lon_deg, zone), "unknown" if zone else "local"
             alt_m, heading_deg, speed_mps = (_number(record, columns.get(kind)) for kind in ("alt", "heading", "speed"))
-            fixes.append(Fix(stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps, source=source))
+            fixes.append(TrackFix(stamp_ns, lat_deg, lon_deg, alt_m, heading_deg, speed_mps, source=source))
     return fixes
 
 
-def _number(record: Record, column: str | None) -> float:
+def _number(record: TableRecord, column: str | None) -> float:
     """NaN where there is no such column, or no value in it."""
     return record.number(column) if column and record.values[column].strip() else math.nan

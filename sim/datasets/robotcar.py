@@ -26,8 +26,8 @@ from edge.errors import FeedError
 from edge.feed import View
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.pictures import PictureFiles
-from sim.datasets.tables import Record, read_numbers, read_records
-from sim.datasets.track import Fix, Track
+from sim.datasets.tables import TableRecord, read_numbers, read_records
+from sim.datasets.track import Track, TrackFix
 
 # NovAtel's words for a filter that has not found itself yet; all other solutions are kept.
 UNALIGNED = frozenset({"INS_INACTIVE", "INS_ALIGNING"})
@@ -106,12 +106,12 @@ def _track(path: Path, positions: str) -> Track:
     return Track(str(file), _fixes(records))
 
 
-def _fixes(records: list[Record]) -> Iterator[Fix]:
+def _fixes(records: list[TableRecord]) -> Iterator[TrackFix]:
     for record in records:
         if record.values.get("ins_status") in UNALIGNED:
             continue
         yaw_rad, north_mps = record.number_if_there("yaw"), record.number_if_there("velocity_north")
-        yield Fix(
+        yield TrackFix(
             stamp_ns=record.integer("timestamp") * 1000,
             lat_deg=record.number("latitude"),
             lon_deg=record.number("longitude"),

@@ -28,7 +28,7 @@ from edge.feed import decode_picture
 from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse
 from sim.datasets.field_of_view import lens_of, of_focal_length
 from sim.datasets.pictures import PicturesInOrder
-from sim.datasets.track import Fix, Track
+from sim.datasets.track import Track, TrackFix
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 POSITIONS = ("sensor_msgs/msg/NavSatFix",)
@@ -134,12 +134,12 @@ def _messages(path: Path, topic: str) -> Iterator[Any]:
             yield reader.deserialize(data, connection.msgtype)
 
 
-def _fixes(path: Path, topic: str) -> Iterator[Fix]:
+def _fixes(path: Path, topic: str) -> Iterator[TrackFix]:
     for message in _messages(path, topic):
         if message.status.status > NO_FIX and math.isfinite(message.latitude + message.longitude):
             sigma_m = math.sqrt(message.position_covariance[0] + message.position_covariance[4]) or math.nan
             position = message.latitude, message.longitude, message.altitude
-            yield Fix(_stamp_ns(message), *position, sigma_m=sigma_m, source="gps")
+            yield TrackFix(_stamp_ns(message), *position, sigma_m=sigma_m, source="gps")
 
 
 def _stamp_ns(message: Any) -> int:

@@ -21,7 +21,7 @@ def render(feed: Feed, alignment: Alignment | None = None) -> str:
     return report.render_page(feed.header.name, about, [section(feed, "As it was understood", alignment)])
 
 
-def section(feed: Feed, title: str, alignment: Alignment | None = None) -> report.Section:
+def section(feed: Feed, title: str, alignment: Alignment | None = None) -> report.ReportSection:
     """Its lines, its track, how its video lies over it, and its first and last picture."""
     table = report.Table("summary", "", ("", "found"), [list(line) for line in summarize(feed)])
     images, last = FeedImages(feed), len(feed.rows) - 1
@@ -34,7 +34,7 @@ def section(feed: Feed, title: str, alignment: Alignment | None = None) -> repor
     drawn = [report.Figure("track", "The track from above", figures.to_png(track))] if track else []
     if alignment is not None and alignment.pictures is not None:
         drawn.append(report.Figure("alignment", alignment.how, figures.to_png(_aligned(alignment))))
-    return report.Section(title, tables=[table], figures=drawn, pictures=[pair])
+    return report.ReportSection(title, tables=[table], figures=drawn, pictures=[pair])
 
 
 def _track(feed: Feed) -> Figure | None:

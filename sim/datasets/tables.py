@@ -16,7 +16,7 @@ from edge.errors import FeedError
 
 
 @dataclass(frozen=True)
-class Record:
+class TableRecord:
     """One line of a CSV file, and where it stands."""
 
     where: str
@@ -65,7 +65,7 @@ def read_text(file: Path, hint: str) -> str:
         raise FeedError(f"{file}: not UTF-8 text") from None
 
 
-def read_records(file: Path, columns: Sequence[str], hint: str) -> list[Record]:
+def read_records(file: Path, columns: Sequence[str], hint: str) -> list[TableRecord]:
     """The lines of a CSV file that has at least these columns; FeedError names the file, the line or the column."""
     reader = csv.DictReader(read_text(file, hint).splitlines(), skipinitialspace=True)
     missing = [column for column in columns if column not in (reader.fieldnames or ())]
@@ -76,7 +76,7 @@ def read_records(file: Path, columns: Sequence[str], hint: str) -> list[Record]:
         where = f"{file}: line {reader.line_num}"
         if None in values or None in values.values():
             raise FeedError(f"{where}: not as many values as the first line has columns")
-        records.append(Record(where, values))
+        records.append(TableRecord(where, values))
     if not records:
         raise FeedError(f"{file}: nothing in it but its first line")
     return records

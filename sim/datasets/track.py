@@ -42,7 +42,7 @@ Otherwise a stop at a red light would become a street of pictures."""
 
 
 @dataclass(frozen=True)
-class Fix:
+class TrackFix:
     """One measured position; NaN is not known. heading_deg is clockwise from north.
 
     sigma_m: one standard deviation of the distance from the truth.
@@ -61,7 +61,7 @@ class Fix:
 class Track:
     """The positions of one drive, in the order of their stamps."""
 
-    def __init__(self, source: str, fixes: Iterable[Fix], max_gap_s: float = MAX_GAP_S) -> None:
+    def __init__(self, source: str, fixes: Iterable[TrackFix], max_gap_s: float = MAX_GAP_S) -> None:
         """FeedError, which names the source, if there are fewer than two.
 
         Receivers report 0, 0 before they have a fix; of fixes with the same stamp only the first is used. Those whose
@@ -69,7 +69,7 @@ class Track:
         """
         self._source = source
         self._max_gap_ns = max_gap_s * 1e9
-        by_stamp: dict[int, Fix] = {}
+        by_stamp: dict[int, TrackFix] = {}
         for fix in _without_jumps(source, [fix for fix in fixes if (fix.lat_deg, fix.lon_deg) != (0.0, 0.0)]):
             by_stamp.setdefault(fix.stamp_ns, fix)
         if len(by_stamp) < 2:
@@ -89,7 +89,7 @@ class Track:
         near = self._stamps_ns[after] - self._stamps_ns[before] <= self._max_gap_ns
         return np.asarray(inside & (near | (stamps_ns == self._stamps_ns[after])))
 
-    def at(self, stamps_ns: NDArray[np.int64]) -> list[Fix]:
+    def at(self, stamps_ns: NDArray[np.int64]) -> list[TrackFix]:
         """Positions at these times, linear between the fixes; the ends hold beyond them."""
         # From the first fix, as nanoseconds since 1970 do not fit a float64.
         times = (stamps_ns - self._stamps_ns[0]).astype(np.float64)
@@ -104,7 +104,7 @@ class Track:
             for pair in zip((after - 1).clip(0), after, strict=True)
         ]
         return [
-            Fix(int(stamp), lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m, source)
+            TrackFix(int(stamp), lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m, source)
             for stamp, (lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m), source in zip(
                 stamps_ns, columns.tolist(), sources, strict=True
             )
@@ -137,7 +137,7 @@ class Track:
         )
 
 
-def _without_jumps(source: str, fixes: list[Fix]) -> list[Fix]:
+def _without_jumps(source: str, fixes: list[TrackFix]) -> list[TrackFix]:
     """Those whose times agree with their neighbors'. FeedError where that leaves more than a day."""
     stamps_ns = np.array([min(max(fix.stamp_ns, -FARTHEST_NS), FARTHEST_NS) for fix in fixes], dtype=np.int64)
     kept = np.ones(len(fixes), dtype=bool)
@@ -236,7 +236,7 @@ def _projection(zone: str) -> Transformer:
     return Transformer.from_pipeline("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad" + utm)
 
 
-def row_at(file: str, fix: Fix) -> FeedRow:
+def row_at(file: str, fix: TrackFix) -> FeedRow:
     """A feed's row for the picture taken at a fix."""
     known = [None if math.isnan(value) else value for value in astuple(fix)[1:-1]]
     lat_deg, lon_deg, alt_m, heading_deg, speed_mps, sigma_m = known

@@ -22,14 +22,14 @@ from xml.etree import ElementTree
 from edge.errors import FeedError
 from sim.datasets.pictures_csv import positions_in
 from sim.datasets.tables import parse_time_ns
-from sim.datasets.track import Fix
+from sim.datasets.track import TrackFix
 from sim.output import needing
 
 KNOT_MPS = 1852 / 3600
 SEMICIRCLE_DEG = 180 / 2**31
 
 
-def _gpx_fixes(file: Path, data: bytes) -> Iterator[Fix]:
+def _gpx_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
     with needing(f"{file}:", "import", FeedError):
         import gpxpy
         from gpxpy.gpx import GPXException
@@ -43,10 +43,10 @@ def _gpx_fixes(file: Path, data: bytes) -> Iterator[Fix]:
     for point in points:
         alt_m, course_deg, speed_mps = map(_known, (point.elevation, point.course, point.speed))
         at = point.latitude, point.longitude, alt_m, course_deg, speed_mps
-        yield Fix(_moment_ns(point.time), *at, source="gps")
+        yield TrackFix(_moment_ns(point.time), *at, source="gps")
 
 
-def _fit_fixes(file: Path, data: bytes) -> Iterator[Fix]:
+def _fit_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
     with needing(f"{file}:", "import", FeedError):
         import fitdecode
 
@@ -63,12 +63,12 @@ def _fit_fixes(file: Path, data: bytes) -> Iterator[Fix]:
                     _known(values.get(f"enhanced_{name}", values.get(name))) for name in ("altitude", "speed")
                 )
                 stamp_ns = _moment_ns(values["timestamp"])
-                yield Fix(stamp_ns, lat_deg, lon_deg, alt_m, speed_mps=speed_mps, source="gps")
+                yield TrackFix(stamp_ns, lat_deg, lon_deg, alt_m, speed_mps=speed_mps, source="gps")
     except (fitdecode.FitError, KeyError, TypeError) as error:
         raise FeedError(f"{file}: not a whole FIT file: {' '.join(str(error).split())}") from None
 
 
-def _nmea_fixes(file: Path, data: bytes) -> Iterator[Fix]:
+def _nmea_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
     with needing(f"{file}:", "import", FeedError):
         import pynmea2
 
@@ -85,12 +85,12 @@ def _nmea_fixes(file: Path, data: bytes) -> Iterator[Fix]:
                 lat_deg, lon_deg = float(said.latitude), float(said.longitude)
                 speed_mps = _known(said.spd_over_grnd) * KNOT_MPS
                 course = _known(said.true_course)
-                yield Fix(_moment_ns(said.datetime), lat_deg, lon_deg, alt_m, course, speed_mps, source="gps")
+                yield TrackFix(_moment_ns(said.datetime), lat_deg, lon_deg, alt_m, course, speed_mps, source="gps")
         except (pynmea2.ParseError, TypeError, ValueError):
             continue  # cut or garbled on its way, as its checksum says
 
 
-def _geojson_fixes(file: Path, data: bytes) -> Iterator[Fix]:
+def _geojson_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
     try:
         found = json.loads(data)
         for feature in found["features"] if found["type"] == "FeatureCollection" else [found]:
@@ -109,7 +109,7 @@ def _geojson_fixes(file: Path, data: bytes) -> Iterator[Fix]:
         raise FeedError(f"{file}: not a GeoJSON track: {type(error).__name__}: {error}") from None
 
 
-def _kml_fixes(file: Path, data: bytes) -> Iterator[Fix]:
+def _kml_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
     try:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
@@ -130,8 +130,8 @@ def _kml_fixes(file: Path, data: bytes) -> Iterator[Fix]:
             yield _at(parse_time_ns(time.strip(), f"{file}: when"), lat_deg, lon_deg, alt_m)
 
 
-def _at(stamp_ns: int, lat_deg: float, lon_deg: float, alt_m: list[float]) -> Fix:
-    return Fix(stamp_ns, lat_deg, lon_deg, alt_m[0] if alt_m else math.nan, source="gps")
+def _at(stamp_ns: int, lat_deg: float, lon_deg: float, alt_m: list[float]) -> TrackFix:
+    return TrackFix(stamp_ns, lat_deg, lon_deg, alt_m[0] if alt_m else math.nan, source="gps")
 
 
 def _moment_ns(moment: datetime) -> int:
@@ -142,7 +142,7 @@ def _known(value: Any) -> float:
     return math.nan if value is None or value == "" else float(value)
 
 
-TRACKS: dict[str, Callable[[Path, bytes], Iterable[Fix]]] = {
+TRACKS: dict[str, Callable[[Path, bytes], Iterable[TrackFix]]] = {
     ".gpx": _gpx_fixes,
     ".fit": _fit_fixes,
     ".nmea": _nmea_fixes,

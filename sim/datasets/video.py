@@ -26,7 +26,7 @@ from sim.datasets import ReadOptions, Traverse
 from sim.datasets.boxes import contents
 from sim.datasets.field_of_view import of_video
 from sim.datasets.pictures import join_videos, video_files
-from sim.datasets.track import Fix, Track
+from sim.datasets.track import Track, TrackFix
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def holds_positions(file: Path) -> bool:
     return any(sign in content for _, content in contents(file) for sign in SIGNS)
 
 
-def _positions_in(file: Path) -> Iterator[Fix]:
+def _positions_in(file: Path) -> Iterator[TrackFix]:
     """The positions that a video holds, stamped from its first frame on; none where there are none."""
     from mapillary_tools.exceptions import MapillaryDescriptionError, MapillaryVideoGPSNotFoundError
     from mapillary_tools.geotag.video_extractors.native import NativeVideoExtractor
@@ -97,7 +97,7 @@ def _positions_in(file: Path) -> Iterator[Fix]:
         log.warning("%s: %s", file, error)  # a track of positions without a fix: a garage, a tunnel
     for point in points:
         alt_m, heading_deg = (math.nan if value is None else value for value in (point.alt, point.angle))
-        yield Fix(round(point.time * 1e9), point.lat, point.lon, alt_m, heading_deg, source="gps")
+        yield TrackFix(round(point.time * 1e9), point.lat, point.lon, alt_m, heading_deg, source="gps")
 
 
 def _exiftool_points(file: Path) -> Sequence[Any]:

@@ -22,8 +22,8 @@ from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.journal import records_of
 from sim.trial.draft import Draft
-from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Run, Track, lane_off_m
-from sim.trial.run import JOURNAL, Drive, map_scenario
+from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, TrialRun, TruthTrack, lane_off_m
+from sim.trial.run import JOURNAL, TrialDrive, map_scenario
 from sim.trial.simulation import UP_S
 from sim.trial.take_me_home import home_at_night
 from sim.trial.views import RoadLibrary, RoadViews
@@ -45,7 +45,7 @@ def laid() -> Draft:
     return draft
 
 
-def drive_story(folder: Path) -> Run:
+def drive_story(folder: Path) -> TrialRun:
     """Drive it with the daemon and once more without, in simulated time; views and journal stay in `folder`.
 
     A bar counts the meters of the first one, on a terminal.
@@ -61,7 +61,7 @@ def drive_story(folder: Path) -> Run:
             closing(RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views")) as library,
             tqdm(total=draft.legs[-1].to_m, unit="m", desc="driving", disable=None, bar_format=BAR) as bar,
         ):
-            return Drive(draft, SEED, folder, library).run(partial(_progress, bar, draft.legs[-1].to_m))
+            return TrialDrive(draft, SEED, folder, library).run(partial(_progress, bar, draft.legs[-1].to_m))
     finally:
         logger.setLevel(level)
 
@@ -76,12 +76,12 @@ def _progress(bar: Any, length_m: float, meters: float) -> None:
             print(f"driven {bar.n:.0f} of {length_m:.0f} m", flush=True)
 
 
-def lost_at_m(run: Run) -> float:
+def lost_at_m(run: TrialRun) -> float:
     """Meters driven when GPS failed."""
     return float(run.track.along_m[~run.track.gps][0])
 
 
-def headline(run: Run) -> str:
+def headline(run: TrialRun) -> str:
     """The one number: how far from its lane the vehicle drove without GPS."""
     return f"95 % within {lane_off_m(run.track):.1f} m of its lane; {lane_off_m(run.alone):.1f} m without Lookback"
 
@@ -91,7 +91,7 @@ def median_95(errors_m: Sequence[float] | NDArray[np.float64]) -> str:
     return f"{np.median(errors_m):.1f} m / {np.percentile(errors_m, 95):.1f} m" if len(errors_m) else "–"
 
 
-def sections_of(run: Run) -> list[report.Section]:
+def sections_of(run: TrialRun) -> list[report.ReportSection]:
     """The story in the report: what happened, the map, the numbers."""
     text = (
         f"A vehicle drives {lost_at_m(run):.0f} m out by day. Its rear camera makes the map on the way. At the far"
@@ -114,10 +114,13 @@ def sections_of(run: Run) -> list[report.Section]:
     ]
     table = report.Table("story", "", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth.")
     figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
-    return [report.Section("Take me home", text, figures=[figure]), report.Section("Of the way home", tables=[table])]
+    return [
+        report.ReportSection("Take me home", text, figures=[figure]),
+        report.ReportSection("Of the way home", tables=[table]),
+    ]
 
 
-def picture(run: Run) -> Figure:
+def picture(run: TrialRun) -> Figure:
     """The true tracks from above, and beside it how far from its lane the vehicle was on the way home."""
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     above, beside = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -143,7 +146,7 @@ def picture(run: Run) -> Figure:
     return figure
 
 
-def recognized(run: Run, folder: Path) -> list[tuple[float, NDArray[np.float64]]]:
+def recognized(run: TrialRun, folder: Path) -> list[tuple[float, NDArray[np.float64]]]:
     """Places of the way home, from the journal in `folder`: seconds since it set off; meters east and north (2,)."""
     return [
         (one.stamp_ns / 1e9 - STARTS_S, np.array(east_north_m(one.lat_deg, one.lon_deg)))
@@ -159,7 +162,7 @@ def picture_at(day: RoadViews, place_m: NDArray[np.float64]) -> NDArray[np.uint8
     return day.picture(float(route_m[np.hypot(*(road_m - place_m).T).argmin()]))
 
 
-def pairs_of(run: Run, folder: Path) -> report.Section:
+def pairs_of(run: TrialRun, folder: Path) -> report.ReportSection:
     """What the camera saw at night beside the places that were recognized; `folder` has the journal and the views."""
     draft, places = laid(), recognized(run, folder)
     pairs = []
@@ -175,16 +178,16 @@ def pairs_of(run: Run, folder: Path) -> report.Section:
                 picture_at(day, place_m), "the place that it recognized, seen by day, looking back"
             )
             pairs.append([report.Picture.of(here, driven), there])
-    return report.Section("Recognized places", pictures=pairs)
+    return report.ReportSection("Recognized places", pictures=pairs)
 
 
-def true_track(run: Run, track: Track) -> NDArray[np.float64]:
+def true_track(run: TrialRun, track: TruthTrack) -> NDArray[np.float64]:
     """East and north in meters, (N, 2), of a track of the story."""
     way = laid().way
     return np.array([way.at(a, left)[:2] for a, left in zip(track.along_m, track.left_m, strict=True)])
 
 
-def require_good(run: Run) -> None:
+def require_good(run: TrialRun) -> None:
     """LookbackError unless the vehicle came home in its lane and no position was beyond its claim (smoke test)."""
     found = {
         f"ended {run.track.end_off_m:.1f} m off": run.track.end_off_m <= ARRIVED_M,

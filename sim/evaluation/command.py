@@ -12,7 +12,7 @@ from edge.errors import ConfigError
 from edge.feed import read_feed
 from edge.reference_map import open_map_set
 from sim.evaluation.metrics import OFFSET_SHARE, TOLERANCE_M, precision_recall
-from sim.evaluation.recognition import COLUMNS, Judged, Value, judge, recognize
+from sim.evaluation.recognition import COLUMNS, RecognitionScore, Value, judge, recognize
 from sim.evaluation.replay import load_config_for_map
 from sim.output import needing
 from sim.traverse import config_as_mapped
@@ -78,7 +78,11 @@ def _cell(value: Value, column: str) -> str:
 
 
 def _write(
-    folder: Path, about: Mapping[str, str], map_path: Path, judged: Sequence[Judged], rows: Sequence[tuple[Value, ...]]
+    folder: Path,
+    about: Mapping[str, str],
+    map_path: Path,
+    judged: Sequence[RecognitionScore],
+    rows: Sequence[tuple[Value, ...]],
 ) -> Path:
     with needing("--output", "sim"):
         from sim.evaluation import figures, report
@@ -87,7 +91,7 @@ def _write(
         "precision_recall", "Precision and recall at every confidence", figures.precision_recall_plot(curves)
     )
     table = report.Table("recordings", "In numbers", COLUMNS, rows)
-    section = report.Section("Recordings", tables=[table], figures=[plot])
+    section = report.ReportSection("Recordings", tables=[table], figures=[plot])
     lead = [
         f"{one.name}: {int(one.believed.sum())} of {len(one.believed)} frames believed, precision {one.precision:.3f},"
         f" recall {one.recall:.3f}"

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from edge.config import RigConfig
 from edge.geodesy import east_north
 from edge.reference_map import MapSet
-from edge.sequence import Seen
+from edge.sequence import KeyframeMatch
 from sim.evaluation.recognition import Recognition
 
 
 @dataclass(frozen=True)
-class LookErrors:
+class PoseErrors:
     """Meters (n,) of n looks, along the drive's direction of travel and to its right; the vehicle's, not the camera's.
 
     frames: (n,) rows of them among the used frames.
@@ -26,7 +26,7 @@ class LookErrors:
     across_m: NDArray[np.float64]
 
 
-def look_errors(maps: MapSet, seen: Recognition, rig: RigConfig) -> LookErrors:
+def look_errors(maps: MapSet, seen: Recognition, rig: RigConfig) -> PoseErrors:
     """Of the looks at places with a position and a heading, where the recording has a position as well.
 
     rig: how far the camera is ahead of the vehicle, as the map's was of its own.
@@ -42,10 +42,10 @@ def look_errors(maps: MapSet, seen: Recognition, rig: RigConfig) -> LookErrors:
         if used.direction is not None and np.isfinite(off_m).all():
             found.append((frame, off_m[1] - rig.look_ahead_m(used.direction), off_m[0]))
     frames, along_m, across_m = np.array(found, dtype=float).reshape(-1, 3).T
-    return LookErrors(frames.astype(np.intp), along_m, across_m)
+    return PoseErrors(frames.astype(np.intp), along_m, across_m)
 
 
-def _off_m(maps: MapSet, seen: Seen, lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
+def _off_m(maps: MapSet, seen: KeyframeMatch, lat_deg: float, lon_deg: float) -> NDArray[np.float64]:
     """Meters (2,) to the right of the drive of a place, and along it, from a position to the camera by a look."""
     place, index = maps.places[seen.place_index], maps.index
     meters = east_north(np.array([lat_deg, place["lat_deg"]]), np.array([lon_deg, place["lon_deg"]]))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import Keypoints, Verified
+from edge.keypoints import InlierMatches, Keypoints
 from edge.keypoints.matching import verify
 from edge.keypoints.network import KeypointNetwork
 
@@ -17,14 +17,14 @@ MOST_LINES = 60
 """More hide the pictures behind them."""
 
 
-def side_by_side(network: KeypointNetwork, query: Image, reference: Image) -> tuple[Image, Verified]:
+def side_by_side(network: KeypointNetwork, query: Image, reference: Image) -> tuple[Image, InlierMatches]:
     """Images (H, W, 3) BGR as one, the query on the left, with what `verify` finds."""
     points = network.extract(query), network.extract(reference)
     found = verify(*points)
     return with_lines((query, reference), points, found), found
 
 
-def with_lines(images: tuple[Image, Image], points: tuple[Keypoints, Keypoints], found: Verified) -> Image:
+def with_lines(images: tuple[Image, Image], points: tuple[Keypoints, Keypoints], found: InlierMatches) -> Image:
     """At most MOST_LINES of the matches, the query's most reliable points, colored from the left to the right."""
     height = images[0].shape[0]
     scales = [height / image.shape[0] for image in images]

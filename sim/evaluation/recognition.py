@@ -17,7 +17,7 @@ from edge.geodesy import east_north
 from edge.journal.records import FrameUsed
 from edge.recognition.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
-from edge.sequence import Seen
+from edge.sequence import KeyframeMatch
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.evaluation.replay import config_for_feed, replay
 
@@ -44,7 +44,7 @@ class Recognition:
     used: list[FrameUsed]
     states: list[State]
     costs: NDArray[np.float32]
-    looks: Sequence[Seen | None] = ()
+    looks: Sequence[KeyframeMatch | None] = ()
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -63,7 +63,7 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     search, places = recognizer.matcher.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
     used: list[FrameUsed] = []
     states: list[State] = []
-    looks: list[Seen | None] = []
+    looks: list[KeyframeMatch | None] = []
     costs = []
     for one, match in replay(recognizer, feed, config.sampling):
         used.append(one)
@@ -77,7 +77,7 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
 
 
 @dataclass(frozen=True)
-class Judged:
+class RecognitionScore:
     """A recording's frames that positions judge, of which `rows` are the indices among all used frames.
 
     Of a frame without a position, and of one whose place has none, nobody knows whether it is right: it is not here.
@@ -122,7 +122,7 @@ class Judged:
         )
 
 
-def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
+def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> RecognitionScore:
     """Compare the answers with known positions. FeedError, MapError where there are none."""
     feed = seen.feed
     truth = [(feed.rows[one.frame].lat_deg, feed.rows[one.frame].lon_deg) for one in seen.used]
@@ -147,7 +147,7 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged:
     believed = seen.believed[rows]
     heading_rad = np.radians(np.array([one.heading_deg for one in used], dtype=float))
     ahead_m = np.einsum("nd,nd->n", found_m - truth_m, np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]))
-    return Judged(
+    return RecognitionScore(
         feed.header.name,
         rows,
         Answers(confidence, on_map & (error_m <= tolerance_m), on_map),

@@ -23,7 +23,7 @@ TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def write_report(
-    folder: Path, title: str, about: Mapping[str, str], sections: Sequence[Section], lead: Sequence[str] = ()
+    folder: Path, title: str, about: Mapping[str, str], sections: Sequence[ReportSection], lead: Sequence[str] = ()
 ) -> Path:
     """Write report.html, NAME.csv and NAME.png into `folder` and return the page's path. ConfigError if it cannot."""
     page = folder / "report.html"
@@ -35,7 +35,9 @@ def write_report(
     return page
 
 
-def render_page(title: str, about: Mapping[str, str], sections: Sequence[Section], lead: Sequence[str] = ()) -> str:
+def render_page(
+    title: str, about: Mapping[str, str], sections: Sequence[ReportSection], lead: Sequence[str] = ()
+) -> str:
     """The page with its pictures inside. lead: lines under the title; about: terms at the end (versions, hashes)."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters.update(data=lambda data: base64.b64encode(data).decode(), cell=format_cell, words=as_words)
@@ -54,7 +56,7 @@ def format_cell(cell: Cell, column: str = "") -> str:
     if isinstance(cell, Interval):
         value, low, high = (format_cell(one, column) for one in (cell.value, cell.low, cell.high))
         return f"{value} ({low} to {high})"
-    if isinstance(cell, Several):
+    if isinstance(cell, ScoreGroup):
         return ", ".join(f"{one:.2f}" for one in cell.parts.values())
     if isinstance(cell, float):
         return "–" if math.isnan(cell) else f"{cell:.{1 if column.endswith(', m') else 3}f}"
@@ -87,7 +89,7 @@ def as_latex(table: Table) -> str:
     return "\n".join([*lines, *map(cells, table.rows), r"\bottomrule", r"\end{tabular}"])
 
 
-def _write_files(folder: Path, section: Section) -> None:
+def _write_files(folder: Path, section: ReportSection) -> None:
     for table in (*section.tables, *section.files):
         with (folder / f"{table.name}.csv").open("w", newline="", encoding="utf-8") as stream:
             csv.writer(stream, lineterminator="\n").writerows(_of_single_numbers(table))
@@ -109,7 +111,7 @@ def _of_single_numbers(table: Table) -> Iterator[list[str | int | float]]:
 def _parts(cell: Cell) -> dict[str, str | int | float]:
     if isinstance(cell, Interval):
         return {"": cell.value, "low": cell.low, "high": cell.high}
-    return {**cell.parts} if isinstance(cell, Several) else {"": cell}
+    return {**cell.parts} if isinstance(cell, ScoreGroup) else {"": cell}
 
 
 @dataclass(frozen=True)
@@ -123,13 +125,13 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Several:
+class ScoreGroup:
     """Scores in one cell, by what each of them is."""
 
     parts: dict[str, float]
 
 
-Cell = str | int | float | Interval | Several
+Cell = str | int | float | Interval | ScoreGroup
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Section:
+class ReportSection:
     """One experiment: heading, plain words, tables, figures, and rows of pictures that belong together.
 
     film: MP4. folded: shown when it is clicked. files: tables that are CSV files alone.

@@ -27,9 +27,9 @@ from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.look_errors import look_errors
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from sim.evaluation.recognition import Judged, Recognition, judge, recognize
+from sim.evaluation.recognition import Recognition, RecognitionScore, judge, recognize
 from sim.evaluation.replay import as_line
-from sim.first_try.verdict import Tried, Verdict, verdict
+from sim.first_try.verdict import TryResult, Verdict, verdict
 from sim.first_try.with_keypoints import WithKeypoints
 from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
 from sim.maps.command import add_spacing_options, build_map, sampling_from
@@ -128,7 +128,7 @@ def _try(
     if is_fitted:
         config = _fitted(config, plain, query, network)
     watch = _Watch()
-    seen = recognize(maps, replace(query, pictures=lambda: _Watched(FeedImages(query), watch)), config, network)
+    seen = recognize(maps, replace(query, pictures=lambda: _ImageTap(FeedImages(query), watch)), config, network)
     judged, with_keypoints = _judged(maps, seen, args.tolerance_m), None
     if key is not None:
         alone = recognize(plain, query, config, network)
@@ -137,7 +137,7 @@ def _try(
     rows = [one.frame for one in seen.used]
     gray, faults = np.array([watch.gray[row] for row in rows]), tuple(watch.faults.get(row, "") for row in rows)
     measured = tuple(offsets), why
-    tried = Tried(
+    tried = TryResult(
         reference, query, maps, config, seen, judged, args.tolerance_m, gray, faults, *measured, with_keypoints
     )
     found, lines = verdict(tried), rig_lines(offsets)
@@ -147,7 +147,7 @@ def _try(
     return found
 
 
-def _judged(maps: MapSet, seen: Recognition, tolerance_m: float) -> Judged | None:
+def _judged(maps: MapSet, seen: Recognition, tolerance_m: float) -> RecognitionScore | None:
     """None without positions in both."""
     try:
         return judge(maps, seen, tolerance_m)
@@ -228,7 +228,7 @@ class _Watch:
 
 
 @dataclass
-class _Watched:
+class _ImageTap:
     """Pictures that are looked at while they are read."""
 
     images: FeedImages

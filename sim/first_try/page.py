@@ -21,8 +21,8 @@ from sim.evaluation import figures, report
 from sim.evaluation.figures import to_png
 from sim.evaluation.matched_points import side_by_side
 from sim.evaluation.metrics import precision_recall
-from sim.evaluation.recognition import Judged, Recognition
-from sim.first_try.verdict import Tried, Verdict
+from sim.evaluation.recognition import Recognition, RecognitionScore
+from sim.first_try.verdict import TryResult, Verdict
 from sim.first_try.with_keypoints import WithKeypoints, errors_words, first_words
 from sim.traverse import distances_m, driven_m
 
@@ -33,7 +33,7 @@ COLUMNS = "", "believed, %", "the first", "precision", "recall", "error, m", "95
 FILM_S, FILM_FPS, FILM_PX = 20, 10, (320, 240)
 
 
-def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Alignment | None]) -> str:
+def render(tried: TryResult, found: Verdict, rig: Lines, aligned: Mapping[str, Alignment | None]) -> str:
     """The page. rig: what was measured of the camera's offset. aligned: of videos over their tracks."""
     header = tried.maps.headers[0]
     about = {
@@ -47,20 +47,20 @@ def render(tried: Tried, found: Verdict, rig: Lines, aligned: Mapping[str, Align
     if found.advice:
         rows: list[list[report.Cell]] = [[number, line] for number, line in enumerate(found.advice, start=1)]
         advice = report.Table("advice", "", ("", "The most important first"), rows)
-        sections.insert(0, report.Section("What to change", tables=[advice]))
+        sections.insert(0, report.ReportSection("What to change", tables=[advice]))
     if rig:
         text = "Measured on this query, and in the config beside this page. Lines for another config:"
         table = report.Table(
             "rig", "", ("key", "m"), [[f"[{section}] {key}", f"{value:.1f}"] for (section, key), value in rig.items()]
         )
-        sections.append(report.Section("The camera's offset", text, tables=[table]))
+        sections.append(report.ReportSection("The camera's offset", text, tables=[table]))
     for role, feed in ("reference", tried.reference), ("query", tried.query):
         about_it = sheet.section(feed, f"The {role} as it was understood: {feed.header.name}", aligned.get(role))
         sections.append(replace(about_it, folded=True))
     return report.render_page(found.headline, about, sections, lead=found.facts)
 
 
-def _compared(found: WithKeypoints, seen: Recognition, judged: Judged | None) -> report.Section:
+def _compared(found: WithKeypoints, seen: Recognition, judged: RecognitionScore | None) -> report.ReportSection:
     """Both side by side."""
     rows: list[list[report.Cell]] = []
     for name, one, known in (("the sequence alone", found.alone, found.judged), ("with keypoints", seen, judged)):
@@ -70,10 +70,10 @@ def _compared(found: WithKeypoints, seen: Recognition, judged: Judged | None) ->
             row += [f"{known.precision:.3f}", f"{known.recall:.3f}", *(f"{error_m:.1f}" for error_m in errors_m)]
         rows.append([*row, *[""] * (len(COLUMNS) - len(row))])
     table = report.Table("keypoints", "", COLUMNS, rows)
-    return report.Section("The sequence alone, and with keypoints", errors_words(found, seen), tables=[table])
+    return report.ReportSection("The sequence alone, and with keypoints", errors_words(found, seen), tables=[table])
 
 
-def _where(tried: Tried, found: Verdict) -> report.Section:
+def _where(tried: TryResult, found: Verdict) -> report.ReportSection:
     """Where it was recognized: along the drive, from above, and place by place."""
     seen = tried.seen
     rows = [one.frame for one in seen.used]
@@ -117,10 +117,10 @@ def _where(tried: Tried, found: Verdict) -> report.Section:
         note = "A line that rises is the same way, one that falls is the way back; none is a road that differs"
         matrix = to_png(figures.cost_matrix(seen.costs, places, seen.believed))
         drawn.append(report.Figure("costs", "Each frame against each place", matrix, note))
-    return report.Section("Where", tables=[table], figures=drawn)
+    return report.ReportSection("Where", tables=[table], figures=drawn)
 
 
-def _pictures(tried: Tried) -> report.Section:
+def _pictures(tried: TryResult) -> report.ReportSection:
     """Believed frames beside their places; where there are none, the best matches."""
     seen, query, places = tried.seen, FeedImages(tried.seen.feed), FeedImages(tried.reference)
     rows = np.flatnonzero(seen.believed)
@@ -147,10 +147,10 @@ def _pictures(tried: Tried) -> report.Section:
     query.close()
     places.close()
     words = "left: the query; right: the place that it is believed to be, dark where none is"
-    return report.Section(title if pairs else "No place was matched", pictures=pairs, film=film, film_words=words)
+    return report.ReportSection(title if pairs else "No place was matched", pictures=pairs, film=film, film_words=words)
 
 
-def _film(tried: Tried, query: FeedImages, places: FeedImages) -> bytes:
+def _film(tried: TryResult, query: FeedImages, places: FeedImages) -> bytes:
     """An MP4 of FILM_S, the query beside the places that it is believed to be."""
     used = tried.seen.used
     rows = np.unique(np.linspace(0, len(used) - 1, min(len(used), round(FILM_S * FILM_FPS))).round().astype(int))
@@ -179,7 +179,7 @@ def _fitted(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return whole
 
 
-def _error(tried: Tried, row: int) -> str:
+def _error(tried: TryResult, row: int) -> str:
     assert tried.judged is not None
     at = np.flatnonzero(tried.judged.rows == row)
     return f", {tried.judged.error_m[at[0]]:.1f} m off" if at.size else ""

@@ -14,7 +14,7 @@ from edge.reference_map import MapSet
 from edge.sequence.search import FIRST_FRAMES
 from sim.calibration.offset import Offset
 from sim.evaluation.metrics import precision_recall, recall_at_precision
-from sim.evaluation.recognition import Judged, Recognition
+from sim.evaluation.recognition import Recognition, RecognitionScore
 from sim.first_try.with_keypoints import WithKeypoints, why_none
 from sim.first_try.with_keypoints import facts as keypoint_facts
 from sim.maps.files import LIGHTS
@@ -40,7 +40,7 @@ ANOTHER_SHAPE = 0.1
 
 
 @dataclass(frozen=True)
-class Stretch:
+class FailureSpan:
     """Frames [first, last] in a row, among the used ones, of which none is believed, or all wrongly; and why."""
 
     first: int
@@ -54,12 +54,12 @@ class Verdict:
 
     headline: str
     facts: tuple[str, ...]
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[FailureSpan, ...]
     advice: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Tried:
+class TryResult:
     """All that is known of a try.
 
     reference, query: as recorded. judged: None without positions in both. gray: (Q,) mean gray level of each used
@@ -72,7 +72,7 @@ class Tried:
     maps: MapSet
     config: Config
     seen: Recognition
-    judged: Judged | None
+    judged: RecognitionScore | None
     tolerance_m: float
     gray: Floats
     faults: tuple[str, ...]
@@ -103,7 +103,7 @@ class Tried:
         return np.logical_and(self.is_on_map, warm)
 
 
-def verdict(tried: Tried) -> Verdict:
+def verdict(tried: TryResult) -> Verdict:
     """What follows from all that is known."""
     believed, could = tried.seen.believed, tried.could_be_believed
     share = float(believed[could].mean()) if could.any() else 0.0
@@ -133,7 +133,7 @@ def verdict(tried: Tried) -> Verdict:
     return Verdict(_headline(tried, share), tuple(facts), stretches, tuple(_advice(tried, share)))
 
 
-def _headline(tried: Tried, share: float) -> str:
+def _headline(tried: TryResult, share: float) -> str:
     judged = tried.judged
     if judged is not None and judged.believed.any() and judged.precision < TRUSTED:
         wrong = int((judged.believed & ~judged.answers.correct).sum())
@@ -145,7 +145,7 @@ def _headline(tried: Tried, share: float) -> str:
     return f"Recognized in part: {100 * share:.0f} % of the frames" if share >= FAIR else "Not recognized"
 
 
-def _judged_facts(judged: Judged, tolerance_m: float) -> list[str]:
+def _judged_facts(judged: RecognitionScore, tolerance_m: float) -> list[str]:
     if not judged.believed.any():
         return ["no place with a position is believed, so there is no precision"]
     errors_m = judged.error_m[judged.believed]
@@ -163,16 +163,16 @@ def _ahead(ahead_m: float, digits: int = 1) -> str:
     return f"{abs(ahead_m):.{digits}f} m {'behind' if ahead_m < 0 else 'ahead'}"
 
 
-def _stretches(tried: Tried) -> list[Stretch]:
+def _stretches(tried: TryResult) -> list[FailureSpan]:
     """Where nothing is believed, or wrong places are, in the order of driving."""
     reasons = [_reason(tried, row) for row in range(len(tried.seen.used))]
     starts = [0, *(row for row in range(1, len(reasons)) if reasons[row] != reasons[row - 1])]
     ends = [*starts[1:], len(reasons)]
-    runs = [Stretch(first, end - 1, reasons[first]) for first, end in zip(starts, ends, strict=True)]
+    runs = [FailureSpan(first, end - 1, reasons[first]) for first, end in zip(starts, ends, strict=True)]
     return [one for one in runs if one.why and one.last - one.first + 1 >= SHORT_FRAMES]
 
 
-def _reason(tried: Tried, row: int) -> str:
+def _reason(tried: TryResult, row: int) -> str:
     """Why a used frame is not believed, "" if it is."""
     if tried.seen.believed[row]:
         return f"believed, but over {tried.tolerance_m:g} m off" if tried.is_wrong[row] else ""
@@ -191,7 +191,7 @@ def _reason(tried: Tried, row: int) -> str:
     return why
 
 
-def _advice(tried: Tried, share: float) -> list[str]:
+def _advice(tried: TryResult, share: float) -> list[str]:
     """In the order of how much each explains."""
     found = list(_length_advice(tried)) if share < GOOD else []
     judged, could = tried.judged, tried.could_be_believed
@@ -241,7 +241,7 @@ def _advice(tried: Tried, share: float) -> list[str]:
     return found
 
 
-def _length_advice(tried: Tried) -> Iterator[str]:
+def _length_advice(tried: TryResult) -> Iterator[str]:
     """Of recordings with few places, and how to get more."""
     enough = 2 * tried.config.sequence_frames
     for feed, count in ((tried.reference, tried.maps.index.places), (tried.query, len(tried.seen.used))):
@@ -256,7 +256,7 @@ def _seconds(query: Feed, meters: float) -> str:
     return f", by {abs(meters) * seconds / driven[-1]:.1f} s together" if driven and driven[-1] > 0 else ""
 
 
-def _picture_advice(tried: Tried, could: Flags) -> list[str]:
+def _picture_advice(tried: TryResult, could: Flags) -> list[str]:
     found = []
     missed = could & ~tried.seen.believed
     gray = float(np.median(tried.gray[missed])) if missed.any() else DARK
@@ -275,7 +275,7 @@ def _picture_advice(tried: Tried, could: Flags) -> list[str]:
     return found
 
 
-def opposite_share(judged: Judged) -> float:
+def opposite_share(judged: RecognitionScore) -> float:
     """Share of the frames on the map that are driven against the nearest place's drive; 0.0 where nothing moves."""
     places_m, truth_m = judged.places_m, judged.truth_m
     if len(places_m) < 2 or len(truth_m) < 2:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.feed import Feed
-from sim.evaluation.look_errors import LookErrors
-from sim.evaluation.recognition import Judged, Recognition
+from sim.evaluation.look_errors import PoseErrors
+from sim.evaluation.recognition import Recognition, RecognitionScore
 from sim.traverse import distances_m, driven_m
 
 
@@ -17,8 +17,8 @@ class WithKeypoints:
     """alone, judged: the same drive by the sequence alone. errors: of looks. known: how many places have distances."""
 
     alone: Recognition
-    judged: Judged | None
-    errors: LookErrors
+    judged: RecognitionScore | None
+    errors: PoseErrors
     known: tuple[str, ...]
 
 

@@ -13,8 +13,8 @@ from edge.reference_map import open_map_set
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.link import parse_connection
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.home_requests import Answer, HomeRequests, Plan
-from edge_plugins.home.way_home import Start, WayHome, plan_way_home
+from edge_plugins.home.home_requests import HomeReply, HomeRequests, Plan
+from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
 from sim.home.files import encoder_of, write_way_home
 
 TURN_S = 0.02
@@ -59,7 +59,7 @@ def _run(args: argparse.Namespace) -> int:
     left_m = checked_option(RigConfig(), "--left-m", left_reverse_m=args.left_m).left_reverse_m
     maps = open_map_set(args.map)
 
-    def plan(start: Start | None) -> WayHome:
+    def plan(start: HomeStart | None) -> WayHome:
         way = plan_way_home(maps, start, config, left_m, args.drive)
         _show(way)
         return way
@@ -85,7 +85,7 @@ def _show(way: WayHome) -> None:
         print(finding)
 
 
-def _start(text: str | None) -> Start | None:
+def _start(text: str | None) -> HomeStart | None:
     """A position from the command line."""
     if text is None:
         return None
@@ -95,7 +95,7 @@ def _start(text: str | None) -> Start | None:
             raise ValueError
     except ValueError:
         raise ConfigError(f"--from: {text!r} is not LAT,LON in degrees") from None
-    return Start(lat_deg, lon_deg)
+    return HomeStart(lat_deg, lon_deg)
 
 
 def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
@@ -104,7 +104,7 @@ def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
     link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""))
     home = HomeRequests(config, link)
     link.serve(home)
-    answers: list[Answer] = []
+    answers: list[HomeReply] = []
     with closing(link):
         home.plan = plan
         deadline_s = time.monotonic() + CONNECT_S

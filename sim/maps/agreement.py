@@ -57,7 +57,7 @@ OPPOSED_VIEWS = _Pairing(("reverse", "same"), 12.0, 10.0)
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class MapDisagreement:
     """Two stretches, each a map and its rows [first, end), that show the same road `apart_m` from each other."""
 
     stretches: tuple[Rows, Rows]
@@ -73,7 +73,7 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
-class Compared:
+class WindowMatch:
     """A window of one drive and where an earlier one shows the same: by number, the earlier one first; middle places.
 
     apart_m: east and north (2,) from the earlier drive's place to the other's. explained_m: by accuracy and lanes.
@@ -86,7 +86,7 @@ class Compared:
     alike_m: float
 
 
-def disagreements(maps: MapSet) -> list[Disagreement]:
+def disagreements(maps: MapSet) -> list[MapDisagreement]:
     """All that are found."""
     found = []
     for _, of_pair in groupby(_compared(maps), key=lambda one: one.drives):
@@ -94,7 +94,7 @@ def disagreements(maps: MapSet) -> list[Disagreement]:
     return found
 
 
-def _compared(maps: MapSet) -> list[Compared]:
+def _compared(maps: MapSet) -> list[WindowMatch]:
     """Windows of which another drive shows the same; by the pair of drives, then by where."""
     places = maps.places
     origin = first_known(places["lat_deg"], places["lon_deg"])
@@ -126,7 +126,7 @@ def _compare(
     first: int,
     drive: int,
     near: tuple[int, int],
-) -> Compared | None:
+) -> WindowMatch | None:
     """The window of a drive against places [start, end) of another; None where it shows nothing unique there."""
     rows = _encoded(maps, first)
     other, other_map = maps.index.segment_of(near[0]), maps.index.map_of(near[0])
@@ -159,7 +159,7 @@ def _compare(
     places = round(middle), round(there)
     explained_m = pairing.explained_m + EXPLAINED_SIGMAS * math.hypot(*sigma_m[list(places)])
     pair = other, drive
-    return Compared(pair, (places[1], places[0]), apart_m, explained_m, pairing.alike_m)
+    return WindowMatch(pair, (places[1], places[0]), apart_m, explained_m, pairing.alike_m)
 
 
 def _encoded(maps: MapSet, first: int) -> NDArray[np.int8]:
@@ -176,9 +176,9 @@ def _at(ground_m: NDArray[np.float64], place: float) -> NDArray[np.float64]:
     return meters
 
 
-def _runs(windows: Sequence[Compared]) -> Iterator[list[Compared]]:
+def _runs(windows: Sequence[WindowMatch]) -> Iterator[list[WindowMatch]]:
     """Windows in a row of one pair of drives that agree with each other that the drives do not."""
-    run: list[Compared] = []
+    run: list[WindowMatch] = []
     for before, one in pairwise([None, *windows, None]):
         if run and (one is None or before is None or np.hypot(*(one.apart_m - before.apart_m)) > before.alike_m):
             yield from _beyond(run)
@@ -187,14 +187,14 @@ def _runs(windows: Sequence[Compared]) -> Iterator[list[Compared]]:
             run.append(one)
 
 
-def _beyond(run: list[Compared]) -> Iterator[list[Compared]]:
+def _beyond(run: list[WindowMatch]) -> Iterator[list[WindowMatch]]:
     if len(run) >= WINDOWS:
         for is_beyond, part in groupby(run, key=lambda one: np.hypot(*one.apart_m) > one.explained_m):
             if is_beyond:
                 yield list(part)
 
 
-def _spelled(maps: MapSet, run: Sequence[Compared]) -> Disagreement:
+def _spelled(maps: MapSet, run: Sequence[WindowMatch]) -> MapDisagreement:
     stretches = []
     for which in (0, 1):
         places = [one.places[which] for one in run]
@@ -205,4 +205,4 @@ def _spelled(maps: MapSet, run: Sequence[Compared]) -> Disagreement:
         first = max(min(places) - margin, start, drive_start)
         last = min(max(places) + margin + 1, end, drive_end)
         stretches.append((maps.maps[number].path, first - start, last - start))
-    return Disagreement((stretches[0], stretches[1]), max(float(np.hypot(*one.apart_m)) for one in run))
+    return MapDisagreement((stretches[0], stretches[1]), max(float(np.hypot(*one.apart_m)) for one in run))

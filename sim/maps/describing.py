@@ -45,7 +45,7 @@ CONNECT_S = 3
 """A scheduler answers in milliseconds."""
 
 
-class KnownOfDrive(TypedDict):
+class SegmentOptions(TypedDict):
     """What `begin_segment` takes."""
 
     has_odometer: bool
@@ -54,7 +54,7 @@ class KnownOfDrive(TypedDict):
 
 
 @dataclass(frozen=True)
-class Described:
+class RecordingDescriptors:
     """What a worker made of a recording: raw descriptors (N, R, D) as a map keeps them, and the places.
 
     keypoints: of each place, none where the map has none. made_by: see `fingerprint`.
@@ -62,7 +62,7 @@ class Described:
 
     name: str
     view: Literal["front", "rear"]
-    known: KnownOfDrive
+    known: SegmentOptions
     raw: NDArray[np.float16]
     places: tuple[Place, ...]
     keypoints: tuple[Keypoints, ...]
@@ -122,7 +122,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                 while left and len(waiting) < AHEAD * max(1, len(client.ncores())):
                     waiting.append(client.submit(describe, left.popleft().resolve(), work, pure=False))
                 try:
-                    drive: Described = waiting.popleft().result()
+                    drive: RecordingDescriptors = waiting.popleft().result()
                 except distributed.KilledWorker as error:
                     why = f"--cluster: workers died of a recording, for want of memory perhaps: {error}"
                     raise MapError(why) from None
@@ -140,7 +140,7 @@ def add_by_cluster(builder: MapBuilder, network: Network, paths: Sequence[Path],
                 progress.update()
 
 
-def describe(path: Path, work: Work) -> Described:
+def describe(path: Path, work: Work) -> RecordingDescriptors:
     """A recording, on a worker."""
     feed = with_course(preprocessed_feed(read_feed(path, work.options), work.config.camera))
     network = _network(work.config.descriptor)
@@ -154,7 +154,7 @@ def describe(path: Path, work: Work) -> Described:
         places.append(place)
         keypoints += [extract(frame.image)] if extract is not None else []
     made = feed.header.name, feed.header.view, _known_of(feed)
-    return Described(*made, np.array(raw), tuple(places), tuple(keypoints), fingerprint(network))
+    return RecordingDescriptors(*made, np.array(raw), tuple(places), tuple(keypoints), fingerprint(network))
 
 
 def fingerprint(network: Network) -> str:
@@ -169,7 +169,7 @@ def _network(descriptor: DescriptorConfig) -> Network:
     return open_network(descriptor)
 
 
-def _known_of(feed: Feed) -> KnownOfDrive:
+def _known_of(feed: Feed) -> SegmentOptions:
     return {
         "has_odometer": has_odometer(feed),
         "whole_sigma_m": whole_sigma_m(feed),

@@ -16,7 +16,7 @@ import numpy as np
 from edge.errors import MapError, reason
 from edge.reference_map import MapSet, open_map_set
 from edge.reference_map.map_folder import RETIRED
-from edge_plugins.layers.road import NEEDED, Stretch, stretches
+from edge_plugins.layers.road import NEEDED, LayerRows, stretches
 from edge_plugins.layers.stored import StoredMap, stored_maps
 
 LAYERS = 4
@@ -69,22 +69,22 @@ def choose(folder: Path, layers: int = LAYERS) -> Choice:
     return Choice(drives, _searched(stretches(maps.maps, ROWS_APART), maps, drives, layers))
 
 
-def _searched(road: Sequence[Stretch], maps: MapSet, drives: Sequence[StoredMap], layers: int) -> dict[int, str]:
+def _searched(road: Sequence[LayerRows], maps: MapSet, drives: Sequence[StoredMap], layers: int) -> dict[int, str]:
     """Why each drive is searched, by its number."""
-    own: list[list[Stretch]] = [[] for _ in drives]
+    own: list[list[LayerRows]] = [[] for _ in drives]
     for stretch in road:
         for number in stretch.rows:
             own[number].append(stretch)
     views = [{segment.view for segment in header.segments} for header in maps.headers]
     searched = _kept(maps, drives) | {number: "passes no road" for number, of_it in enumerate(own) if not of_it}
 
-    def is_unseen(stretch: Stretch, number: int) -> bool:
+    def is_unseen(stretch: LayerRows, number: int) -> bool:
         return not stretch.rows.keys() & searched.keys()
 
-    def has_room(stretch: Stretch, number: int) -> bool:
+    def has_room(stretch: LayerRows, number: int) -> bool:
         return len(stretch.drives & searched.keys()) < layers
 
-    def is_first_of_view(stretch: Stretch, number: int) -> bool:
+    def is_first_of_view(stretch: LayerRows, number: int) -> bool:
         others = stretch.rows.keys() & searched.keys()
         return has_room(stretch, number) and all(views[number] != views[other] for other in others)
 

@@ -147,7 +147,7 @@ def _recipe(args: argparse.Namespace) -> _Source:
     return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool, columns)
 
 
-def _info(args: argparse.Namespace, source: _Source, found: onnx_import.Imported) -> ModelInfo:
+def _info(args: argparse.Namespace, source: _Source, found: onnx_import.FloatGraph) -> ModelInfo:
     height, width = found.size
     return ModelInfo(
         name=source.name,

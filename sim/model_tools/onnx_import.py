@@ -71,7 +71,7 @@ class ImageInput:
 
 
 @dataclass(frozen=True)
-class Imported:
+class FloatGraph:
     """A float graph without metadata. size: height and width."""
 
     model: onnx.ModelProto
@@ -88,7 +88,7 @@ def import_onnx(
     tap: str = "",
     pool: tuple[int, int] | None = None,
     columns: int | None = None,
-) -> Imported:
+) -> FloatGraph:
     """Cut the network at `tap` ("" is its output), average over a grid (rows, columns), and put pixels in front.
 
     columns: so many of the grid's on each side become the left and the right region, each from the outside in.
@@ -108,7 +108,7 @@ def import_onnx(
         whole = _finish(cut, one, shape)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
-    return Imported(whole, size, shape[-1], tap, regions)
+    return FloatGraph(whole, size, shape[-1], tap, regions)
 
 
 def _load(data: bytes) -> onnx.ModelProto:

@@ -16,7 +16,7 @@ TABLE = re.compile(r"^(\||<!--)")
 CODE = ("edge", "edge_plugins", "lookback", "sim")
 
 
-class Published(NamedTuple):
+class FigureSource(NamedTuple):
     """A line (from 1) of a page, which names the command that made what follows, and the version, "" if it does not."""
 
     page: str
@@ -25,14 +25,14 @@ class Published(NamedTuple):
     version: str
 
 
-def published(folder: Path) -> Iterator[Published]:
+def published(folder: Path) -> Iterator[FigureSource]:
     """Of every page in a folder, in the order of their names: paragraphs with a table next, or that say "Made by"."""
     for page in sorted(folder.glob("*.md")):
         lines = page.read_text(encoding="utf-8").splitlines()
         for number, text in enumerate(lines):
             found = MADE.match(text)
             if found and (found["made"] or found["version"] or TABLE.match(_next_paragraph(lines[number:]))):
-                yield Published(page.name, number + 1, found["command"], found["version"] or "")
+                yield FigureSource(page.name, number + 1, found["command"], found["version"] or "")
 
 
 def _next_paragraph(lines: list[str]) -> str:

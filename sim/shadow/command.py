@@ -20,7 +20,7 @@ from edge.errors import ConfigError
 from sim.coverage.picture import UNKNOWN, Band, write_page
 from sim.ground_files import GroundLine, as_geojson, write_by_suffix
 from sim.shadow.drives import JUDGED_SHARE, MOST_GPS_M, ShadowDrive, read_drives
-from sim.shadow.judging import MORE, Compared, Factor, Judged, compared, judge, ready_m
+from sim.shadow.judging import MORE, Factor, GpsComparison, SpanReadiness, compared, judge, ready_m
 from sim.shadow.road import Road
 from sim.shadow.sun import LIGHTS
 
@@ -57,8 +57,8 @@ class Report:
 
     drives: list[ShadowDrive]
     judges: list[ShadowDrive]
-    lights: dict[str, Compared]
-    stretches: list[Judged]
+    lights: dict[str, GpsComparison]
+    stretches: list[SpanReadiness]
 
 
 def report(
@@ -118,7 +118,7 @@ def _drives(drives: Sequence[ShadowDrive]) -> str:
     return f"{len(drives)} drive{'s' * (len(drives) != 1)} ({driven_m:.0f} m)"
 
 
-def _of_light(light: str, positions: Compared | None, stretches: Sequence[Judged]) -> Iterator[str]:
+def _of_light(light: str, positions: GpsComparison | None, stretches: Sequence[SpanReadiness]) -> Iterator[str]:
     longest_m = max(one.silent_m for one in stretches)
     if positions is None:
         yield f"{light}: no position would have been published"
@@ -141,7 +141,7 @@ def _of_light(light: str, positions: Compared | None, stretches: Sequence[Judged
         )
 
 
-def _spread(positions: Compared) -> str:
+def _spread(positions: GpsComparison) -> str:
     return " / ".join(f"{one:.1f}" for one in positions.spread_m) + " m"
 
 
@@ -251,7 +251,7 @@ def _draw(path: Path, found: Report) -> None:
     write_page(path, "Where Lookback is ready", first, panels, LEGEND, lines, "meters of road")
 
 
-def _color(one: Judged | None) -> str:
+def _color(one: SpanReadiness | None) -> str:
     if one is None:
         return UNKNOWN
     return READY if not one.why else NOT_READY if one.is_tried else UNTRIED

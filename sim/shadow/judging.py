@@ -42,7 +42,7 @@ class Factor(NamedTuple):
         return self.best <= 1 / TRUE_WITHIN and self.most < 1
 
 
-class Compared(NamedTuple):
+class GpsComparison(NamedTuple):
     """Comparisons of some drives in one light, as `ShadowDrive` has them, of those that GPS judges."""
 
     off_m: Array
@@ -100,16 +100,16 @@ class Compared(NamedTuple):
         return ", ".join(f"sigma_{WAYS[way]}_m" for way in sorted(set(self.way.tolist())))
 
 
-def compared(drives: Sequence[ShadowDrive], chosen: Sequence[NDArray[np.bool_]]) -> Compared:
+def compared(drives: Sequence[ShadowDrive], chosen: Sequence[NDArray[np.bool_]]) -> GpsComparison:
     """Of the chosen (N,) records of each drive those that GPS judges."""
     rows = [here & one.is_compared for one, here in zip(drives, chosen, strict=True)]
     names = ("off_m", "sigma_m", "gps_m", "late_m", "weight", "way")
     parts = (np.concatenate([getattr(one, name)[row] for one, row in zip(drives, rows, strict=True)]) for name in names)
-    return Compared(*parts)
+    return GpsComparison(*parts)
 
 
 @dataclass(frozen=True)
-class Judged:
+class SpanReadiness:
     """A stretch in one light. drives: that judge it, not those that began there; driven_m: of all of them.
 
     why: why it is not ready, "" where it is. silent_m: the longest way without a position up to there, of all drives.
@@ -122,7 +122,7 @@ class Judged:
     driven_m: float
     silent_m: float
     published: float
-    positions: Compared
+    positions: GpsComparison
     why: str
 
     @property
@@ -143,7 +143,7 @@ def judge(
     fewest: int,
     within_m: float,
     drift: float,
-) -> Judged | None:
+) -> SpanReadiness | None:
     """A stretch in one light; None where no drive passed in it.
 
     on_span: the records (N,) of each drive that are there. fewest: drives that it needs. within_m: error and drift that
@@ -171,10 +171,10 @@ def judge(
     elif count < fewest:
         why = f"{MORE}, {count} of {fewest}"
     driven_m = sum(float(one.driven_m[rows].sum()) for one, rows in passed)
-    return Judged(span, LIGHTS[light], count, driven_m, silent_m, float(published.mean()), positions, why)
+    return SpanReadiness(span, LIGHTS[light], count, driven_m, silent_m, float(published.mean()), positions, why)
 
 
-def ready_m(stretches: Sequence[Judged]) -> tuple[float, float]:
+def ready_m(stretches: Sequence[SpanReadiness]) -> tuple[float, float]:
     """Meters that are ready, of all."""
     return math.fsum(one.span.length_m for one in stretches if not one.why), math.fsum(
         one.span.length_m for one in stretches

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from edge.localization import Fix, Refusal
+from edge.localization import Fix, NoFix
 from edge.localization.drive_file import read_drive, replay
 from sim.bundle import drive_list
 
@@ -37,8 +37,8 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _spelled(answer: Fix | Refusal) -> str:
-    if isinstance(answer, Refusal):
+def _spelled(answer: Fix | NoFix) -> str:
+    if isinstance(answer, NoFix):
         return str(answer)
     place = answer.place
     return f"place {place.place}: {place.lat_deg:.7f}, {place.lon_deg:.7f}, sigma {place.sigma_m:.1f} m"

@@ -15,7 +15,7 @@ MOST_SIGMAS, ARRIVED_M, LANE_M = 4.0, 10.0, 5.0
 
 
 @dataclass(frozen=True)
-class Track:
+class TruthTrack:
     """Truth and belief of a drive, ten times a second: arrays (N,).
 
     along_m, left_m: true place on the way. error_m: of the autopilot's own position. gps: whether its filter fuses GPS.
@@ -31,7 +31,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Sent:
+class FixErrors:
     """Positions as they arrived, or confirmed the autopilot's own: when, and of each its error and its sigma.
 
     sigma_m: what is known of the position, or what its message says if that is less. off_m: (N, 2), how far off along
@@ -52,14 +52,14 @@ class Sent:
 
 
 @dataclass(frozen=True)
-class Run:
+class TrialRun:
     """One drive, and what it would have been without Lookback; levels: protection levels, see `protection_levels`."""
 
     seed: int
     world: int
-    track: Track
-    alone: Track
-    sent: Sent
+    track: TruthTrack
+    alone: TruthTrack
+    sent: FixErrors
     levels: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
@@ -75,12 +75,12 @@ class Run:
         return float(along_m[1] - along_m[0]) if len(along_m) > 1 else math.nan
 
 
-def lane_off_m(track: Track) -> float:
+def lane_off_m(track: TruthTrack) -> float:
     """95 % of the cross-track error without GPS, m."""
     return float(np.percentile(np.abs(track.left_m[~track.gps]), 95)) if not track.gps.all() else 0.0
 
 
-def lost_s(run: Run) -> float:
+def lost_s(run: TrialRun) -> float:
     """When GPS was fused last; 0 where it never was."""
     with_gps = np.flatnonzero(run.track.gps)
     return float(run.track.time_s[with_gps[-1]]) if len(with_gps) else 0.0

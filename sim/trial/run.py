@@ -29,8 +29,8 @@ from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Draft
-from sim.trial.records import Array, Run, Sent, Track
-from sim.trial.simulation import STEP_S, Silent, Simulation
+from sim.trial.records import Array, FixErrors, TrialRun, TruthTrack
+from sim.trial.simulation import STEP_S, NullLink, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import protection_levels
@@ -51,7 +51,7 @@ RIG = RigConfig(
 """Of the simulated rig, as `lookback calibrate` measures it."""
 
 
-class Drive:
+class TrialDrive:
     """A draft, driven once with the daemon and once without; its journal stays in `folder`.
 
     The map is made on the way, by a second camera. A course overrides what is different about it.
@@ -62,7 +62,7 @@ class Drive:
         self.journal = folder / JOURNAL
         self.network = PlacedNetwork(library)
 
-    def run(self, driven: Callable[[float], object] = lambda meters: None) -> Run:
+    def run(self, driven: Callable[[float], object] = lambda meters: None) -> TrialRun:
         """driven: called with each few meters of the drive with the daemon, which needs nearly all of the time."""
         for suffix in (".jsonl", ".bound", ".height"):
             self.journal.with_suffix(suffix).unlink(missing_ok=True)  # of an earlier drive
@@ -72,7 +72,7 @@ class Drive:
             simulation = self.simulation(link, driven)
             simulation.show(self.network)
             self.run_daemon(simulation, self.config(f"serial:{link.device}:921600", map_path))
-        alone = self.simulation(Silent())
+        alone = self.simulation(NullLink())
         while not alone.ended:
             alone.step()
         return self.judged(simulation, alone)
@@ -122,12 +122,12 @@ class Drive:
         for failed in records_of(self.journal, PluginFailed):
             raise RuntimeError(f"plug-in {failed.plugin}: {failed.why}")
 
-    def judged(self, simulation: Simulation, alone: Simulation) -> Run:
+    def judged(self, simulation: Simulation, alone: Simulation) -> TrialRun:
         """Both drives, by the truth."""
         levels = protection_levels(simulation.autopilot.received)
         levels[:, 0] = [simulation.time_s(at_s) for at_s in levels[:, 0]]
         tracks = _track(self.draft, simulation), _track(self.draft, alone)
-        return Run(self.seed, self.draft.world, *tracks, _sent(self.draft, simulation, self.journal), levels)
+        return TrialRun(self.seed, self.draft.world, *tracks, _sent(self.draft, simulation, self.journal), levels)
 
 
 def map_scenario(home: Scenario, camera: tuple[View, LightName, int] = ("rear", "day", 1)) -> Scenario:
@@ -137,14 +137,14 @@ def map_scenario(home: Scenario, camera: tuple[View, LightName, int] = ("rear", 
     return msgspec.structs.replace(level, view=view, light=light, direction="forward", drive_seed=drive_seed)
 
 
-def _track(draft: Draft, simulation: Simulation) -> Track:
+def _track(draft: Draft, simulation: Simulation) -> TruthTrack:
     time_s, along_m, left_m, east_m, north_m, error_m, gps, _ = np.array(simulation.rows).T
     end_east_m, end_north_m, _ = draft.way.at(draft.legs[-1].to_m)
     end_off_m = math.hypot(east_m[-1] - end_east_m, north_m[-1] - end_north_m)
-    return Track(time_s, along_m, left_m, error_m, gps != 0, end_off_m)
+    return TruthTrack(time_s, along_m, left_m, error_m, gps != 0, end_off_m)
 
 
-def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
+def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
     rows = np.array(simulation.rows)
     known_s, known_m = _known_sigmas(journal, simulation)
     found = []
@@ -172,7 +172,7 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> Sent:
         )
         add(at_s, *here_m, one.sigma_m, at_s, confirms=True)
     columns: Array = np.array(sorted(found)).reshape(-1, 7).T
-    return Sent(columns[0], columns[1], columns[2], columns[3:5].T, columns[5], columns[6] != 0)
+    return FixErrors(columns[0], columns[1], columns[2], columns[3:5].T, columns[5], columns[6] != 0)
 
 
 def _known_sigmas(journal: Path, simulation: Simulation) -> Array:

@@ -24,7 +24,7 @@ STEP_S, FRAME_S = 0.02, 0.1
 UP_S = 3.0  # before the vehicle sets off
 
 
-class Silent:
+class NullLink:
     """A link that nobody listens to."""
 
     def receive(self) -> bytes:

@@ -20,7 +20,7 @@ from edge.files import replacing
 from edge.keypoints import Keypoints
 from sim import Pose
 from sim.world.camera import open_renderer
-from sim.world.drive import Drive
+from sim.world.drive import WorldDrive
 from sim.world.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class RoadViews:
     def __init__(self, scenario: Scenario, network: Network, folder: Path, cell_m: int) -> None:
         """folder: where descriptors are kept, one file for each scenario."""
         self._cell_m = cell_m
-        self.drive: Drive = scenario.drive()
+        self.drive: WorldDrive = scenario.drive()
         self._scenario, self._network = scenario, network
         self._renderer: Renderer | None = None
         self.keypoints: dict[tuple[float, float], Keypoints] = {}

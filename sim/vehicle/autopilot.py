@@ -22,15 +22,15 @@ from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, GPS_DOUBT_NAME, 
 from edge.telemetry.link import Link
 from sim import Pose
 from sim.vehicle.attitude import AttitudeEstimate
-from sim.vehicle.autopilot_messages import ENCODERS, Snapshot
+from sim.vehicle.autopilot_messages import ENCODERS, AutopilotSnapshot
 from sim.vehicle.estimator import Estimator, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES, parameters_of
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.mission_store import KINDS, MissionStore
-from sim.vehicle.position_inputs import SET_WITHOUT_GPS, Moment, PositionInputs, Reset, east_north_m
+from sim.vehicle.position_inputs import SET_WITHOUT_GPS, InputContext, PositionInputs, Reset, east_north_m
 from sim.vehicle.px4_modes import NO_AID_TIMEOUT, NO_AID_US, FlightMode, custom_mode
 
-__all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "Received", "Reset", "SimulatedAutopilot"]
+__all__ = ["EXTERNAL_POSITION_ESTIMATE", "SILENT", "MessageArrival", "Reset", "SimulatedAutopilot"]
 
 HEARTBEAT_S = 1.0
 STEP_S = 0.01
@@ -41,7 +41,7 @@ BOOTS_S = 2.7
 
 
 @dataclass(frozen=True)
-class Received:
+class MessageArrival:
     """One message that arrived, at CLOCK_MONOTONIC seconds."""
 
     time_s: float
@@ -82,7 +82,7 @@ class SimulatedAutopilot:
         self._lon_shift_deg, self._booted_before_ns = lon_shift_deg, round(booted_before_s * 1e9)
         self.loses: Callable[[Message, bool], bool] = lambda message, outgoing: False
         """Whether the link loses a message, which is the autopilot's own if outgoing."""
-        self.received: list[Received] = []
+        self.received: list[MessageArrival] = []
         self.reject_fixes_with: int | None = None
         """A MAV_RESULT to answer every position estimate with instead of using it; SILENT for no answer, as PX4
         1.15."""
@@ -169,7 +169,7 @@ class SimulatedAutopilot:
             return
         for message in received:
             if not self.loses(message, False):
-                self.received.append(Received(now_s, message))
+                self.received.append(MessageArrival(now_s, message))
                 self.handle(message)
         for message in self.mission.step(now_s):
             self.send(message)
@@ -292,12 +292,12 @@ class SimulatedAutopilot:
         self.estimate.shift(self.origin_m[0] - self._started_m[0], self.origin_m[1] - self._started_m[1])
         self._send_kind(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
-    def _moment(self) -> Moment:
+    def _moment(self) -> InputContext:
         gps_lost_s = math.inf if self._uses_gps else self._gps_lost_s
-        return Moment(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self.origin_m)
+        return InputContext(self._clock_ns() / 1e9, self.boot_s, gps_lost_s, self.origin_m)
 
-    def _snapshot(self) -> Snapshot:
-        return Snapshot(
+    def _snapshot(self) -> AutopilotSnapshot:
+        return AutopilotSnapshot(
             firmware=self._firmware,
             boot_ns=self._clock_ns() - self._boot_ns,
             pose=self._pose,

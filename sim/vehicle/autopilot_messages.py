@@ -12,7 +12,7 @@ from edge.telemetry.codec import FusionStatus, Message
 from sim import ORIGIN_ALT_M, Pose, geodetic
 from sim.vehicle.attitude import AttitudeEstimate
 from sim.vehicle.estimator import Estimator
-from sim.vehicle.firmware import Firmware
+from sim.vehicle.firmware import SimulatedFirmware
 from sim.vehicle.gps import GpsReport
 
 NOT_AIDED_FLAGS = 0x65
@@ -26,7 +26,7 @@ RELATIVE_FLAGS, ABSOLUTE_FLAGS = 0x12F, mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlin
 
 
 @dataclass(frozen=True)
-class Snapshot:
+class AutopilotSnapshot:
     """The state of the autopilot at one moment.
 
     pose: the truth, for GPS only. uses_gps: whether the filter fuses it; is_fusion_on: whether it may. estimate,
@@ -34,7 +34,7 @@ class Snapshot:
     none. has_wheels: whether it counts their turns. base_mode: flags of MAV_MODE_FLAG. custom_mode: PX4's mode.
     """
 
-    firmware: Firmware
+    firmware: SimulatedFirmware
     boot_ns: int
     pose: Pose
     gps: GpsReport
@@ -69,7 +69,7 @@ class Snapshot:
         return round(lat_deg * 1e7), round(lon_deg * 1e7)
 
 
-def _heartbeat(state: Snapshot) -> Message:
+def _heartbeat(state: AutopilotSnapshot) -> Message:
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_GROUND_ROVER,
         state.firmware.autopilot,
@@ -80,7 +80,7 @@ def _heartbeat(state: Snapshot) -> Message:
     )
 
 
-def _global_position(state: Snapshot) -> Message:
+def _global_position(state: AutopilotSnapshot) -> Message:
     east_mps, north_mps = state.estimate.velocity_mps
     # Without an origin there is no global position: ArduPilot sends 0, 0.
     lat, lon = state.degrees(state.estimate.east_m, state.estimate.north_m) if state.origin_m is not None else (0, 0)
@@ -90,7 +90,7 @@ def _global_position(state: Snapshot) -> Message:
     )
 
 
-def _local_position(state: Snapshot) -> Message:
+def _local_position(state: AutopilotSnapshot) -> Message:
     east_mps, north_mps = state.estimate.velocity_mps
     here, (origin_east_m, origin_north_m) = state.estimate, state.origin_m or (0.0, 0.0)
     return mavlink.MAVLink_local_position_ned_message(
@@ -98,12 +98,12 @@ def _local_position(state: Snapshot) -> Message:
     )
 
 
-def _attitude(state: Snapshot) -> Message:
+def _attitude(state: AutopilotSnapshot) -> Message:
     angles_deg = *state.attitude.tilt_deg, math.remainder(state.estimate.heading_deg, 360.0), *state.attitude.rates_dps
     return mavlink.MAVLink_attitude_message(state.boot_ms, *map(math.radians, angles_deg))
 
 
-def _raw_imu(state: Snapshot) -> Message | None:
+def _raw_imu(state: AutopilotSnapshot) -> Message | None:
     """Of ArduPilot, in thousandths of a radian per second, and of g."""
     if not state.firmware.can.rates_follow_gps:
         return None
@@ -111,18 +111,18 @@ def _raw_imu(state: Snapshot) -> Message | None:
     return mavlink.MAVLink_raw_imu_message(state.boot_ns // 1000, 0, 0, -1000, *rates, 0, 0, 0)
 
 
-def _vfr_hud(state: Snapshot) -> Message:
+def _vfr_hud(state: AutopilotSnapshot) -> Message:
     speed_mps, heading_deg = state.speed_mps, round(state.estimate.heading_deg) % 360
     return mavlink.MAVLink_vfr_hud_message(speed_mps, speed_mps, heading_deg, 0, ORIGIN_ALT_M, 0.0)
 
 
-def _gps_raw(state: Snapshot) -> Message:
+def _gps_raw(state: AutopilotSnapshot) -> Message:
     if state.gps.second or state.gps.fix_type <= mavlink.GPS_FIX_TYPE_NO_FIX:
         return mavlink.MAVLink_gps_raw_int_message(0, state.gps.fix_type * (not state.gps.second), *[0] * 3, *_NO_DOP)
     return mavlink.MAVLink_gps_raw_int_message(*_receiver(state), h_acc=round(state.gps.accuracy_m * 1e3))
 
 
-def _gps2_raw(state: Snapshot) -> Message | None:
+def _gps2_raw(state: AutopilotSnapshot) -> Message | None:
     if not state.gps.second:
         return None
     return mavlink.MAVLink_gps2_raw_message(*_receiver(state), 0, 0, h_acc=round(state.gps.accuracy_m * 1e3))
@@ -131,21 +131,21 @@ def _gps2_raw(state: Snapshot) -> Message | None:
 _NO_DOP = (65535, 65535, 0, 0, 0)
 
 
-def _receiver(state: Snapshot) -> tuple[int, ...]:
+def _receiver(state: AutopilotSnapshot) -> tuple[int, ...]:
     """The fields that both receivers' messages begin with."""
     at = *state.degrees(*state.gps.position(state.pose)), round(ORIGIN_ALT_M * 1000)
     moves = round(abs(state.pose.speed_mps) * 100), state.heading_cdeg
     return (state.boot_ns // 1000, state.gps.fix_type, *at, 70, 110, *moves, 10)
 
 
-def _wheel_distance(state: Snapshot) -> Message | None:
+def _wheel_distance(state: AutopilotSnapshot) -> Message | None:
     if not state.has_wheels:
         return None
     driven_m = [state.estimate.driven_m] * 2 + [0.0] * 14
     return mavlink.MAVLink_wheel_distance_message(state.boot_ns // 1000, 2, driven_m)
 
 
-def _odometry(state: Snapshot) -> Message:
+def _odometry(state: AutopilotSnapshot) -> Message:
     here, half_rad, unknown = state.estimate, math.radians(state.estimate.heading_deg) / 2, [math.nan] * 21
     pose = here.north_m, here.east_m, 0.0, [math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)]
     frames = mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD
@@ -154,14 +154,14 @@ def _odometry(state: Snapshot) -> Message:
     )
 
 
-def _filter_flags(state: Snapshot) -> int:
+def _filter_flags(state: AutopilotSnapshot) -> int:
     """As recorded: velocity and relative position while anything aids them, absolute position with GPS."""
     if not (state.estimate.is_aided or state.uses_gps):
         return NOT_AIDED_FLAGS
     return RELATIVE_FLAGS | (ABSOLUTE_FLAGS if state.uses_gps else 0)
 
 
-def _estimator_status(state: Snapshot) -> Message:
+def _estimator_status(state: AutopilotSnapshot) -> Message:
     return mavlink.MAVLink_estimator_status_message(
         state.boot_ns // 1000, _filter_flags(state), *[0] * 6, state.estimate.sigma_m, 1.0
     )
@@ -176,13 +176,13 @@ class _FusionStatus(FusionStatus):
         return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
 
-def _fusion_status(state: Snapshot) -> Message:
+def _fusion_status(state: AutopilotSnapshot) -> Message:
     """GPS, and what a recorded PX4 was set to fuse besides."""
     others = [1, 0, 1, 1, 1, 1, 0, 0]
     return _FusionStatus([int(state.is_fusion_on), *others], [int(state.uses_gps), *others], [math.nan] * 9)
 
 
-def _origin(state: Snapshot) -> Message | None:
+def _origin(state: AutopilotSnapshot) -> Message | None:
     if state.origin_m is None:
         return None
     return mavlink.MAVLink_gps_global_origin_message(
@@ -190,7 +190,7 @@ def _origin(state: Snapshot) -> Message | None:
     )
 
 
-def version_of(firmware: Firmware) -> Message:
+def version_of(firmware: SimulatedFirmware) -> Message:
     """AUTOPILOT_VERSION."""
     major, minor, patch = firmware.version
     software = major << 24 | minor << 16 | patch << 8 | 255
@@ -199,7 +199,7 @@ def version_of(firmware: Firmware) -> Message:
     )
 
 
-ENCODERS: dict[int, Callable[[Snapshot], Message | None]] = {
+ENCODERS: dict[int, Callable[[AutopilotSnapshot], Message | None]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: lambda state: mavlink.MAVLink_timesync_message(0, state.boot_ns),
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,

@@ -57,7 +57,7 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
 
 def run(arguments: argparse.Namespace) -> int:
     """Print received messages as JSON lines on stdout until Ctrl-C; the connection is printed on stderr."""
-    start = Start(math.inf if arguments.follow else time.monotonic())
+    start = VehicleStart(math.inf if arguments.follow else time.monotonic())
     if arguments.follow is not None:
         pose_at = recorded_drive(read_feed(arguments.follow), start)
     else:
@@ -95,7 +95,7 @@ def straight_line(speed_mps: float, heading_deg: float, start_s: float) -> Calla
 
 
 @dataclass
-class Start:
+class VehicleStart:
     """When a recorded drive begins, in seconds of CLOCK_MONOTONIC: the vehicle stands at its first place until then."""
 
     time_s: float = math.inf
@@ -108,7 +108,7 @@ class Start:
             self.time_s = min(self.time_s, time_s + STANDS_S)
 
 
-def recorded_drive(feed: Feed, start: Start) -> Callable[[float], Pose]:
+def recorded_drive(feed: Feed, start: VehicleStart) -> Callable[[float], Pose]:
     """The drive of a feed, in its own time. FeedError unless its positions are near the simulation's origin."""
     placed = [row for row in feed.rows if row.lat_deg is not None and row.lon_deg is not None]
     at_m = np.array([east_north_m(row.lat_deg or 0.0, row.lon_deg or 0.0) for row in placed]).reshape(-1, 2)
@@ -144,7 +144,7 @@ def _open(udp: str | None) -> Link:
 
 
 def _print_received(
-    autopilot: SimulatedAutopilot, thread: threading.Thread, arguments: argparse.Namespace, start: Start
+    autopilot: SimulatedAutopilot, thread: threading.Thread, arguments: argparse.Namespace, start: VehicleStart
 ) -> None:
     end_s = time.monotonic() + arguments.seconds
     while thread.is_alive() and time.monotonic() < end_s:

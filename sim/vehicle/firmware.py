@@ -18,7 +18,7 @@ AcceptsFix: TypeAlias = Literal["aiding", "dead reckoning", "always"]
 
 
 @dataclass(frozen=True)
-class Firmware:
+class SimulatedFirmware:
     """One firmware on one kind of vehicle.
 
     accepts_fix: when MAV_CMD_EXTERNAL_POSITION_ESTIMATE is accepted: "aiding" is ArduPilot's rule (it has an origin,
@@ -61,13 +61,13 @@ class Firmware:
         return firmware_of(self.autopilot)
 
 
-ARDUPILOT = Firmware(
+ARDUPILOT = SimulatedFirmware(
     "ardupilot", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, (4, 6, 3), "aiding", oldest_fix_s=5.0, timesync_s=10.0,
     corrects_lag=True, denies_height=True, needs_origin=True,
     selects_by=mavlink.MAV_CMD_SET_EKF_SOURCE_SET,
 )  # fmt: skip
 """With wheel encoders, flow or airspeed the filter goes on as long as anybody tried."""
-PX4 = Firmware(
+PX4 = SimulatedFirmware(
     "px4", mavlink.MAV_AUTOPILOT_PX4, (1, 18, 0), "always", oldest_fix_s=15.0, timesync_s=0.1,
     fix_rejected=mavlink.MAV_RESULT_TEMPORARILY_REJECTED, accepts_fix_as_long=True, fuses_sensor=True,
     reports_accuracy=True, resets_softly=True, selects_by=SENSOR_ENABLE,
@@ -75,7 +75,7 @@ PX4 = Firmware(
     noise=FilterNoise(position=3.3e-4, gate_sigmas=3.0),
 )  # fmt: skip
 OLDER_PX4 = replace(PX4, fuses_sensor=False, resets_softly=False, selects_by=0)
-FIRMWARES: dict[str, Firmware] = {
+FIRMWARES: dict[str, SimulatedFirmware] = {
     firmware.name: firmware
     for firmware in (
         ARDUPILOT,
@@ -91,7 +91,7 @@ FIRMWARES: dict[str, Firmware] = {
 }
 
 
-def parameters_of(firmware: Firmware, source: VelocitySource) -> dict[str, tuple[float, int]]:
+def parameters_of(firmware: SimulatedFirmware, source: VelocitySource) -> dict[str, tuple[float, int]]:
     """Value and MAV_PARAM_TYPE of its parameters for what measures its velocity, and for streams of positions."""
     kind, is_aided = mavlink.MAV_PARAM_TYPE_REAL32, source != "none"
     if EV_CONTROL in firmware.can.aid_parameters:

@@ -12,7 +12,7 @@ from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE, SENSOR_GPS
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.estimator import Estimator
-from sim.vehicle.firmware import Firmware
+from sim.vehicle.firmware import SimulatedFirmware
 
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
@@ -31,7 +31,7 @@ class Reset:
 
 
 @dataclass
-class Moment:
+class InputContext:
     """The state that decides what a position does: seconds on two clocks, GPS, and the origin.
 
     gps_lost_s: time of the loss of GPS, infinity while it works. origin_m: the filter's local zero, meters east and
@@ -47,7 +47,7 @@ class Moment:
 class PositionInputs:
     """Handles positions as one firmware does."""
 
-    def __init__(self, firmware: Firmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
+    def __init__(self, firmware: SimulatedFirmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
         self._lon_shift_deg = lon_shift_deg
         self._firmware = firmware
         self._estimate = estimate
@@ -62,7 +62,7 @@ class PositionInputs:
         self.velocities_fused: list[bool] = []
         """Whether the gate let each one pass."""
 
-    def command(self, command: Message, moment: Moment) -> int:
+    def command(self, command: Message, moment: InputContext) -> int:
         """The MAV_RESULT of 43003 (a fix), or of the command that selects sources."""
         firmware = self._firmware
         if command.command == firmware.selects_by:
@@ -80,7 +80,7 @@ class PositionInputs:
             return int(mavlink.MAV_RESULT_DENIED)
         return self._accept_fix(command, command.x / 1e7, command.y / 1e7, moment)
 
-    def _accept_fix(self, command: Message, lat_deg: float, lon_deg: float, moment: Moment) -> int:
+    def _accept_fix(self, command: Message, lat_deg: float, lon_deg: float, moment: InputContext) -> int:
         """A hard horizontal reset to where the vehicle was, if the firmware's rule accepts it."""
         without_gps_s = moment.now_s - moment.gps_lost_s
         if not self._would_accept(without_gps_s, moment):
@@ -93,19 +93,19 @@ class PositionInputs:
             self._reset(*east_north_m(lat_deg, lon_deg, self._lon_shift_deg), moment, age_s, command.param3)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
-    def _would_accept(self, without_gps_s: float, moment: Moment) -> bool:
+    def _would_accept(self, without_gps_s: float, moment: InputContext) -> bool:
         if self._firmware.accepts_fix == "aiding":
             has_position = moment.origin_m is not None and (self._estimate.is_aided or not self.is_aided_by_camera)
             return has_position and OTHER_POSITION_S <= without_gps_s <= self._firmware.aids_for_s
         return self._firmware.accepts_fix == "always" or without_gps_s > 0
 
-    def sensor(self, message: Message, moment: Moment) -> None:
+    def sensor(self, message: Message, moment: InputContext) -> None:
         """GLOBAL_POSITION_SENSOR: gated, its times ignored."""
         if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
             east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7, self._lon_shift_deg)
             self._fuse(east_m, north_m, moment, message.eph)
 
-    def velocity(self, message: Message, moment: Moment) -> None:
+    def velocity(self, message: Message, moment: InputContext) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.
 
         That of the body is turned by the filter's own heading; PX4 takes one north and east as it is.
@@ -126,7 +126,7 @@ class PositionInputs:
             values = ahead_mps, error_mps, error_mps, moment.now_s - VISO_DELAY_S
         self.velocities_fused.append(self._estimate.fuse_velocity(*values, course_rad))
 
-    def _reset(self, east_m: float, north_m: float, moment: Moment, age_s: float, sigma_m: float) -> None:
+    def _reset(self, east_m: float, north_m: float, moment: InputContext, age_s: float, sigma_m: float) -> None:
         is_weighed = self._firmware.resets_softly and not sigma_m < ALWAYS_RESETS_M
         if is_weighed and moment.gps_lost_s < math.inf:
             self._estimate.fuse(east_m, north_m, moment.now_s - age_s, sigma_m, reset_gate=SOFT_GATE)
@@ -134,7 +134,7 @@ class PositionInputs:
             self._estimate.reset(east_m, north_m, moment.now_s - age_s, sigma_m)
         self.resets.append(Reset(moment.now_s, self._estimate.error_m))
 
-    def _fuse(self, east_m: float, north_m: float, moment: Moment, sigma_m: float) -> None:
+    def _fuse(self, east_m: float, north_m: float, moment: InputContext, sigma_m: float) -> None:
         if self._estimate.fuse(east_m, north_m, moment.now_s, sigma_m):
             self.fused.append(Reset(moment.now_s, self._estimate.error_m))
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.telemetry.encoders import LEVEL_NAMES
-from sim.vehicle.autopilot import Received
+from sim.vehicle.autopilot import MessageArrival
 
 WITHIN_S = 3.0
 """For so long after a position its protection level holds."""
 LIMIT_M = 15.0
 
 
-def protection_levels(received: Sequence[Received]) -> NDArray[np.float64]:
+def protection_levels(received: Sequence[MessageArrival]) -> NDArray[np.float64]:
     """Time in seconds, and meters along and across, (n, 3), one row for each that was received."""
     values = [
         (item.time_s, item.message.name, item.message.value)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from edge.camera import Camera, Frame
 from edge.config import CameraConfig
 from sim.output import needing
-from sim.world.drive import Drive
+from sim.world.drive import WorldDrive
 from sim.world.route import generate_route
 from sim.world.scenario import Scenario, load_scenario
 
@@ -29,7 +29,7 @@ def open_camera(config: CameraConfig) -> Camera:
     return SimCamera(load_scenario(Path(config.device)), config)
 
 
-def open_renderer(scenario: Scenario, drive: Drive) -> Renderer:
+def open_renderer(scenario: Scenario, drive: WorldDrive) -> Renderer:
     """The scenario's camera in its world; takes about two seconds a kilometer."""
     # Imported here: positions alone need no renderer.
     with needing("the simulator", "sim"):
@@ -61,7 +61,7 @@ EXPOSED = (-0.5, -0.25, 0.0, 0.25, 0.5)  # shares of an exposure at which the sc
 BANDS = 8  # of rows that are exposed together, where a sensor reads them one after another
 
 
-def picture(renderer: Renderer, scenario: Scenario, drive: Drive, time_s: float) -> NDArray[np.uint8]:
+def picture(renderer: Renderer, scenario: Scenario, drive: WorldDrive, time_s: float) -> NDArray[np.uint8]:
     """What the scenario's camera sees, (H, W, 3) uint8 BGR; time_s: of the drive, when its middle row is exposed."""
     moments = EXPOSED if scenario.exposure_s else (0.0,)
     bands = BANDS if scenario.readout_s else 1

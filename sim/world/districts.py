@@ -9,11 +9,11 @@ import numpy as np
 from sim.world import lots
 from sim.world.ground import SIDEWALK_M
 from sim.world.route import DistrictKind
-from sim.world.sections import SECTION_M, Section
+from sim.world.sections import SECTION_M, RoadSection
 from sim.world.solids import Thing
 
 
-def fill_terrace(section: Section, kind: str = "block") -> list[Thing]:
+def fill_terrace(section: RoadSection, kind: str = "block") -> list[Thing]:
     """One to three houses wall to wall, with a gap after them at times."""
     rng, block = section.rng, section.block
     away = SIDEWALK_M + 0.3 + (0.0 if kind == "shop" else round(2 * block.setback) * 2.2)
@@ -35,12 +35,12 @@ def fill_terrace(section: Section, kind: str = "block") -> list[Thing]:
     return things
 
 
-def fill_shops(section: Section) -> list[Thing]:
+def fill_shops(section: RoadSection) -> list[Thing]:
     """A terrace with shops on the ground floor, right at the sidewalk."""
     return fill_terrace(section, "shop")
 
 
-def fill_suburb(section: Section) -> list[Thing]:
+def fill_suburb(section: RoadSection) -> list[Thing]:
     """One detached house in a garden behind a hedge or a fence, with a tree or two."""
     rng, block = section.rng, section.block
     wide, deep = rng.uniform(8, 12), rng.uniform(7, 10)
@@ -60,7 +60,7 @@ def fill_suburb(section: Section) -> list[Thing]:
     return things
 
 
-def fill_wood(section: Section) -> list[Thing]:
+def fill_wood(section: RoadSection) -> list[Thing]:
     """Trees of mostly one or two kinds, thick or thin, bushes, and the dark behind them."""
     rng, block, front = section.rng, section.block, section.front()
     behind = ((-1.0, 17.0), (SECTION_M + 1, 17.0))
@@ -73,7 +73,7 @@ def fill_wood(section: Section) -> list[Thing]:
     return things
 
 
-def fill_open(section: Section) -> list[Thing]:
+def fill_open(section: RoadSection) -> list[Thing]:
     """Fields: a fence or a hedge, poles, a few trees, at times a barn or a billboard."""
     rng, block, front = section.rng, section.block, section.front()
     things: list[Thing] = []
@@ -95,7 +95,7 @@ def fill_open(section: Section) -> list[Thing]:
     return things
 
 
-def _grove(section: Section, count: int, away_m: tuple[float, float], high_m: float) -> list[Thing]:
+def _grove(section: RoadSection, count: int, away_m: tuple[float, float], high_m: float) -> list[Thing]:
     """Trees at random over the section, within distances from the sidewalk; none of them on the road."""
     rng, front = section.rng, section.front()
     trees = []
@@ -106,7 +106,7 @@ def _grove(section: Section, count: int, away_m: tuple[float, float], high_m: fl
     return trees
 
 
-FILL: Mapping[DistrictKind, Callable[[Section], list[Thing]]] = {
+FILL: Mapping[DistrictKind, Callable[[RoadSection], list[Thing]]] = {
     "town": fill_terrace,
     "shops": fill_shops,
     "suburb": fill_suburb,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import Pose
-from sim.world.route import Route
+from sim.world.route import WorldRoute
 
 Direction = Literal["forward", "reverse"]
 
@@ -24,7 +24,7 @@ BUMPS_DEG = 0.3
 
 
 @dataclass(frozen=True)
-class Drive:
+class WorldDrive:
     """A vehicle's motion from rest at one end of the route to rest at the other; build it with `plan_drive`.
 
     `direction` "reverse" is the way home: from the end of the route to its start. lane_m is the distance of the
@@ -34,7 +34,7 @@ class Drive:
     times_s and distances_m (N,) sample the motion each STEP_S.
     """
 
-    route: Route
+    route: WorldRoute
     direction: Direction
     lane_m: float
     seed: int
@@ -98,7 +98,7 @@ class Drive:
 
 
 def plan_drive(
-    route: Route,
+    route: WorldRoute,
     direction: Direction = "forward",
     *,
     seed: int,
@@ -106,7 +106,7 @@ def plan_drive(
     speed_mps: float = 10.0,
     stops: int = 0,
     shaking: float = 0.0,
-) -> Drive:
+) -> WorldDrive:
     """Plan the motion: the wanted speed changes every few seconds between 0.6 and 1.3 of `speed_mps`.
 
     `stops` are halts of 3 to 8 s at seeded places; the vehicle brakes and pulls away at ACCELERATION_MPS2.
@@ -128,4 +128,4 @@ def plan_drive(
         speed = 0.0
         distances += [float(halt_m)] * max(1, round(wait_s / STEP_S))
     times = np.arange(len(distances), dtype=np.float64) * STEP_S
-    return Drive(route, direction, lane_m, seed, times, np.array(distances, np.float64), shaking)
+    return WorldDrive(route, direction, lane_m, seed, times, np.array(distances, np.float64), shaking)

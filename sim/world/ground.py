@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.plants import ground_picture, road_picture
-from sim.world.route import KINDS, LEAD_M, Route
+from sim.world.route import KINDS, LEAD_M, WorldRoute
 from sim.world.solids import UNIT_UV, Surface, Thing
 
 ROAD_HALF_M = 4.5
@@ -17,7 +17,7 @@ GROUND_M = 36.0
 STEP_M = 4.0
 
 
-def lay_ground(route: Route, rng: np.random.Generator) -> Iterator[Thing]:
+def lay_ground(route: WorldRoute, rng: np.random.Generator) -> Iterator[Thing]:
     """One Thing a kind of surface; strips of STEP_M along the route."""
     starts = np.arange(-LEAD_M, route.length_m + LEAD_M - STEP_M, STEP_M)
     roads = [road_picture(rng, dashed=dashed) for dashed in (True, False)]
@@ -41,7 +41,7 @@ def lay_ground(route: Route, rng: np.random.Generator) -> Iterator[Thing]:
 
 
 def _strip(
-    route: Route, start_m: float, span_m: tuple[float, float], high_m: float, repeat: tuple[float, float]
+    route: WorldRoute, start_m: float, span_m: tuple[float, float], high_m: float, repeat: tuple[float, float]
 ) -> Surface:
     """STEP_M of a strip between two distances left of the middle, as seen from above with the road running up.
 
@@ -56,7 +56,7 @@ def _strip(
     return Surface(np.array(corners), uv)
 
 
-def _far_plain(route: Route, picture: NDArray[np.uint8], snow: NDArray[np.uint8]) -> Thing:
+def _far_plain(route: WorldRoute, picture: NDArray[np.uint8], snow: NDArray[np.uint8]) -> Thing:
     """Level land out to the horizon, a little lower, in tiles of 60 m."""
     low, high = route.points_m.min(axis=0) - 300, route.points_m.max(axis=0) + 300
     tiles = []

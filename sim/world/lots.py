@@ -45,7 +45,7 @@ FACE_WIDE_PX = (112, 56, 32, 56)  # front, end, back, end: 256 columns together
 ROOFS = ((0.45, 0.22, 0.16), (0.30, 0.30, 0.33), (0.36, 0.27, 0.20), (0.24, 0.26, 0.24), (0.52, 0.36, 0.26))
 
 
-class Pictures:
+class LotPictures:
     """Pictures that many things share: tree kinds, fences, tiles; a few variants of each."""
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -67,7 +67,7 @@ class Pictures:
         return (np.clip(pixels, 0, 1) * 255).astype(np.uint8)
 
 
-def tree(rng: np.random.Generator, pictures: Pictures, at_m: NDArray[np.float64], kind: str, high_m: float) -> Thing:
+def tree(rng: np.random.Generator, pictures: LotPictures, at_m: NDArray[np.float64], kind: str, high_m: float) -> Thing:
     """A tree of a kind and about a height."""
     picture, snow = pictures.trees[kind][rng.integers(2)]
     high = high_m * rng.uniform(0.8, 1.25)
@@ -77,7 +77,7 @@ def tree(rng: np.random.Generator, pictures: Pictures, at_m: NDArray[np.float64]
 
 
 def strip(
-    pictures: Pictures, plot: Plot, span: tuple[tuple[float, float], tuple[float, float]], high_m: float, kind: str
+    pictures: LotPictures, plot: Plot, span: tuple[tuple[float, float], tuple[float, float]], high_m: float, kind: str
 ) -> Thing:
     """A fence, hedge or thicket between two local points, seen from both sides."""
     (x0, y0), (x1, y1) = span
@@ -88,7 +88,7 @@ def strip(
 
 def building(
     rng: np.random.Generator,
-    pictures: Pictures,
+    pictures: LotPictures,
     plot: Plot,
     style: WallStyle,
     size: tuple[float, float, int],
@@ -177,7 +177,7 @@ def hanging_sign(rng: np.random.Generator, plot: Plot) -> Thing:
     return Thing(picture, tuple(surfaces))
 
 
-def billboard(rng: np.random.Generator, pictures: Pictures, plot: Plot) -> list[Thing]:
+def billboard(rng: np.random.Generator, pictures: LotPictures, plot: Plot) -> list[Thing]:
     """A large board across the view on two posts: one advertisement each way."""
     wide, high = rng.uniform(4, 7), rng.uniform(2.5, 3.5)
     boards = [Wall(np.full((64, 64, 3), 0.85, np.float32), wide, high, rng) for _ in range(2)]
@@ -191,7 +191,7 @@ def billboard(rng: np.random.Generator, pictures: Pictures, plot: Plot) -> list[
     return [Thing(picture, tuple(surfaces)), *posts]
 
 
-def barn(rng: np.random.Generator, pictures: Pictures, plot: Plot, style: WallStyle) -> list[Thing]:
+def barn(rng: np.random.Generator, pictures: LotPictures, plot: Plot, style: WallStyle) -> list[Thing]:
     """A farm building, far from the road, with a large door."""
     wide, deep, high = rng.uniform(10, 20), rng.uniform(8, 12), rng.uniform(3.5, 5.5)
     walls = _bare_walls(rng, style, wide, deep, high)
@@ -204,7 +204,7 @@ def barn(rng: np.random.Generator, pictures: Pictures, plot: Plot, style: WallSt
     return [house(plot, walls), roof, gable_ends(plot, size, bare, across=False)]
 
 
-def post(rng: np.random.Generator, pictures: Pictures, plot: Plot, high_m: float) -> list[Thing]:
+def post(rng: np.random.Generator, pictures: LotPictures, plot: Plot, high_m: float) -> list[Thing]:
     """A wooden pole with a cross-arm, or a road sign of another color on its back."""
     pole = box(plot, (-0.1, -0.1, 0), (0.1, 0.1, high_m), pictures.plain, (0.33, 0.28, 0.22))
     if high_m > 5:

@@ -13,7 +13,7 @@ from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
 from sim import ORIGIN_ALT_M
 from sim.world.camera import open_renderer, picture
-from sim.world.drive import Drive
+from sim.world.drive import WorldDrive
 from sim.world.scenario import Scenario
 
 SPACING_M = SamplingConfig().spacing_m
@@ -21,12 +21,12 @@ TRUE_SIGMA_M = 0.1
 """Accuracy of positions that are the simulator's truth."""
 
 
-def times_by_distance(drive: Drive, spacing_m: float) -> list[float]:
+def times_by_distance(drive: WorldDrive, spacing_m: float) -> list[float]:
     """Times at which the vehicle has covered each multiple of `spacing_m`."""
     return [drive.time_at_s(float(at_m)) for at_m in np.arange(0.0, drive.route.length_m, spacing_m)]
 
 
-def times_by_rate(drive: Drive, fps: float) -> list[float]:
+def times_by_rate(drive: WorldDrive, fps: float) -> list[float]:
     """Times of a steady frame rate over the whole drive."""
     return [float(time_s) for time_s in np.arange(0.0, drive.duration_s, 1 / fps)]
 
@@ -71,7 +71,7 @@ def record_drive(
     return len(times_s)
 
 
-def row_of(drive: Drive, time_s: float, epoch_ns: int = 0) -> FeedRow:
+def row_of(drive: WorldDrive, time_s: float, epoch_ns: int = 0) -> FeedRow:
     """What a recording says of a moment of a drive."""
     pose = drive.pose(time_s)
     at = *pose.geodetic(), ORIGIN_ALT_M, pose.heading_deg, pose.speed_mps, pose.distance_m

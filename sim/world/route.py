@@ -29,7 +29,7 @@ class District:
 
 
 @dataclass(frozen=True)
-class Route:
+class WorldRoute:
     """A center line with arc length; `at` gives a position on it or beside it.
 
     repeats_m: after which a street is built alike, 0 where it is not.
@@ -61,7 +61,7 @@ class Route:
         return float(np.sqrt((offsets**2).sum(axis=-1).min()))
 
 
-def generate_route(seed: int, length_m: float = 1200.0, repeats_m: float = 0.0) -> Route:
+def generate_route(seed: int, length_m: float = 1200.0, repeats_m: float = 0.0) -> WorldRoute:
     """The route of a world; the same for the same seed and length. repeats_m: of a straight street, of one kind."""
     rng = np.random.default_rng([seed, 1])
     count = int(np.ceil((length_m + 2 * LEAD_M) / STEP_M)) + 2
@@ -73,7 +73,7 @@ def generate_route(seed: int, length_m: float = 1200.0, repeats_m: float = 0.0) 
     districts = _districts(rng, length_m)
     if repeats_m:
         districts = (District(next(one.kind for one in districts if one.kind in BUILT), 0.0, length_m),)
-    return Route(seed, length_m, districts, points, headings, repeats_m)
+    return WorldRoute(seed, length_m, districts, points, headings, repeats_m)
 
 
 def _bends(rng: np.random.Generator, count: int) -> NDArray[np.float64]:

@@ -33,7 +33,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from edge.toml_file import read_toml
-from sim.world.drive import Drive, plan_drive
+from sim.world.drive import WorldDrive, plan_drive
 from sim.world.route import generate_route
 
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
@@ -66,7 +66,7 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     car_ahead_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
     epoch_ns: Annotated[int, Meta(ge=0)] | None = None
 
-    def drive(self) -> Drive:
+    def drive(self) -> WorldDrive:
         """The motion that this scenario describes."""
         route = generate_route(self.seed, self.length_m, self.repeats_m)
         motion = {"lane_m": self.lane_m, "speed_mps": self.speed_mps, "shaking": self.shaking}

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.world.ground import SIDEWALK_M
-from sim.world.lots import Pictures
+from sim.world.lots import LotPictures
 from sim.world.plants import TREE_KINDS
-from sim.world.route import LEAD_M, DistrictKind, Route
+from sim.world.route import LEAD_M, DistrictKind, WorldRoute
 from sim.world.solids import Plot
 from sim.world.walls import WallStyle, draw_style
 
@@ -32,12 +32,12 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Section:
+class RoadSection:
     """SECTION_M of one side of the road; side 1 is left, -1 right. Shares of a range (setback, high) are 0 to 1."""
 
     rng: np.random.Generator
-    pictures: Pictures
-    route: Route
+    pictures: LotPictures
+    route: WorldRoute
     block: Block
     kind: DistrictKind
     start_m: float
@@ -66,7 +66,7 @@ class Section:
         return str(self.rng.choice(kinds))
 
 
-def divide(route: Route, rng: np.random.Generator, pictures: Pictures, side: int) -> Iterator[Section]:
+def divide(route: WorldRoute, rng: np.random.Generator, pictures: LotPictures, side: int) -> Iterator[RoadSection]:
     """All sections of one side, over the whole route with its ends.
 
     Each has a generator of its own, or where houses repeat, that of those alike.
@@ -78,7 +78,7 @@ def divide(route: Route, rng: np.random.Generator, pictures: Pictures, side: int
         seeds, kind = rng.integers(2**32, size=len(within_m)), route.districts[0].kind
         for begin_m in np.arange(first_m, end_m, route.repeats_m):
             for seed, start_m in zip(seeds, begin_m + within_m, strict=True):
-                yield Section(np.random.default_rng(seed), pictures, route, block, kind, float(start_m), side)
+                yield RoadSection(np.random.default_rng(seed), pictures, route, block, kind, float(start_m), side)
         return
     starts = np.arange(first_m, end_m, SECTION_M)
     for number, start_m in enumerate(starts):
@@ -86,7 +86,7 @@ def divide(route: Route, rng: np.random.Generator, pictures: Pictures, side: int
             block = _draw_block(rng)
         own = np.random.default_rng(rng.integers(2**32))
         kind = route.district(float(start_m) + SECTION_M / 2)
-        yield Section(own, pictures, route, block, kind, float(start_m), side)
+        yield RoadSection(own, pictures, route, block, kind, float(start_m), side)
 
 
 def _draw_block(rng: np.random.Generator) -> Block:
@@ -101,7 +101,7 @@ def _draw_block(rng: np.random.Generator) -> Block:
     )
 
 
-def plot_at(route: Route, route_m: float, side: int, away_m: float, width_m: float = 0.0) -> Plot:
+def plot_at(route: WorldRoute, route_m: float, side: int, away_m: float, width_m: float = 0.0) -> Plot:
     """A plot whose front is centered at `route_m`, `away_m` from the road's middle; side 1 is left, -1 right."""
     _, _, heading = route.at(route_m)
     forward = np.array((np.sin(heading), np.cos(heading)))

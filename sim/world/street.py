@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sim.world.districts import FILL
 from sim.world.ground import SIDEWALK_M, lay_ground
-from sim.world.lots import Pictures
-from sim.world.route import LEAD_M, DistrictKind, Route
+from sim.world.lots import LotPictures
+from sim.world.route import LEAD_M, DistrictKind, WorldRoute
 from sim.world.sections import divide, plot_at
 from sim.world.solids import Thing, box
 
@@ -22,15 +22,15 @@ LAMP_HIGH_M = 6.0
 class World:
     """A route, what stands along it, and where its street lamps hang: lamps_m (N, 3) east, north, up."""
 
-    route: Route
+    route: WorldRoute
     things: tuple[Thing, ...]
     lamps_m: NDArray[np.float64]
 
 
-def build_world(route: Route) -> World:
+def build_world(route: WorldRoute) -> World:
     """Everything that is the same on every drive; the route's seed alone decides it."""
     rng = np.random.default_rng([route.seed, 3])
-    pictures = Pictures(rng)
+    pictures = LotPictures(rng)
     things = list(lay_ground(route, rng))
     for side in (1, -1):
         for section in divide(route, rng, pictures, side):
@@ -39,7 +39,7 @@ def build_world(route: Route) -> World:
     return World(route, (*things, *masts), lamps)
 
 
-def _lamps(route: Route, pictures: Pictures) -> tuple[NDArray[np.float64], list[Thing]]:
+def _lamps(route: WorldRoute, pictures: LotPictures) -> tuple[NDArray[np.float64], list[Thing]]:
     """Street lamps on alternate sides where people live: their lights (N, 3), and masts with an arm."""
     lights, masts, side = [], [], 1
     route_m = -LEAD_M + 5

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.world.cars import draw_car
-from sim.world.drive import Drive
-from sim.world.route import DistrictKind, Route
+from sim.world.drive import WorldDrive
+from sim.world.route import DistrictKind, WorldRoute
 from sim.world.solids import Plot, Thing
 
 PARKED_SHARE: dict[DistrictKind, float] = {"town": 0.45, "shops": 0.4, "suburb": 0.25, "wood": 0.02, "open": 0.02}
@@ -21,7 +21,7 @@ class MovingCar:
     """A car that comes toward the drive, at a steady speed; its shape is at the origin, facing north."""
 
     things: tuple[Thing, ...]
-    drive: Drive
+    drive: WorldDrive
     start_m: float
     speed_mps: float
 
@@ -44,7 +44,7 @@ class CarAhead:
     """A car in the lane of the drive, always as far ahead; its shape as that of a `MovingCar`."""
 
     things: tuple[Thing, ...]
-    drive: Drive
+    drive: WorldDrive
     ahead_m: float
 
     def position(self, time_s: float) -> tuple[float, float, float]:
@@ -67,7 +67,7 @@ class Traffic:
     ahead: CarAhead | None = None
 
 
-def build_traffic(drive: Drive, car_ahead_m: float = 0.0) -> Traffic:
+def build_traffic(drive: WorldDrive, car_ahead_m: float = 0.0) -> Traffic:
     """The traffic of a drive; its seed decides. car_ahead_m: of a car that drives ahead, 0 for none."""
     rng = np.random.default_rng([drive.seed, 4])
     parked: list[Thing] = []
@@ -81,7 +81,7 @@ def build_traffic(drive: Drive, car_ahead_m: float = 0.0) -> Traffic:
     return Traffic(tuple(parked), moving, window_seed, ahead if car_ahead_m else None)
 
 
-def _curb(route: Route, route_m: float, side: int, rng: np.random.Generator) -> Plot:
+def _curb(route: WorldRoute, route_m: float, side: int, rng: np.random.Generator) -> Plot:
     """Where a parked car stands: it faces the way that its side of the road drives, mostly."""
     east, north, heading = route.at(route_m, side * (PARKED_LEFT_M + rng.uniform(-0.1, 0.3)))
     if (side < 0) != (rng.random() < 0.15):
@@ -90,7 +90,7 @@ def _curb(route: Route, route_m: float, side: int, rng: np.random.Generator) -> 
     return Plot((east, north), (forward[1], -forward[0]), forward)
 
 
-def _oncoming(drive: Drive, rng: np.random.Generator) -> tuple[MovingCar, ...]:
+def _oncoming(drive: WorldDrive, rng: np.random.Generator) -> tuple[MovingCar, ...]:
     """Cars from the far end, one each ONCOMING_EVERY_S or so, that meet the vehicle somewhere on its way."""
     plot = Plot((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     cars = []

@@ -21,7 +21,7 @@ from edge.keypoints.network import KeypointNetwork
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
 from edge.reference_map.costs import CostMatcher, encode
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 
@@ -67,7 +67,7 @@ def matched(road: NDArray[np.float32], home: NDArray[np.float32]) -> NDArray[np.
     with temporary_map([MappedDrive(road, places, "rear")], key) as maps:
         matcher = SequenceMatcher(maps, config)
         for frame, raw in enumerate(home):
-            match = matcher.push(raw, Travel(SPACING_M * frame))
+            match = matcher.push(raw, MotionPrior(SPACING_M * frame))
             if match is None or matcher.best is None:
                 found.append((-1.0, -1.0, 0.0, 0.0))
             else:

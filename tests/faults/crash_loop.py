@@ -23,17 +23,17 @@ import numpy as np
 from edge.config import SamplingConfig
 from edge.descriptor import RunningStatistics
 from edge.errors import LookbackError
-from edge.files import KeptFile
+from edge.files import PersistentFile
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
-from edge.recognition.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import PersistentTime, StateFile, StateKey
 from edge.reference_map.store import ModelKey, RegionsKey, open_map
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.signing import EPOCH_S, TICKS_PER_S, Signer, SigningClock
 from edge_plugins.mapping.builder import MapBuilder, Place
 from sim.journal import records_of
 
-NOW = Moment(1000.0, "boot", 10.0)
+NOW = PersistentTime(1000.0, "boot", 10.0)
 SHAPE = (2, 4096)
 MEASURED = 5
 """Writes whose time is taken first, since a busy machine takes longer: kills come within two of the slowest."""
@@ -91,7 +91,7 @@ def write_clock(folder: Path, version: int) -> None:
 
 
 def read_clock(folder: Path) -> int:
-    kept = KeptFile(folder / "clock.0", SigningClock, "").read()
+    kept = PersistentFile(folder / "clock.0", SigningClock, "").read()
     if kept is None:
         raise LookbackError("unreadable")
     return kept.ours // TICKS_PER_S

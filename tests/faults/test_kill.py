@@ -15,7 +15,7 @@ import pytest
 from edge.descriptor import RunningStatistics
 from edge.journal.journal import Journal
 from edge.journal.records import StateChanged
-from edge.recognition.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import PersistentTime, StateFile, StateKey
 from sim.journal import records_of
 
 pytestmark = pytest.mark.long
@@ -41,7 +41,7 @@ def test_killed_while_writing(what: str, kills: int, tmp_path: Path, seed: int, 
 
 
 def test_every_prefix_of_a_state_is_refused(tmp_path: Path, figures: Callable[[str], None]) -> None:
-    key, shape, now = StateKey("m", "fc6", "left-right", 0.4, "h"), (2, 8), Moment(1.0, "boot", 1.0)
+    key, shape, now = StateKey("m", "fc6", "left-right", 0.4, "h"), (2, 8), PersistentTime(1.0, "boot", 1.0)
     path = tmp_path / "events.state"
     file = StateFile(path, key, shape)
     kept = RunningStatistics.of_another_run(30, np.ones(shape), np.ones(shape), at_most=30)

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from edge.files import KeptFile
-from edge.recognition.warm_start import Stored
+from edge.files import PersistentFile
+from edge.recognition.warm_start import WarmState
 from sim.journal import read_journal
 
 LATEST_S = 2.0
@@ -117,5 +117,5 @@ def check_files(folder: Path) -> None:
         assert not lines or journal.read_bytes().endswith(b"\n")
     state = folder / "events.state"
     if state.exists():
-        assert KeptFile(state, Stored, "").read() is not None
+        assert PersistentFile(state, WarmState, "").read() is not None
     assert {path.name for path in folder.iterdir()} <= {"lookback.toml", "events.jsonl", "events.state"}

@@ -22,7 +22,7 @@ from edge.feed.writer import FeedWriter
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import Cable
 from sim.world.camera import open_renderer
-from sim.world.drive import Drive
+from sim.world.drive import WorldDrive
 from sim.world.recording import row_of
 from sim.world.scenario import Scenario
 from tests.golden.harness import RECORDINGS, START_NS, TELEMETRY, PlayedFrames, cases, load_case, run_daemon
@@ -70,7 +70,7 @@ RECORDED: dict[str, Recording] = {
 }
 
 
-def frame_times_s(drive: Drive) -> Iterator[float]:
+def frame_times_s(drive: WorldDrive) -> Iterator[float]:
     """A time each SPACING_M, and one each HALT_PERIOD_S while the vehicle stands between start and end."""
     due_m, last_s = 0.0, -HALT_PERIOD_S
     for time_s, covered_m in zip(drive.times_s.tolist(), drive.distances_m.tolist(), strict=True):
@@ -117,7 +117,7 @@ class RecordingCable(Cable):
 class LiveAutopilot:
     """The simulated autopilot as the far end of a run, driving as in the recording that the daemon is given."""
 
-    def __init__(self, cable: RecordingCable, drive: Drive, **options: Any) -> None:
+    def __init__(self, cable: RecordingCable, drive: WorldDrive, **options: Any) -> None:
         self._cable = cable
         self._autopilot = SimulatedAutopilot(
             cable,

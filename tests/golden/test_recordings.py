@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.localization import Fix, Refusal
+from edge.localization import Fix, NoFix
 from edge.localization.drive_file import read_drive, replay
-from edge.localization.events import Frame, Maps, Own, Used
-from edge.localization.position_estimator import Asked
+from edge.localization.events import AutopilotState, FixFeedback, ImageProcessed, MapUpdate
+from edge.localization.position_estimator import FixResult
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.golden.compare import first_difference
 from tests.golden.harness import EXPECTED, JOURNAL, SENT, cases, outputs_of
@@ -71,13 +71,13 @@ def a_bare_estimator_answers_as_the_daemon_did(drive: Path) -> None:
     """Every fix with its level, and every refusal."""
     config, entries = read_drive(drive)
     kinds = Counter(type(entry) for _, entry in entries)
-    assert {Frame, Own, Maps, Used, Asked} <= set(kinds)
+    assert {ImageProcessed, AutopilotState, MapUpdate, FixFeedback, FixResult} <= set(kinds)
     answers = list(replay(config, entries))
-    assert len(answers) == kinds[Asked] > 50
+    assert len(answers) == kinds[FixResult] > 50
     for t_ns, asked, now in answers:
         expected, answer = (msgspec.json.encode(each).decode() for each in (asked.answer, now))
         assert first_difference(expected, answer) is None, t_ns
-    assert {type(now) for _, _, now in answers} == {Fix, Refusal}
+    assert {type(now) for _, _, now in answers} == {Fix, NoFix}
 
 
 DECIDED = ("event", "mavpackettype", "state", "why", "reason", "accepted", "emitted", "way")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints.points import Points, points_of
-from edge.keypoints.view_geometry import Camera
+from edge.keypoints.points import MapPoints, points_of
+from edge.keypoints.view_geometry import CameraModel
 
-CAMERA = Camera(320, 240, 80.0)
+CAMERA = CameraModel(320, 240, 80.0)
 ROWS = np.array([(0.3 * np.sin(at), at, np.radians(1.5) * np.cos(at)) for at in (-8, -6, -4, -2, 2, 4, 6, 8)])
 """Cameras around a row: meters right and ahead, turned clockwise."""
 
@@ -34,7 +34,9 @@ def with_noise(rng: np.random.Generator, directions: NDArray[np.float64], pixels
     return directions + rng.normal(0, pixels / CAMERA.focal_px, directions.shape)
 
 
-def row_points(rng: np.random.Generator, world_m: NDArray[np.float64], *, pixels: float, turned_deg: float) -> Points:
+def row_points(
+    rng: np.random.Generator, world_m: NDArray[np.float64], *, pixels: float, turned_deg: float
+) -> MapPoints:
     """Of a row at 0 whose neighbors' headings are known to turned_deg (1 sigma) and pitch by 0.3 degrees."""
     tilted = [(*row, rng.normal(0, np.radians(0.3))) for row in ROWS]
     matched = np.stack([with_noise(rng, seen(world_m, row), pixels) for row in tilted])

@@ -16,7 +16,7 @@ import lookback
 from edge.config import Lens
 from edge.feed import FeedImages, read_feed
 from edge.feed.writer import FeedWriter
-from edge.keypoints import Camera, Points
+from edge.keypoints import CameraModel, MapPoints
 from edge.keypoints.pose import look
 from tests.photographs import Image, PhotographedStreet, drive, photograph, shipped
 
@@ -44,13 +44,13 @@ def test_a_photograph_is_found_again_in_another_view_of_it() -> None:
     assert max(lookback.verify(one, picture).inliers for picture in others) < 30
 
 
-def centered(image: NDArray[Any], middle_x: float) -> tuple[NDArray[Any], Camera]:
+def centered(image: NDArray[Any], middle_x: float) -> tuple[NDArray[Any], CameraModel]:
     """The part of a picture whose middle looks straight ahead, and its camera."""
     half = round(min(middle_x, image.shape[1] - 1 - middle_x))
     left = round(middle_x) - half
     part = image[:, left : left + 2 * half + 1]
     fov_deg = float(np.degrees(2 * np.arctan(part.shape[1] / 2 / FOCAL_PX)))
-    return part, Camera(part.shape[1], part.shape[0], fov_deg)
+    return part, CameraModel(part.shape[1], part.shape[0], fov_deg)
 
 
 def test_the_pose_of_a_stereo_pair_is_its_baseline() -> None:
@@ -67,7 +67,7 @@ def test_the_pose_of_a_stereo_pair_is_its_baseline() -> None:
     inverse = (disparity[row, column] + np.diff(MIDDLES_X)[0]) / FOCAL_PX / BASELINE
     known = np.isfinite(inverse) & (inverse > 0)
     places = np.column_stack([camera.directions(place.xy), np.where(known, inverse, np.nan)])
-    points = Points(places, np.where(known, 0.5 / FOCAL_PX / BASELINE, np.nan))
+    points = MapPoints(places, np.where(known, 0.5 / FOCAL_PX / BASELINE, np.nan))
     found = look(query, place, points, other)
     assert found is not None
     assert found.right_m == pytest.approx(BASELINE, abs=0.1)
@@ -77,7 +77,7 @@ def test_the_pose_of_a_stereo_pair_is_its_baseline() -> None:
 
 def bent(straight: Image) -> Image:
     """A picture of STRAIGHT_SIZE as EuRoC's lens shows it."""
-    wide, camera = Camera(*STRAIGHT_SIZE, STRAIGHT_DEG), Camera(*SIZE, FOV_DEG, EUROC)
+    wide, camera = CameraModel(*STRAIGHT_SIZE, STRAIGHT_DEG), CameraModel(*SIZE, FOV_DEG, EUROC)
     pixels = np.stack(np.meshgrid(*(np.arange(float(side)) for side in SIZE)), axis=-1)
     at = (camera.directions(pixels) * wide.focal_px + wide.middle).astype(np.float32)
     return np.asarray(cv2.remap(straight, at[..., 0], at[..., 1], cv2.INTER_AREA), np.uint8)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from edge.keypoints.points import points_of
-from edge.keypoints.view_geometry import Camera, Sight
+from edge.keypoints.view_geometry import CameraModel, Projection
 from tests.keypoints.street import CAMERA, row_points, seen, street
 
 
 def test_a_camera_looks_straight_ahead_at_its_middle_and_half_its_view_at_its_edge() -> None:
-    directions = Camera(320, 240, 90.0).directions(np.array([[159.5, 119.5], [319.5, 119.5]]))
+    directions = CameraModel(320, 240, 90.0).directions(np.array([[159.5, 119.5], [319.5, 119.5]]))
     assert directions == pytest.approx(np.array([[0, 0], [1, 0]]))
 
 
@@ -19,14 +19,14 @@ def test_a_camera_looks_straight_ahead_at_its_middle_and_half_its_view_at_its_ed
 def test_sights_are_those_of_rotation_matrices_and_their_derivatives_are_differences(camera: tuple[float, ...]) -> None:
     world_m = street(np.random.default_rng(1), 20)
     places = np.column_stack([seen(world_m, (0, 0, 0, 0)), 1 / world_m[:, 2]])
-    sight = Sight(np.array(camera), places)
+    sight = Projection(np.array(camera), places)
     assert sight.directions == pytest.approx(seen(world_m, camera))
     small = 1e-7
     for axis in range(4):
-        moved = Sight(np.array(camera) + small * np.eye(4)[axis], places).directions
+        moved = Projection(np.array(camera) + small * np.eye(4)[axis], places).directions
         assert (moved - sight.directions) / small == pytest.approx(sight.by_camera()[..., axis], abs=1e-4)
     for axis in range(3):
-        moved = Sight(np.array(camera), places + small * np.eye(3)[axis]).directions
+        moved = Projection(np.array(camera), places + small * np.eye(3)[axis]).directions
         assert (moved - sight.directions) / small == pytest.approx(sight.by_point()[..., axis], abs=1e-4)
 
 

@@ -7,13 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
-from edge.keypoints.pose import FEWEST_POINTS, Pose, look, pose_of
+from edge.keypoints.pose import FEWEST_POINTS, RelativePose, look, pose_of
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
 HOME = (3.5, 1.0, 0.05, 0.02)
 
 
-def one_look(seed: int, camera: tuple[float, ...], *, wrong: float = 0.3) -> tuple[Pose | None, NDArray[np.float64]]:
+def one_look(
+    seed: int, camera: tuple[float, ...], *, wrong: float = 0.3
+) -> tuple[RelativePose | None, NDArray[np.float64]]:
     """A pose, and how far it is off in sigmas: right, ahead, turned. wrong: share of the matches."""
     rng = np.random.default_rng(seed)
     world_m = street(rng, 120)

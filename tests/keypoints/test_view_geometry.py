@@ -8,19 +8,19 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.config import Lens
-from edge.keypoints import Camera
+from edge.keypoints import CameraModel
 
 EUROC = Lens(distortion=(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05))
 FISHEYE = Lens(lens="fisheye", distortion=(0.00348, 0.00072, -0.00205, 0.0002))
 
 
 def test_a_pixel_of_the_network_is_as_wide_in_a_larger_picture() -> None:
-    small, large = Camera(320, 240, 80.0), Camera(1280, 960, 80.0)
+    small, large = CameraModel(320, 240, 80.0), CameraModel(1280, 960, 80.0)
     assert large.network_focal_px == pytest.approx(small.network_focal_px)
     assert small.network_focal_px == small.focal_px, "maps of such pictures stay as they are, to the bit"
 
 
-def bent(camera: Camera, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def bent(camera: CameraModel, directions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pixels by OpenCV's own equations of what a lens does."""
     inside = np.array(
         [[camera.focal_px, 0, camera.middle[0]], [0, camera.focal_px, camera.middle[1]], [0, 0, 1.0]], np.float64
@@ -37,7 +37,7 @@ def bent(camera: Camera, directions: NDArray[np.float64]) -> NDArray[np.float64]
 @pytest.mark.parametrize(("lens", "fov_deg", "reach"), [(EUROC, 78.7, (1.1, 0.7)), (FISHEYE, 107.0, (1.6, 1.6))])
 def test_directions_are_without_what_the_lens_bends(lens: Lens, fov_deg: float, reach: tuple[float, float]) -> None:
     """To the corners of EuRoC's pictures, whose lens moves points by 140 pixels there."""
-    camera = Camera(752, 480, fov_deg, lens)
+    camera = CameraModel(752, 480, fov_deg, lens)
     directions = np.stack(np.meshgrid(*(np.linspace(-one, one, 9) for one in reach)), axis=-1)
     pixels = bent(camera, directions)
     np.testing.assert_allclose(camera.directions(pixels), directions, atol=1e-4)
@@ -45,5 +45,5 @@ def test_directions_are_without_what_the_lens_bends(lens: Lens, fov_deg: float, 
 
 
 def test_what_a_fisheye_shows_beside_the_camera_has_no_direction_ahead() -> None:
-    found = Camera(752, 752, 107.0, FISHEYE).directions(np.array([[0.0, 0.0], [375.5, 375.5]]))
+    found = CameraModel(752, 752, 107.0, FISHEYE).directions(np.array([[0.0, 0.0], [375.5, 375.5]]))
     assert np.isnan(found[0]).all() and np.abs(found[1]).max() < 1e-9

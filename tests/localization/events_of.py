@@ -18,21 +18,21 @@ from edge.config import Config, GatesConfig, RigConfig, SequenceConfig, Tracking
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
     GPS_SIGMA_M,
-    Displacement,
+    AutopilotState,
     Fix,
+    FixFeedback,
+    FixRequest,
     GpsFix,
     GpsVerdict,
     Gyros,
-    Limits,
-    Maps,
-    Moved,
-    Own,
+    MapUpdate,
+    NoFix,
+    Odometry,
+    OdometryUpdate,
     PlaceFix,
     PositionEstimator,
-    Refusal,
-    Used,
 )
-from edge.localization.events import Frame
+from edge.localization.events import ImageProcessed
 from edge.sequence import PlaceMatch
 from tests.localization.route_course import HOME, SPACING_M, Stretch, build_maps
 
@@ -94,7 +94,7 @@ class Vehicle:
 
     north_m: where it is. odometer: meters that it measures for each. aside_m: to the east, in each frame. off_m: how
     far the autopilot has it too far north. reports, frame: what else the autopilot says than that GPS is lost, and what
-    is known of each frame; see `Own` and `Frame`.
+    is known of each frame; see `AutopilotState` and `ImageProcessed`.
     """
 
     def __init__(
@@ -102,23 +102,23 @@ class Vehicle:
     ) -> None:
         self.road, self.direction = road, direction
         self.drive = PositionEstimator(config or settings())
-        self.drive.update(0, Maps(road.maps))
+        self.drive.update(0, MapUpdate(road.maps))
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.t_ns, self.driven_m = north_m, 100 * S, 0.0
         self.odometer, self.aside_m, self.off_m = 1.0, 0.0, 0.0
-        self.motion = Displacement(1, 0.0, 0.0)
+        self.motion = Odometry(1, 0.0, 0.0)
         self.reports: dict[str, Any] = {}
         self.frame: dict[str, Any] = {}
 
     def go(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[str | None]:
         """Drive on; why there is no position for ArduPilot after each frame, None where there is one."""
-        return [one.reason if isinstance(one, Refusal) else None for one in self.answers(meters, sees, gps=gps)]
+        return [one.reason if isinstance(one, NoFix) else None for one in self.answers(meters, sees, gps=gps)]
 
-    def answers(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[Fix | Refusal]:
+    def answers(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[Fix | NoFix]:
         """The same, with the positions."""
         return [self._step(sees, gps=gps) for _ in range(round(meters / SPACING_M))]
 
-    def _step(self, sees: Sees | None, *, gps: bool) -> Fix | Refusal:
+    def _step(self, sees: Sees | None, *, gps: bool) -> Fix | NoFix:
         self.move()
         self.own(has_gps=gps)
         self.show((sees or self._sees)(self.north_m), gps_at(self.north_m + self.off_m) if gps else None)
@@ -134,11 +134,11 @@ class Vehicle:
     def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
         """What a frame shows here; what is known of GPS then."""
         known = {"motion": self.motion, "without_gps": self.without_gps, "gps": gps}
-        self.drive.update(self.t_ns, Frame(self.t_ns, seen, **{**known, **self.frame}))
+        self.drive.update(self.t_ns, ImageProcessed(self.t_ns, seen, **{**known, **self.frame}))
         return self.drive.known.gps
 
     @property
-    def without_gps(self) -> Displacement:
+    def without_gps(self) -> Odometry:
         """Its own motion, by gyros without a bias."""
         return replace(self.motion, gyros=Gyros(self.t_ns / 1e9))
 
@@ -154,7 +154,7 @@ class Vehicle:
 
     def own(self, *, has_gps: bool = False, **reports: Any) -> None:
         """The autopilot reports something."""
-        own = Own(
+        own = AutopilotState(
             gps="healthy" if has_gps else "not healthy",
             gps_sigma_m=GPS_SIGMA_M if has_gps else None,
             position=self.position,
@@ -167,7 +167,7 @@ class Vehicle:
         )
         self.drive.update(self.t_ns, msgspec.structs.replace(own, **{**self.reports, **reports}))
 
-    def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Displacement:
+    def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Odometry:
         """The displacement once it has moved on by so much."""
         now = self.motion
         return replace(now, north_m=now.north_m + self.sign * ahead_m, east_m=now.east_m + east_m, **changes)
@@ -178,13 +178,13 @@ class Vehicle:
         self.t_ns += S
         self.motion = self.moved(leg=self.motion.leg + 1, unknown_m=self.motion.unknown_m + unknown_m)
 
-    def ask(self, later_ns: int = 0, **limits: Any) -> Fix | Refusal:
-        return self.drive.fix(self.t_ns + later_ns, Limits(**{"oldest_s": 5.0, **limits}))
+    def ask(self, later_ns: int = 0, **limits: Any) -> Fix | NoFix:
+        return self.drive.fix(self.t_ns + later_ns, FixRequest(**{"oldest_s": 5.0, **limits}))
 
     def use(self, fix: Fix, left_m: float = 0.0) -> None:
         """The autopilot gets a position, and is so far from it then."""
-        self.drive.update(self.t_ns, Used(fix))
-        self.drive.update(self.t_ns, Used(fix, left_m))
+        self.drive.update(self.t_ns, FixFeedback(fix))
+        self.drive.update(self.t_ns, FixFeedback(fix, left_m))
 
     @property
     def place(self) -> PlaceFix | None:
@@ -193,7 +193,7 @@ class Vehicle:
 
     def place_at(self, later_ns: int = 0, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> PlaceFix | None:
         """The same at another moment, once the vehicle has moved on."""
-        self.drive.update(self.t_ns + later_ns, Moved(self.moved(ahead_m, east_m, **changes)))
+        self.drive.update(self.t_ns + later_ns, OdometryUpdate(self.moved(ahead_m, east_m, **changes)))
         answer = self.ask(later_ns, at="now")
         return answer.place if isinstance(answer, Fix) else answer.fix
 

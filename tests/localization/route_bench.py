@@ -23,24 +23,24 @@ from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
     AGREE_SIGMAS,
     GPS_SIGMA_M,
+    AutopilotState,
     DeadReckoning,
     Fix,
+    FixFeedback,
+    FixRequest,
     GpsFix,
-    Limits,
-    Maps,
-    Moved,
-    Own,
+    MapUpdate,
+    OdometerCalibration,
+    OdometryUpdate,
     PlaceFix,
     PositionEstimator,
     ProtectionLevel,
-    ShownScale,
-    Used,
 )
-from edge.localization.events import Frame
+from edge.localization.events import ImageProcessed
 from edge.localization.position_estimator import Entry
-from edge.sequence import PlaceMatch, Seen
+from edge.sequence import KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import probability
-from edge.telemetry.acknowledgements import Sent
+from edge.telemetry.acknowledgements import FixTransmission
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
@@ -60,8 +60,8 @@ ARRIVES, ANSWERS = 2, 2
 """Steps from an exposure to the answer to its frame, and from a position to an autopilot that has moved by it."""
 STREAM_S, FOLLOWS = 0.2, 0.05
 """Between the positions of a stream, and the share of their distance by which an autopilot comes nearer to each."""
-RESETS = Limits("exposure", 5.0, is_reset=True)
-STREAM = Limits("now", 1.0)
+RESETS = FixRequest("exposure", 5.0, is_reset=True)
+STREAM = FixRequest("now", 1.0)
 Move = tuple[float, Points | None, float]
 """Meters along the road, where the vehicle is if that is not on it, and its signed speed."""
 
@@ -136,8 +136,8 @@ class Bench:
         self.config = Config(camera=camera, rig=rig, tracking=tracking, sequence=sequence)
         self.events: list[tuple[int, Entry]] = []
         self.drive = PositionEstimator(self.config, lambda t_ns, entry: self.events.append((t_ns, entry)))
-        self.drive.update(0, Maps(maps))
-        self.motion, self.shown = DeadReckoning(), ShownScale()
+        self.drive.update(0, MapUpdate(maps))
+        self.motion, self.shown = DeadReckoning(), OdometerCalibration()
         self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
         self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
         self.changes_m, stays_m = (SAME_M, STAYS_M[1]) if course.looks else (OPPOSITE_M, STAYS_M[0])
@@ -149,10 +149,10 @@ class Bench:
         self.step = 0
         self.lane = self.aims_m = self.sampled_m = self.driven_m = self.steered_m = 0.0
         self.own_error = np.zeros(2)
-        self.reported: Own | None = None
-        self.frames: deque[tuple[int, Frame]] = deque()  # that have not arrived, and the step at which they do
+        self.reported: AutopilotState | None = None
+        self.frames: deque[tuple[int, ImageProcessed]] = deque()  # that have not arrived, and the step at which they do
         self.exposed: dict[int, tuple[Points, Points]] = {}  # truth, and the autopilot alone, at each exposure
-        self.sent: Sent | None = None
+        self.sent: FixTransmission | None = None
         self.followed_at = 0  # the step at which the autopilot has moved by it
         self.bounded_ns = self.confirmed_ns = 0
         self.alias_now = False
@@ -282,7 +282,7 @@ class Bench:
         if gps:
             self.shown.add_fix(now_ns, place)
         position = VehiclePosition(now_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
-        own = Own(
+        own = AutopilotState(
             gps="healthy" if gps else "not healthy",
             gps_sigma_m=GPS_SIGMA_M if gps else None,
             position=position,
@@ -310,7 +310,7 @@ class Bench:
         self.exposed[now_ns] = self.truth, self.alone
         fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps else None
         motion = self.motion.displacement(now_ns)
-        frame = Frame(now_ns, self._match(s), motion, without_gps=motion, gps=fix, missed=places - 1)
+        frame = ImageProcessed(now_ns, self._match(s), motion, without_gps=motion, gps=fix, missed=places - 1)
         self.frames.append((self.step + ARRIVES, frame))
 
     def _match(self, s: float) -> PlaceMatch | None:
@@ -344,7 +344,7 @@ class Bench:
             seen=self._seen(shown) if self.course.looks else None,
         )  # fmt: skip
 
-    def _seen(self, shown: tuple[int, float] | None) -> Seen | None:
+    def _seen(self, shown: tuple[int, float] | None) -> KeyframeMatch | None:
         """By one frame in LOOKS_EVERY: where the camera is, which looks back as the map's did."""
         self.unlooked += 1
         if shown is None or self.unlooked < LOOKS_EVERY:
@@ -360,7 +360,7 @@ class Bench:
         right_m, ahead_m = self.rng.normal((-self.right_m, back_m), LOOK_SIGMAS[0])
         covariance = np.diag(np.square(LOOK_SIGMAS))
         turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
-        return Seen(first + row, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
+        return KeyframeMatch(first + row, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""
@@ -384,7 +384,7 @@ class Bench:
 
     def _ask(self, now_ns: int, own: VehiclePosition) -> None:
         if self.is_stream:
-            self.drive.update(now_ns, Moved(self.motion.displacement(now_ns)))
+            self.drive.update(now_ns, OdometryUpdate(self.motion.displacement(now_ns)))
         answer = self.drive.fix(now_ns, STREAM if self.is_stream else RESETS)
         place = answer.place if isinstance(answer, Fix) else answer.fix
         if place is None or (self.sent is not None and place.stamp_ns == self.sent.place.stamp_ns):
@@ -399,7 +399,7 @@ class Bench:
         elif answer.confirms is not None:
             self.confirmed_ns = now_ns
             self._score(place, float(np.hypot(*off_m)))
-            self.drive.update(now_ns, Used(answer.confirms, answer.distance_m))
+            self.drive.update(now_ns, FixFeedback(answer.confirms, answer.distance_m))
 
     def _bound(self, place: PlaceFix, off_m: Points, level: ProtectionLevel) -> None:
         (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)
@@ -410,25 +410,25 @@ class Bench:
     def _send(self, now_ns: int, own: VehiclePosition, fix: Fix, off_m: float, now_m: Points) -> None:
         """now_m: where the position puts the vehicle now, by the autopilot's velocity since."""
         self._score(fix.place, off_m)
-        self.sent = Sent(fix, now_ns, own)
-        self.drive.update(now_ns, Used(fix))
+        self.sent = FixTransmission(fix, now_ns, own)
+        self.drive.update(now_ns, FixFeedback(fix))
         if not self.is_stream:
             self.own, self.followed_at = now_m, self.step + ANSWERS
             return
         self.own = self.own + FOLLOWS * (now_m - self.own)
         if self.sent.distance_m <= AGREE_SIGMAS * fix.place.sigma_m:
-            self.drive.update(now_ns, Used(fix, self.sent.distance_m))
+            self.drive.update(now_ns, FixFeedback(fix, self.sent.distance_m))
 
     def _score(self, place: PlaceFix, off_m: float) -> None:
         self.result.sigmas.append(off_m / place.sigma_m)
         self.result.off_m.append(off_m)
         self.result.known_at_m.append(self.driven_m)
 
-    def _follow(self, now_ns: int, own: VehiclePosition, sent: Sent) -> None:
+    def _follow(self, now_ns: int, own: VehiclePosition, sent: FixTransmission) -> None:
         """A reset must have moved the autopilot by now."""
         left_m = sent.remaining_m(own)
         if not self.is_stream and sent.moved(left_m):
-            self.drive.update(now_ns, Used(sent.fix, left_m))
+            self.drive.update(now_ns, FixFeedback(sent.fix, left_m))
 
 
 def _meters(place: PlaceFix) -> Points:

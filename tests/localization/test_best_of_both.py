@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization import AGREE_SIGMAS, Fix, Own, ProtectionLevel
-from edge.localization.bound import Drift, Errors, OwnPosition
-from edge.localization.integrity import BESIDE_M, GROWS, OFF_SIGMAS, Best, better_of, is_correction
+from edge.localization import AGREE_SIGMAS, AutopilotState, Fix, ProtectionLevel
+from edge.localization.bound import AutopilotCovariance, Drift, PropagatedCovariance
+from edge.localization.integrity import BESIDE_M, GROWS, OFF_SIGMAS, FixCandidate, better_of, is_correction
 from tests.localization.events_of import Road, S, Vehicle
 from tests.localization.route_course import HOME, Stretch
 
@@ -22,9 +22,11 @@ FIX = PlaceFix(
 )
 
 
-def own(east_m: float, north_m: float, *, drives_itself: bool | None = None) -> Own:
+def own(east_m: float, north_m: float, *, drives_itself: bool | None = None) -> AutopilotState:
     lat_deg, lon_deg = moved(*HOME, east_m, north_m)
-    return Own(position=VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0), drives_itself=drives_itself)
+    return AutopilotState(
+        position=VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0), drives_itself=drives_itself
+    )
 
 
 def placed(place: PlaceFix) -> tuple[float, float]:
@@ -86,13 +88,13 @@ def test_a_reset_corrects_an_autopilot_that_is_beyond_doubt_off(far_m: float, si
     times = AGREE_SIGMAS if by_lane else OFF_SIGMAS
     off_m, fix = far_m * max(3.0, times * sigma_m), replace(FIX, sigma_along_m=sigma_m, by_lane=by_lane)
     for keeps, is_needed in (((False, False), far_m > 1), ((False, True), far_m > 1), ((True, False), False)):
-        assert is_correction(Best(fix, keeps), own(-off_m, 0.0), 3.0) is is_needed
+        assert is_correction(FixCandidate(fix, keeps), own(-off_m, 0.0), 3.0) is is_needed
 
 
 @pytest.mark.parametrize(("left_m", "along_m"), [(3.0, 4.0), (6.0, 6.0)])
 def test_a_position_bounds_the_autopilot_in_the_directions_that_it_measures(left_m: float, along_m: float) -> None:
     """Whether it was sent, or the autopilot agrees with it: by as much as they differ, and at least its own sigma."""
-    bound, reported = OwnPosition(drift=0.05), Own(driven_m=0.0)
+    bound, reported = AutopilotCovariance(drift=0.05), AutopilotState(driven_m=0.0)
     bound.bind(10.0, reported)
     bound.bind_by_fix(Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True)), left_m, reported)
     assert bound.axes_m(reported, FIX, 0.0) == pytest.approx((along_m, 10.0))
@@ -102,7 +104,7 @@ def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
     """A hundred positions in a row that keep the autopilot's own across, on the way to the east."""
     fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
     for drift, share in ((Drift(0.0, 0.0, 0.04), 0.04), (Drift(0.01, 0.02, 0.0), 0.02)):
-        errors = Errors(9.0 * np.eye(2))
+        errors = PropagatedCovariance(9.0 * np.eye(2))
         for _ in range(100):
             errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix, 0.0)
         across_m = math.hypot(3.0, share * 800.0)
@@ -112,7 +114,7 @@ def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
 
 def test_an_error_of_the_scale_is_along_the_way_and_one_of_the_heading_across() -> None:
     """To the east, and then to the north as far."""
-    errors, shown = Errors(np.zeros((2, 2))), Drift(0.03, 0.01, 0.0)
+    errors, shown = PropagatedCovariance(np.zeros((2, 2))), Drift(0.03, 0.01, 0.0)
     errors = errors.moved(100.0, 0.0, 100.0, 0.0)
     assert errors.along_and_across_m(90.0, shown) == pytest.approx((3.0, 1.0))
     errors = errors.moved(0.0, 100.0, 100.0, 0.0)

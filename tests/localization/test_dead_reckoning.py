@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from edge.localization import DeadReckoning
-from edge.localization.dead_reckoning import DOUBTED_M, TURN_FRAMES, Displacement, TurnAround
+from edge.localization.dead_reckoning import DOUBTED_M, TURN_FRAMES, Odometry, TurnAround
 
 S = 1_000_000_000
 GOOD, POOR = 0, 2
@@ -129,7 +129,7 @@ def test_turning_around_is_noticed_once(turn_deg: float, around: int) -> None:
         share = min(max((frame - 2 * TURN_FRAMES) / 8, 0.0), 1.0)
         heading_rad = math.radians(turn_deg * share)
         east_m, north_m = east_m + 2 * math.sin(heading_rad), north_m + 2 * math.cos(heading_rad)
-        noticed += turning.add(Displacement(1, east_m, north_m))
+        noticed += turning.add(Odometry(1, east_m, north_m))
     assert noticed == around
 
 
@@ -138,19 +138,19 @@ def test_the_course_is_that_of_the_newest_frames() -> None:
     turning, third = TurnAround(), TURN_FRAMES // 3
     for frame in range(2 * third):
         assert (turning.course_rad is None) == (frame < third)
-        turning.add(Displacement(1, max(0.0, frame - third) * 2.0, min(frame, third) * 2.0))
+        turning.add(Odometry(1, max(0.0, frame - third) * 2.0, min(frame, third) * 2.0))
     assert turning.course_rad == pytest.approx(math.pi / 2)
-    turning.add(Displacement(2, 0.0, 0.0))
+    turning.add(Odometry(2, 0.0, 0.0))
     assert turning.course_rad is None
     for _ in range(third):
-        turning.add(Displacement(2, 0.0, 0.0))
+        turning.add(Odometry(2, 0.0, 0.0))
     assert turning.course_rad is None
 
 
 def test_another_leg_is_no_turn() -> None:
     turning = TurnAround()
     for leg, sign in ((1, 1), (2, -1)):
-        assert not any(turning.add(Displacement(leg, 0.0, sign * 2.0 * frame)) for frame in range(TURN_FRAMES - 1))
+        assert not any(turning.add(Odometry(leg, 0.0, sign * 2.0 * frame)) for frame in range(TURN_FRAMES - 1))
     assert not turning.add(None)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.config import RigConfig
-from edge.sequence import PlaceMatch, Seen
+from edge.sequence import KeyframeMatch, PlaceMatch
 from sim.research.trial import gps_histories
 from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, settings
 from tests.localization.route_course import SPACING_M, Stretch
@@ -79,7 +79,7 @@ def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> Plac
     place = round(at_m / SPACING_M)
     covariance = np.diag(np.square([LOOK_M, LOOK_M, math.radians(0.5)]))
     ahead_m = place * SPACING_M - at_m - north_m  # towards the south, where both cameras look
-    seen = Seen(place, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
+    seen = KeyframeMatch(place, west_m, ahead_m, 0.0, covariance, 40, 0.9) if is_look else None
     return match(place + 2, "reverse", order="same", seen=seen)
 
 

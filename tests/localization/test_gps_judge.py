@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from edge.config import RigConfig
-from edge.localization import Break, GpsFix
+from edge.localization import Discontinuity, GpsFix
 from edge.localization.gps_judge import FIRM, UNSEEN_M
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, Vehicle, gps_at, match, settings
@@ -133,7 +133,7 @@ def test_where_gps_was_doubtful_less_must_be_unrecognized(road: Road) -> None:
 def test_what_begins_anew_is_not_unrecognized(road: Road, happens: str) -> None:
     one = recognized(road)
     if happens == "a blindness":
-        one.drive.update(one.t_ns, Break("blind"))
+        one.drive.update(one.t_ns, Discontinuity("blind"))
     else:
         one.show(None, gps_at(FROM_M))
     assert warned_m(one) is None

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
-from edge.localization import Break, Fix, Limits, Refusal
+from edge.localization import Discontinuity, Fix, FixRequest, NoFix
 from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
 from edge.localization.refusals import AGREES, RULES
@@ -49,8 +49,8 @@ def since_gps(road: Road, meters: float = 20.0, **gates: Any) -> Vehicle:
     return one
 
 
-def reason(answer: Fix | Refusal) -> str | None:
-    return answer.reason if isinstance(answer, Refusal) else None
+def reason(answer: Fix | NoFix) -> str | None:
+    return answer.reason if isinstance(answer, NoFix) else None
 
 
 def first_m(reasons: list[str | None]) -> float:
@@ -58,22 +58,22 @@ def first_m(reasons: list[str | None]) -> float:
     return 2.0 * reasons.index(None) + 2.0
 
 
-def reported(**own: Any) -> Callable[[Vehicle], Fix | Refusal]:
-    def ask(one: Vehicle) -> Fix | Refusal:
+def reported(**own: Any) -> Callable[[Vehicle], Fix | NoFix]:
+    def ask(one: Vehicle) -> Fix | NoFix:
         one.own(**own)
         return one.ask()
 
     return ask
 
 
-def asked(later_ns: int = 0, **limits: Any) -> Callable[[Vehicle], Fix | Refusal]:
+def asked(later_ns: int = 0, **limits: Any) -> Callable[[Vehicle], Fix | NoFix]:
     return lambda one: one.ask(later_ns, **limits)
 
 
-def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | Refusal]:
+def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | NoFix]:
     """A position that was not answered, with something that is not known of it."""
 
-    def ask(one: Vehicle) -> Fix | Refusal:
+    def ask(one: Vehicle) -> Fix | NoFix:
         fix = one.ask()
         assert isinstance(fix, Fix)
         changed = replace(fix, place=replace(fix.place, **place), motion=motion and fix.motion)
@@ -86,16 +86,16 @@ def further(road: Road, off_m: float, at_m: float) -> PlaceMatch | None:
     return road.match(at_m + off_m, sharpness=0.06)
 
 
-def elsewhere(one: Vehicle) -> Fix | Refusal:
+def elsewhere(one: Vehicle) -> Fix | NoFix:
     return one.answers(6, lambda at_m: one.road.match(at_m + 30.0))[-1]
 
 
-def far_off(one: Vehicle) -> Fix | Refusal:
+def far_off(one: Vehicle) -> Fix | NoFix:
     one.off_m = 205.0
     return one.answers(2)[-1]
 
 
-def just_after_gps(one: Vehicle) -> Fix | Refusal:
+def just_after_gps(one: Vehicle) -> Fix | NoFix:
     """Its matches are less certain than GPS."""
     other = Vehicle(one.road, settings())
     other.reports = {"gps_sigma_m": 0.5}
@@ -105,7 +105,7 @@ def just_after_gps(one: Vehicle) -> Fix | Refusal:
     return other.ask(is_reset=True)
 
 
-def never_bounded(one: Vehicle) -> Fix | Refusal:
+def never_bounded(one: Vehicle) -> Fix | NoFix:
     return since_boot(one.road).answers(2)[-1]
 
 
@@ -116,7 +116,7 @@ def since_boot(road: Road, config: Config | None = None) -> Vehicle:
     return one
 
 
-SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | Refusal], ...]] = {
+SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | NoFix], ...]] = {
     "two autopilots have the same ids": (reported(is_doubled=True),),
     "the autopilot's clock is not known": (reported(is_clock_known=False),),
     "nothing is recognized now": (asked(unable="the picture is dark"),),
@@ -170,7 +170,7 @@ def test_an_autopilot_that_agrees_with_the_places_is_not_reset(off_m: float, is_
     reset = one.ask(is_reset=True)
     assert isinstance(reset, Fix) is is_needed
     assert isinstance(one.ask(), Fix)
-    if isinstance(reset, Refusal):
+    if isinstance(reset, NoFix):
         assert reset.reason == AGREES and reset.confirms is not None
         assert reset.confirms.place.stamp_ns == one.t_ns
         assert isinstance(one.ask(is_reset=True, again=reset.confirms), Fix), "an answer that is awaited is not new"
@@ -180,7 +180,7 @@ def test_an_autopilot_that_agrees_with_the_places_is_not_reset(off_m: float, is_
 def test_situations_in_which_nothing_is_published(why: str, long_road: Road) -> None:
     for happens in SITUATIONS[why]:
         answer = happens(since_gps(long_road))
-        assert isinstance(answer, Refusal)
+        assert isinstance(answer, NoFix)
         assert answer.reason == why
 
 
@@ -197,15 +197,15 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
 def test_people_read_what_is_missing(long_road: Road) -> None:
     """How accurate the position is and must be, and how far it is from an autopilot that contradicts it."""
     worse, contradicted, one = just_after_gps(since_gps(long_road)), Vehicle(long_road, exact()), since_gps(long_road)
-    assert isinstance(worse, Refusal)
+    assert isinstance(worse, NoFix)
     found = re.fullmatch(r"less accurate than the autopilot, ([\d.]+) m, ([\d.]+) m needed", worse.in_words)
     assert found is not None and float(found[1]) > float(found[2]) >= 0.5
     contradicted.go(80, gps=True)
     contradicted.off_m = 60.0
     answer = contradicted.answers(2)[-1]
-    assert isinstance(answer, Refusal) and answer.in_words == f"{UNCONFIRMED}, 60 m from the autopilot"
+    assert isinstance(answer, NoFix) and answer.in_words == f"{UNCONFIRMED}, 60 m from the autopilot"
     far = far_off(one)
-    assert isinstance(far, Refusal) and re.fullmatch(r"impossibly far, \d+ m", far.in_words)
+    assert isinstance(far, NoFix) and re.fullmatch(r"impossibly far, \d+ m", far.in_words)
 
 
 def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
@@ -214,7 +214,7 @@ def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
     one.own(gps="unknown", gps_why="a receiver is silent")
     assert str(one.ask()) == "GPS is unknown: a receiver is silent"
     far = far_off(one)
-    assert isinstance(far, Refusal) and far.distance_m == pytest.approx(205.0, abs=0.5) and far.fix == one.place
+    assert isinstance(far, NoFix) and far.distance_m == pytest.approx(205.0, abs=0.5) and far.fix == one.place
 
 
 def test_positions_are_published_with_gps_where_that_is_wanted(long_road: Road) -> None:
@@ -228,13 +228,18 @@ def test_what_only_matters_to_an_autopilot_withholds_no_position_from_others(
 ) -> None:
     one = since_gps(long_road)
     one.own(**own)
-    assert isinstance(one.ask(), Refusal)
+    assert isinstance(one.ask(), NoFix)
     assert isinstance(one.ask(moves_autopilot=False), Fix)
 
 
 def test_asking_changes_nothing(long_road: Road) -> None:
     one, other = since_gps(long_road), since_gps(long_road)
-    for limits in (Limits(at="now"), Limits(oldest_s=0.0), Limits(is_reset=True), Limits(unable="it is dark")):
+    for limits in (
+        FixRequest(at="now"),
+        FixRequest(oldest_s=0.0),
+        FixRequest(is_reset=True),
+        FixRequest(unable="it is dark"),
+    ):
         one.drive.fix(one.t_ns + 45 * S, limits)
     assert (one.ask(), one.drive.known) == (other.ask(), other.drive.known)
     assert one.answers(100) == other.answers(100)
@@ -328,7 +333,7 @@ def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown
     one = Vehicle(long_road, exact())
     assert one.go(700)[-1] is None
     one.unheard(40.0, unknown_m)
-    one.drive.update(one.t_ns, Break("reboot"))
+    one.drive.update(one.t_ns, Discontinuity("reboot"))
     one.off_m = -700.0
     last = one.answers(60)[-1]
     refused = {UNCONFIRMED, "the newest matches disagree"}
@@ -342,7 +347,7 @@ def test_evidence_outlives_first_matches_after_a_silence_that_are_far_off(long_r
     one = Vehicle(long_road, exact())
     assert one.go(700)[-1] is None
     one.unheard(40.0, 60.0)
-    one.drive.update(one.t_ns, Break("reboot"))
+    one.drive.update(one.t_ns, Discontinuity("reboot"))
     one.go(38)
     for off_m in (8.0, 6.0, 4.0, 2.0, 0.0):
         why = one.go(4, partial(further, one.road, off_m))[-1]

@@ -16,13 +16,13 @@ from edge.geodesy import east_north_of
 from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.pose import look
-from edge.keypoints.view_geometry import Camera
+from edge.keypoints.view_geometry import CameraModel
 from edge.localization.drive_file import PlaceTable
-from edge.localization.sighting import Sightings
+from edge.localization.sighting import Georeferencer
 from edge.reference_map import Route
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
-from edge.sequence import PlaceMatch, Seen
+from edge.sequence import KeyframeMatch, PlaceMatch
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.research.trial.course_map import place_at
 from sim.world.camera import open_renderer
@@ -46,15 +46,17 @@ LINE_M = LENGTH * SPACING_M
 MEASURED = settings(RigConfig(look_sigma_m=0.01))
 SIGMAS = 0.2, 0.2, math.radians(0.5)
 ROAD = Scenario(seed=9801, length_m=200.0)
-CAMERA = Camera(ROAD.width, ROAD.height, ROAD.fov_deg)
+CAMERA = CameraModel(ROAD.width, ROAD.height, ROAD.fov_deg)
 ROWS_M = np.arange(90.0, 111.0, 2.0)
 ROW = 5
 
 
-def seen(place: int, west_m: float = 0.0, ahead_m: float = 0.0, turn_deg: float = 0.0, **changes: Any) -> Seen:
+def seen(place: int, west_m: float = 0.0, ahead_m: float = 0.0, turn_deg: float = 0.0, **changes: Any) -> KeyframeMatch:
     """A camera that looks south as the row's did, so far to its right, which is west, and ahead of it."""
     fields = {"points": 40, "confidence": 0.9, "covariance": np.diag(np.square(SIGMAS))}
-    return Seen(place, right_m=west_m, ahead_m=ahead_m, turn_rad=math.radians(turn_deg), **{**fields, **changes})
+    return KeyframeMatch(
+        place, right_m=west_m, ahead_m=ahead_m, turn_rad=math.radians(turn_deg), **{**fields, **changes}
+    )
 
 
 def looks(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **changes: Any) -> Sees:
@@ -89,7 +91,7 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     header = header.with_segment("drive", mapped, whole_sigma_m=0.0).with_places(len(places))
     direction: Direction = "reverse" if reverse else "forward"
     config = Config(camera=CameraConfig(view=camera), rig=RigConfig(look_sigma_m=0.01))
-    sightings = Sightings(Route(PlaceTable(places, (header,))), config)
+    sightings = Georeferencer(Route(PlaceTable(places, (header,))), config)
 
     vehicle = _Rendered(camera, "dusk", np.array([101.3]), reverse=reverse, left_m=left_m, turned_deg=3.0)
     truth = vehicle.poses[0]
@@ -98,7 +100,7 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
     pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
-    found = Seen(ROW, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
+    found = KeyframeMatch(ROW, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
     sighting = sightings.looked(match(ROW, direction, order="same", seen=found), 0.0)
 
     assert sighting is not None and sighting.look is not None and sightings.origin is not None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.geodesy import moved
-from edge.localization.odometer import CHANGES, LATE_S, Scale, ShownScale
+from edge.localization.odometer import CHANGES, LATE_S, OdometerCalibration, ScaleFactor
 from tests.localization.route_course import HOME
 
 S = 1_000_000_000
@@ -17,7 +17,7 @@ SPEED_MPS = 8.0
 
 
 def go(
-    shown: ShownScale,
+    shown: OdometerCalibration,
     seconds: float,
     scale: Callable[[float], float],
     *,
@@ -49,7 +49,7 @@ def test_wheels_are_found_to_be_as_wrong_as_they_are(true: float, seconds: float
     """The error over its standard deviation, of forty receivers; the longer GPS lasts, the more certain."""
     off = []
     for seed in range(40):
-        shown = ShownScale()
+        shown = OdometerCalibration()
         go(shown, seconds, lambda _: true, seed=seed)
         assert shown.scale is not None
         off.append((shown.scale.mean - (true - 1)) / shown.scale.sigma)
@@ -60,19 +60,19 @@ def test_wheels_are_found_to_be_as_wrong_as_they_are(true: float, seconds: float
 
 def test_wheels_that_spin_while_gps_is_healthy_show_that_little_is_known() -> None:
     """By half too fast, for 3 s of 20."""
-    shown = ShownScale()
+    shown = OdometerCalibration()
     go(shown, 40.0, lambda now_s: 1 / 1.5 if now_s % 20 < 3 else 1.0)
     assert shown.scale is not None and shown.scale.later > 0.1
 
 
 def test_before_anything_was_driven_nothing_is_shown() -> None:
-    shown = ShownScale()
+    shown = OdometerCalibration()
     go(shown, 1.5, lambda _: 1.0)
     assert shown.scale is None
 
 
 def test_while_the_vehicle_stands_a_receiver_that_wanders_shows_nothing() -> None:
-    shown = ShownScale()
+    shown = OdometerCalibration()
     for step in range(600):
         shown.add_meters(S + step * S // 5, 0.0, 0.0)
         shown.add_fix(S + step * S // 5 + S // 10, moved(*HOME, 3 * math.sin(step / 50), 0.0))
@@ -82,14 +82,14 @@ def test_while_the_vehicle_stands_a_receiver_that_wanders_shows_nothing() -> Non
 @pytest.mark.parametrize(("share", "holds"), [(1.0, True), (1.03, True), (0.9, False), (1.1, False)])
 def test_what_is_shown_holds_only_for_an_autopilot_that_moves_by_the_odometer(share: float, holds: bool) -> None:
     """share: of the odometer's meters, as the autopilot moves once GPS is lost, by flow or by airspeed."""
-    shown = ShownScale()
+    shown = OdometerCalibration()
     go(shown, 20.0, lambda _: 1.0)
     go(shown, 10.0, lambda _: 1.0, gps=False, begins_s=20.0, own=lambda driven_m: share * driven_m)
     assert (shown.scale is not None) == holds
 
 
 def test_two_findings_are_weighed_by_their_variances() -> None:
-    both = Scale(0.0, 0.06).and_also(Scale(0.05, 0.03, 0.01))
+    both = ScaleFactor(0.0, 0.06).and_also(ScaleFactor(0.05, 0.03, 0.01))
     assert both == pytest.approx((0.04, 0.06 / math.sqrt(5), 0.01))
     assert both.later == pytest.approx(math.hypot(0.06 / math.sqrt(5), 0.01)), (
         "no number of readings makes it vary less"

@@ -6,14 +6,19 @@ import math
 
 import pytest
 
-from edge.localization.own_motion import RATES_APART_NS, OwnMotion
+from edge.localization.own_motion import RATES_APART_NS, GyroOdometer
 
 S = 1_000_000_000
 SPEED_MPS = 4.0
 
 
 def drive(
-    own: OwnMotion, seconds: float, rate_radps: float, bias_radps: float = 0.0, compass_rad: float = 0.0, hz: int = 20
+    own: GyroOdometer,
+    seconds: float,
+    rate_radps: float,
+    bias_radps: float = 0.0,
+    compass_rad: float = 0.0,
+    hz: int = 20,
 ) -> tuple[float, float]:
     """A circle from the north on; east and north of its end."""
     for step in range(round(seconds * hz) + 1):
@@ -26,7 +31,7 @@ def drive(
 
 def test_the_autopilots_heading_only_begins_it() -> None:
     """The autopilot turns its heading afterwards, as one that follows a GPS that is dragged: that turns nothing."""
-    own = OwnMotion()
+    own = GyroOdometer()
     for step in range(200):
         follows_rad = -0.15 * min(1.0, step / 100)
         own.turn(S + step * S // 10, 0.0, follows_rad, (SPEED_MPS, 0.0))
@@ -37,7 +42,7 @@ def test_the_autopilots_heading_only_begins_it() -> None:
 
 
 def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> None:
-    own = OwnMotion()
+    own = GyroOdometer()
     drive(own, 5.0, 0.05)
     before = own.displacement(6 * S)
     assert own.displacement(6 * S + RATES_APART_NS + S // 10) is None
@@ -49,7 +54,7 @@ def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> No
 
 def test_the_heading_is_the_less_certain_the_fewer_rates_come() -> None:
     """A wheel that is turned left and right: at one rate a second, what it did in between is not known."""
-    often, seldom = OwnMotion(), OwnMotion()
+    often, seldom = GyroOdometer(), GyroOdometer()
     for own, hz in ((often, 20), (seldom, 1)):
         for step in range(40 * hz):
             own.turn(S + step * S // hz, 0.1 * math.sin(step / hz * 1.3), 0.0, (SPEED_MPS, 0.0))

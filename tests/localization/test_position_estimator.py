@@ -11,13 +11,13 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
-from edge.localization import Break, Fix, Known, Maps, Scale
+from edge.localization import Discontinuity, EstimatorState, Fix, MapUpdate, ScaleFactor
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import LENGTH, Road, S, Vehicle, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 
-def known(one: Vehicle, **own: Any) -> Known:
+def known(one: Vehicle, **own: Any) -> EstimatorState:
     """After what the autopilot reports."""
     one.own(**own)
     return one.drive.known
@@ -45,7 +45,7 @@ def shown(road: Road, **changes: Any) -> tuple[Vehicle, float]:
     """A vehicle that has lost GPS 100 m ago, which had shown its odometer; and the uncertainty of its position."""
     one = Vehicle(road)
     one.go(60, gps=True)
-    one.reports = {"scale": Scale(0.0, 0.02), **changes}
+    one.reports = {"scale": ScaleFactor(0.0, 0.02), **changes}
     one.go(100, lambda _: None)
     own_sigma_m = one.drive.known.own_sigma_m
     assert own_sigma_m is not None
@@ -61,7 +61,7 @@ def test_the_uncertainty_grows_by_what_gps_has_shown_of_the_odometer(road: Road)
 @pytest.mark.parametrize(("mean", "expected"), [(0.05, math.radians(2.0)), (0.12, 0.1)])
 def test_wheels_are_as_wrong_as_usual_unless_gps_contradicts_that(mean: float, expected: float, road: Road) -> None:
     """Of 5 % that GPS shows to 3 %, half is its own error, and the heading's is more; of 12 %, nearly all is theirs."""
-    assert shown(road, scale=Scale(mean, 0.03))[1] == pytest.approx(math.hypot(3.0, expected * 100.0), rel=0.1)
+    assert shown(road, scale=ScaleFactor(mean, 0.03))[1] == pytest.approx(math.hypot(3.0, expected * 100.0), rel=0.1)
 
 
 def test_a_wheel_that_spins_takes_back_what_was_shown(road: Road) -> None:
@@ -86,7 +86,7 @@ def test_what_was_shown_outlives_a_time_of_which_no_match_counts(road: Road) -> 
     sigmas = []
     for has_shown in (True, False):
         one, _ = shown(road, **({} if has_shown else {"scale": None}))
-        one.drive.update(one.t_ns, Break("blind"))
+        one.drive.update(one.t_ns, Discontinuity("blind"))
         one.go(60)
         assert one.place is not None
         sigmas.append(one.place.sigma_along_m)
@@ -117,7 +117,7 @@ def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road
 def test_after_a_reboot_nothing_bounds_the_autopilot_and_gps_had_the_vehicle_where_it_was(road: Road) -> None:
     one = Vehicle(road)
     one.go(100, gps=True)
-    one.drive.update(one.t_ns, Break("reboot"))
+    one.drive.update(one.t_ns, Discontinuity("reboot"))
     assert one.drive.known.own_sigma_m is None and not one.drive.known.is_bounded
     one.off_m, one.reports = -100.0, {"booted_ns": one.t_ns}  # at its origin
     assert one.go(20)[-1] is None, "a place is confirmed by where GPS had the vehicle, moved on by its velocity"
@@ -145,7 +145,7 @@ def test_what_bounds_the_autopilot_outlives_this_program(changed: dict[str, Any]
 def test_no_position_rests_on_frames_from_before_a_blindness(kind: Any, road: Road) -> None:
     one = Vehicle(road)
     one.go(250, gps=True)
-    one.drive.update(one.t_ns, Break(kind))
+    one.drive.update(one.t_ns, Discontinuity(kind))
     assert one.place is None and one.drive.known.gps.state == "agrees" and one.drive.known.is_bounded
     reasons = one.go(2 * LENGTH + 2)
     assert reasons.index(None) == LENGTH - 1, "a line of new frames"
@@ -155,9 +155,9 @@ def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None
     one = Vehicle(road)
     one.go(250, gps=True)
     place = one.place
-    one.drive.update(one.t_ns, Maps(road.maps, has_grown=True))
+    one.drive.update(one.t_ns, MapUpdate(road.maps, has_grown=True))
     assert one.place == place is not None
-    one.drive.update(one.t_ns, Maps(road.maps))
+    one.drive.update(one.t_ns, MapUpdate(road.maps))
     assert one.place is None and one.drive.known.gps.state == "agrees"
 
 
@@ -217,7 +217,7 @@ def test_nothing_is_reckoned_of_a_vehicle_that_was_carried_until_gps_has_it_agai
     one = Vehicle(road)
     one.go(20, gps=True)
     one.go(10, gps=False)
-    one.drive.update(one.t_ns, Break(kind))
+    one.drive.update(one.t_ns, Discontinuity(kind))
     one.go(2, gps=False)
     assert (reckoned_m(one) is not None) == is_reckoned
     one.go(2, gps=True)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from edge.journal.records import PlaceFix
-from edge.localization import Displacement
-from edge.localization.anchor import Anchor, Reckoned
-from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, Wrong, protection_level
+from edge.localization import Odometry
+from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
+from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, FaultProbabilities, protection_level
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 
@@ -58,8 +58,8 @@ def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(
     assert not any(one.is_exceeded for one in bounded)
 
 
-def level_of(place: float, reckoned: Reckoned | None, bound: float = 0.1) -> tuple[float, float]:
-    level = protection_level(FIX, Wrong(place, 0.0, bound), reckoned, 8.0, 1e-3, 500.0)
+def level_of(place: float, reckoned: DeadReckoningOffset | None, bound: float = 0.1) -> tuple[float, float]:
+    level = protection_level(FIX, FaultProbabilities(place, 0.0, bound), reckoned, 8.0, 1e-3, 500.0)
     return level.along_m, level.across_m
 
 
@@ -72,13 +72,13 @@ def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notic
 
 def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
     uncertain = msgspec.structs.replace(FIX, sigma_along_m=10.0)
-    level = protection_level(uncertain, Wrong(1e-9, 0.0, 0.1), None, 8.0, 1e-3, 500.0)
+    level = protection_level(uncertain, FaultProbabilities(1e-9, 0.0, 0.1), None, 8.0, 1e-3, 500.0)
     assert 5 * MODEL_ERROR < level.along_m / 10 < 5.3 * MODEL_ERROR  # 480 errors in an hour
 
 
 def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -> None:
     """It heads east: what is north of it is across."""
-    along_m, across_m = level_of(2e-5, Reckoned(3.0, 40.0, 10.0))
+    along_m, across_m = level_of(2e-5, DeadReckoningOffset(3.0, 40.0, 10.0))
     assert 40 < across_m < 40 + 3 * 10
     assert along_m == pytest.approx(across_m - 37)
 
@@ -86,33 +86,39 @@ def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -
 def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:
     """North-east of a vehicle that heads north-east, it is off along the road alone."""
     northeast = msgspec.structs.replace(FIX, heading_deg=45.0)
-    level = protection_level(northeast, Wrong(2e-5, 0.0, 0.1), Reckoned(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0)
+    level = protection_level(
+        northeast, FaultProbabilities(2e-5, 0.0, 0.1), DeadReckoningOffset(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0
+    )
     assert level.along_m > math.hypot(30.0, 30.0)
     assert level.across_m < 30.0
 
 
 @pytest.mark.parametrize(
     ("place", "reckoned", "bound"),
-    [(2e-5, None, 0.1), (1e-3, Reckoned(0.0, 0.0, 3.0), 0.1), (2e-5, Reckoned(0.0, 0.0, 3.0), 0.5)],
+    [
+        (2e-5, None, 0.1),
+        (1e-3, DeadReckoningOffset(0.0, 0.0, 3.0), 0.1),
+        (2e-5, DeadReckoningOffset(0.0, 0.0, 3.0), 0.5),
+    ],
     ids=["nothing else is known", "wrong too often", "what else is known is wrong too often"],
 )
-def test_what_nothing_bounds_has_no_level(place: float, reckoned: Reckoned | None, bound: float) -> None:
+def test_what_nothing_bounds_has_no_level(place: float, reckoned: DeadReckoningOffset | None, bound: float) -> None:
     assert level_of(place, reckoned, bound) == (math.inf, math.inf)
 
 
 def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
-    level = protection_level(FIX, Wrong(1e-9, 1e-3, 0.1), Reckoned(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0)
+    level = protection_level(
+        FIX, FaultProbabilities(1e-9, 1e-3, 0.1), DeadReckoningOffset(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0
+    )
     assert level.across_m > 60.0
 
 
 def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:
-    anchor = Anchor(-27.0, 153.0, 3.0, Displacement(1, 10.0, 0.0))
-    found = anchor.reckoned(FIX, Displacement(1, 90.0, 60.0), 0.05)
+    anchor = OdometryDatum(-27.0, 153.0, 3.0, Odometry(1, 10.0, 0.0))
+    found = anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05)
     assert (found.east_m, found.north_m) == pytest.approx((80.0, 60.0), abs=0.01)
     assert found.sigma_m == pytest.approx(math.hypot(3.0, 5.0))
     assert found.distance_m == pytest.approx(100.0, abs=0.01)
-    assert anchor.reckoned(FIX, Displacement(1, 90.0, 60.0), 0.05, 400.0).sigma_m == pytest.approx(
-        math.hypot(3.0, 20.0)
-    )
-    unheard = anchor.reckoned(FIX, Displacement(2, 90.0, 60.0, unknown_m=80.0), 0.05)
+    assert anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05, 400.0).sigma_m == pytest.approx(math.hypot(3.0, 20.0))
+    unheard = anchor.reckoned(FIX, Odometry(2, 90.0, 60.0, unknown_m=80.0), 0.05)
     assert unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"

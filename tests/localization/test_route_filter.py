@@ -12,7 +12,7 @@ import pytest
 
 from edge.config import Config, RigConfig
 from edge.journal.records import PlaceFix
-from edge.localization import Maps
+from edge.localization import MapUpdate
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import (
     LENGTH,
@@ -111,7 +111,7 @@ def test_its_heading_is_that_of_the_road_where_it_is_not_where_it_looks(
     one = warm(road, config, 200.0, direction, meters=0)
     places = road.maps.places.copy()
     places["heading_deg"] = 0.1 * (np.arange(len(places)) % 200)
-    one.drive.update(one.t_ns, Maps(replace(road.maps, places=places)))
+    one.drive.update(one.t_ns, MapUpdate(replace(road.maps, places=places)))
     one.go(2 * LINE_M)
     expected = turned_deg + 0.1 * (one.north_m / SPACING_M - one.sign * 13)
     assert placed(one).heading_deg == pytest.approx(expected, abs=0.05)
@@ -124,7 +124,7 @@ def test_where_the_map_knows_no_heading_it_is_that_of_the_drive(
     one = warm(road, settings(RigConfig(left_forward_m=3.5, left_reverse_m=-3.5)), 200.0, direction, meters=0)
     places = road.maps.places.copy()
     places["heading_deg"] = np.nan
-    one.drive.update(one.t_ns, Maps(replace(road.maps, places=places)))
+    one.drive.update(one.t_ns, MapUpdate(replace(road.maps, places=places)))
     one.go(2 * LINE_M)
     assert math.remainder((placed(one).heading_deg or 0.0) - heading_deg, 360.0) == pytest.approx(0.0, abs=1e-3)
     assert left_m(one.place) == pytest.approx(3.5, abs=0.01), "west, both ways"

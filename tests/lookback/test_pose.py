@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 import lookback
 from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
-from edge.keypoints import Camera
+from edge.keypoints import CameraModel
 
-CAMERA = Camera(320, 240, 80.0)
+CAMERA = CameraModel(320, 240, 80.0)
 ASIDE_DEG = 4.0
 PLACES, SPACING_M = 24, 2.0
 

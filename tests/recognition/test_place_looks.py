@@ -21,11 +21,11 @@ from edge.feed import Feed, FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
-from edge.recognition.place_looks import PlaceLooks
+from edge.recognition.place_looks import KeyframeMatcher
 from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.store import KEYPOINTS
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
@@ -94,7 +94,7 @@ def driven(
         heading_deg, distance_m = drive.rows[number].heading_deg, drive.rows[number].distance_m
         assert heading_deg is not None
         course_rad = math.radians(heading_deg) + math.pi * backwards
-        travel = Travel(distance_m, course_rad=course_rad)
+        travel = MotionPrior(distance_m, course_rad=course_rad)
         answers.append(recognizer.observe(drive.images[number], number * SECOND_NS, travel))
     return answers
 
@@ -121,7 +121,7 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
     drive, standing = Drive("home_night"), []
     for first in range(20, 140, 10):
         recognizer = opened(maps / "street", grid)
-        at_m, image = Travel(7.0), drive.images[first]
+        at_m, image = MotionPrior(7.0), drive.images[first]
         assert recognizer.observe(image, 0, at_m) is None, "one look is not enough"
         assert not recognizer.may_look_again(SECOND_NS // 2, 7.0), "nothing new yet"
         assert not recognizer.may_look_again(SECOND_NS, 9.0), "it drives"
@@ -154,8 +154,8 @@ def test_a_street_that_the_map_has_twice_is_known_by_no_look(maps: Path, twice: 
     for first in range(45, 80, 8):
         for name, path in {"once": maps / "street", "twice": twice}.items():
             recognizer = opened(path, grid)
-            assert recognizer.observe(drive.images[first], 0, Travel(7.0)) is None
-            match = recognizer.look_again(drive.images[first], SECOND_NS, Travel(7.0))
+            assert recognizer.observe(drive.images[first], 0, MotionPrior(7.0)) is None
+            match = recognizer.look_again(drive.images[first], SECOND_NS, MotionPrior(7.0))
             known[name] += match is not None
     assert known["once"] >= 3
     assert known["twice"] == 0
@@ -173,7 +173,7 @@ def test_looks_that_cannot_tell_two_places_speak_against_a_line_to_either(maps: 
         )
         there, nearest = int(away_m[0].argmin()), np.argsort(away_m.min(axis=0))
         votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
-        looks = PlaceLooks(map_set, drives, config)
+        looks = KeyframeMatcher(map_set, drives, config)
         for _ in range(2):
             looks.look(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
         answer = looks.answer(votes, None, 0.0, BESIDE_M)
@@ -227,10 +227,10 @@ def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid:
             image = other if second < 6 else drive.images[first]
             image = np.clip(image + noise.normal(0.0, 4.0, image.shape), 0, 255).astype(np.uint8)
             if second == 0:
-                assert recognizer.observe(image, 0, Travel(7.0)) is None
+                assert recognizer.observe(image, 0, MotionPrior(7.0)) is None
                 continue
             assert recognizer.may_look_again(second * SECOND_NS, 7.0)
-            match = recognizer.look_again(image, second * SECOND_NS, Travel(7.0))
+            match = recognizer.look_again(image, second * SECOND_NS, MotionPrior(7.0))
             if match is not None:
                 assert second >= 6 and drive.off_m(first, match, recognizer.map_set) < BESIDE_M
                 known += 1

@@ -28,7 +28,7 @@ from edge.recognition.recognizer import PlaceRecognizer, model_key, network_for,
 from edge.recognition.sequence_matcher import WAY_OUT_COUNTS_AS
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.sequence import PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch
 from edge_plugins.mapping.builder import Place
 from sim.maps.command import build_map
 from tests.map_of import map_of
@@ -142,7 +142,7 @@ def test_a_line_leads_through_no_frame_that_stands_or_whose_distance_is_not_know
     for index, (picture, driven_m, is_in_line) in enumerate(
         [(0, 0.0, True), (0, 0.2, False), (1, 2.0, True), (2, None, False), (3, 6.0, True)]
     ):
-        recognizer.observe(frames[picture], index * FRAME_NS, Travel(driven_m))
+        recognizer.observe(frames[picture], index * FRAME_NS, MotionPrior(driven_m))
         assert recognizer.is_in_line == is_in_line, picture
 
 
@@ -154,23 +154,23 @@ def test_where_each_frame_is_a_place_one_that_looks_like_the_last_was_passed_wit
         drive(one, frames[:20])
     halt(recognizer, frames[19], 3)
     found = recognizer.observe(frames[23], 23 * FRAME_NS)
-    assert found == expected.observe(frames[23], 23 * FRAME_NS, Travel(missed=3))
+    assert found == expected.observe(frames[23], 23 * FRAME_NS, MotionPrior(missed=3))
     assert recognizer.observe(frames[24], 24 * FRAME_NS) == expected.observe(frames[24], 24 * FRAME_NS), "once"
 
 
 def test_a_vehicle_that_moved_does_not_stand_however_alike_its_pictures_are(opened: Opened, frames: Frames) -> None:
     recognizer = opened()
     for index in range(20):
-        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
-    recognizer.observe(frames[19], 20 * FRAME_NS, Travel(38.1))
+        recognizer.observe(frames[index], index * FRAME_NS, MotionPrior(2.0 * index))
+    recognizer.observe(frames[19], 20 * FRAME_NS, MotionPrior(38.1))
     assert recognizer.state == "standing"
-    recognizer.observe(frames[19], 21 * FRAME_NS, Travel(40.0))
+    recognizer.observe(frames[19], 21 * FRAME_NS, MotionPrior(40.0))
     assert recognizer.state != "standing"
 
 
 def test_a_vehicle_that_stands_is_searched_for_once_its_odometer_is_known(opened: Opened, frames: Frames) -> None:
     recognizer = opened(msgspec.structs.replace(CONFIG, sampling=SamplingConfig(by="distance")))
-    for index, travel in enumerate((Travel(), Travel(7.0), Travel(7.0))):
+    for index, travel in enumerate((MotionPrior(), MotionPrior(7.0), MotionPrior(7.0))):
         recognizer.observe(frames[5], index * FRAME_NS, travel)
         assert recognizer.matcher.search.nearest(1).size == (index > 0)
     assert recognizer.state == "standing"
@@ -182,15 +182,15 @@ def test_a_long_halt_keeps_the_sequence_where_the_odometer_says_that_nothing_was
 ) -> None:
     recognizer = opened()
     for index in range(20):
-        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
+        recognizer.observe(frames[index], index * FRAME_NS, MotionPrior(2.0 * index))
     after_m = None if moved_m is None else 38.0 + moved_m
-    found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, Travel(after_m))
+    found = recognizer.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, MotionPrior(after_m))
     assert (found is not None) == is_kept
     again = opened()
     for index in range(20):
-        again.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
+        again.observe(frames[index], index * FRAME_NS, MotionPrior(2.0 * index))
     again.restart_odometer()
-    assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, Travel(40.0)) is None
+    assert again.observe(frames[20], 20 * FRAME_NS + 60 * 10**9, MotionPrior(40.0)) is None
 
 
 @pytest.mark.parametrize(("shown", "is_carried"), [(26, False), (48, True)])
@@ -200,12 +200,12 @@ def test_a_vehicle_that_was_carried_while_its_wheels_stood_begins_anew(
     """After a halt of 10 s it shows the next place, or one that is 44 m further."""
     recognizer = opened()
     for index in range(26):
-        recognizer.observe(frames[index], index * FRAME_NS, Travel(2.0 * index))
+        recognizer.observe(frames[index], index * FRAME_NS, MotionPrior(2.0 * index))
     later_ns = 25 * FRAME_NS + 10_000_000_000
-    match = recognizer.observe(frames[shown], later_ns, Travel(52.0))
+    match = recognizer.observe(frames[shown], later_ns, MotionPrior(52.0))
     assert recognizer.was_carried == is_carried
     assert (match is None) == is_carried, "no line has frames of both sides"
-    recognizer.observe(frames[shown + 1], later_ns + FRAME_NS, Travel(54.0))
+    recognizer.observe(frames[shown + 1], later_ns + FRAME_NS, MotionPrior(54.0))
     assert not recognizer.was_carried
 
 
@@ -216,9 +216,9 @@ def test_a_halt_whose_end_was_not_seen_may_have_been_a_tow(
     """The camera shows nothing for some places, which the vehicle passes at its usual pace, after a halt or without."""
     recognizer, period_ns = opened(), 250_000_000
     for index in range(26):
-        recognizer.observe(frames[index], index * period_ns, Travel(2.0 * index))
+        recognizer.observe(frames[index], index * period_ns, MotionPrior(2.0 * index))
     now, missed = 25 + further, further - 1
-    recognizer.observe(frames[now], now * period_ns + halt_ns, Travel(2.0 * now, missed=missed))
+    recognizer.observe(frames[now], now * period_ns + halt_ns, MotionPrior(2.0 * now, missed=missed))
     assert recognizer.was_carried == is_carried
 
 
@@ -241,7 +241,7 @@ def test_places_passed_unseen_leave_room_in_the_line(opened: Opened, frames: Fra
     drive(recognizer, frames[:20])
     rows = range(23, 23 + LENGTH)
     matches = [
-        recognizer.observe(frames[row], row * FRAME_NS, Travel(missed=3 if row == rows[0] else 0)) for row in rows
+        recognizer.observe(frames[row], row * FRAME_NS, MotionPrior(missed=3 if row == rows[0] else 0)) for row in rows
     ]
     assert [match.place for match in matches if match] == pytest.approx(list(rows), abs=1)
 
@@ -249,14 +249,14 @@ def test_places_passed_unseen_leave_room_in_the_line(opened: Opened, frames: Fra
 def test_lost_frames_leave_room_in_a_line(opened: Opened, frames: Frames) -> None:
     recognizer = opened()
     drive(recognizer, frames[:12])
-    answer = recognizer.observe(frames[14], 14 * FRAME_NS, Travel(missed=2))
+    answer = recognizer.observe(frames[14], 14 * FRAME_NS, MotionPrior(missed=2))
     assert answer and abs(answer.place - 14) <= 1
 
 
 def test_when_too_much_was_missed_a_sequence_begins_anew(opened: Opened, frames: Frames) -> None:
     recognizer = opened()
     drive(recognizer, frames[:20])
-    assert recognizer.observe(frames[30], 30 * FRAME_NS, Travel(missed=LENGTH // 2 + 1)) is None
+    assert recognizer.observe(frames[30], 30 * FRAME_NS, MotionPrior(missed=LENGTH // 2 + 1)) is None
     assert recognizer.state == "warming up"
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from edge.config import Config, SamplingConfig
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge.sequence.search import slopes_around_diagonal
 from edge.sequence.submap import MEASURED_SLOPE_RAD, MEASURED_SLOPES
 from edge_plugins.mapping.builder import Place
@@ -59,7 +59,7 @@ def test_a_hole_of_over_half_a_sequence_begins_a_new_one(
     for frame, place in enumerate(road.places[:60]):
         hole = frame == 50
         driven_m += 26 * SPACING_M if hole else SPACING_M
-        match = matcher.push(road.seen(place, signal=1.0), Travel(driven_m, missed=missed * hole))
+        match = matcher.push(road.seen(place, signal=1.0), MotionPrior(driven_m, missed=missed * hole))
         assert (match is None) == (frame < 15 or hole or frame > 50)
 
 
@@ -70,7 +70,7 @@ def test_frames_before_the_odometer_is_known_are_in_no_line(road: Road, maps: Ma
     def first_answers(unknown: range) -> list[int]:
         matcher, answered = SequenceMatcher(maps, Config()), []
         for frame, raw in enumerate(seen[:70]):
-            match = matcher.push(raw, Travel(None if frame in unknown else SPACING_M * frame))
+            match = matcher.push(raw, MotionPrior(None if frame in unknown else SPACING_M * frame))
             answered += [frame] if match is not None else []
         return answered
 
@@ -81,5 +81,5 @@ def test_frames_before_the_odometer_is_known_are_in_no_line(road: Road, maps: Ma
 
     matcher, of_odometer = SequenceMatcher(maps, Config()), slopes_around_diagonal(MEASURED_SLOPE_RAD, MEASURED_SLOPES)
     for frame, raw in enumerate(seen[:40]):
-        match = matcher.push(raw, Travel(None if frame < 3 else SPACING_M * frame))
+        match = matcher.push(raw, MotionPrior(None if frame < 3 else SPACING_M * frame))
         assert match is None or np.isclose(match.slope, of_odometer).any()

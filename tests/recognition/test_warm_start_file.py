@@ -10,17 +10,17 @@ import pytest
 from msgspec.structs import replace
 
 from edge.descriptor import RunningStatistics
-from edge.recognition.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import PersistentTime, StateFile, StateKey
 
 KEY = StateKey("m" * 64, "fc6", "left-right", 0.4, "h" * 64)
 SHAPE = (2, 16)
-NOW = Moment(1_000_000.0, "boot-a", 500.0)
+NOW = PersistentTime(1_000_000.0, "boot-a", 500.0)
 RANDOM = np.random.default_rng(3)
 KEPT = RunningStatistics.of_another_run(120, RANDOM.normal(size=SHAPE), RANDOM.random(SHAPE), at_most=120)
 
 
-def later(seconds: float, boot: str = "boot-a", unix_s: float | None = None) -> Moment:
-    return Moment(NOW.unix_s + seconds if unix_s is None else unix_s, boot, NOW.boot_s + seconds)
+def later(seconds: float, boot: str = "boot-a", unix_s: float | None = None) -> PersistentTime:
+    return PersistentTime(NOW.unix_s + seconds if unix_s is None else unix_s, boot, NOW.boot_s + seconds)
 
 
 def write(file: StateFile) -> None:

@@ -10,9 +10,9 @@ import pytest
 from edge.config import Config, SequenceConfig
 from edge.descriptor.normalize import RunningStatistics
 from edge.recognition.sequence_matcher import SequenceMatcher
-from edge.recognition.warm_start import Moment, StateFile, StateKey
+from edge.recognition.warm_start import PersistentTime, StateFile, StateKey
 from edge.reference_map import MapSet, open_map
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge_plugins.mapping.builder import Place
 from sim.maps.shrinking import shrink_to
 from tests.map_of import map_of
@@ -34,7 +34,7 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: int, 
     config = Config(sequence=SequenceConfig(length=LENGTH))
     matcher = SequenceMatcher(MapSet.of(reference_map), config)
     noisy = raw + rng.normal(0, 1.0, raw.shape).astype(np.float32)
-    matches = [matcher.push(one, Travel(2.0 * row)) for row, one in enumerate(noisy)]
+    matches = [matcher.push(one, MotionPrior(2.0 * row)) for row, one in enumerate(noisy)]
     found = [match.place_index for match in matches[LENGTH:] if match is not None]
     assert len(found) == PLACES - LENGTH
     assert np.abs(np.array(found) - np.arange(LENGTH, PLACES)).max() <= 1
@@ -42,8 +42,8 @@ def test_a_drive_is_recognized(dimensions: int, kept: int | None, regions: int, 
     statistics = matcher.statistics
     assert isinstance(statistics, RunningStatistics)
     file = StateFile(tmp_path / "state", StateKey("0", "tap", "left-right", 0.4, "0"), (regions, dimensions))
-    file.write(statistics, Moment.now())
-    again = file.read(Moment.now(), 60.0)
+    file.write(statistics, PersistentTime.now())
+    again = file.read(PersistentTime.now(), 60.0)
     assert again is not None
     np.testing.assert_array_equal(again.mean, statistics.mean)
 

@@ -15,7 +15,7 @@ from edge.descriptor.normalize import normalize
 from edge.errors import MapError
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import COST_ONE, MapSet, ModelKey, RegionsKey, Route
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.growing_map import GrowingMap
 from tests.map_of import map_of
@@ -102,7 +102,9 @@ def test_what_is_recognized_while_the_map_grows_is_what_the_whole_map_gives(tmp_
     whole_matcher = SequenceMatcher(old.with_newest(growing.first(300)), CONFIG)
     places = []
     for frame, query in enumerate(queries):
-        one, another = (matcher.push(query, Travel(frame * SPACING_M)) for matcher in (growing_matcher, whole_matcher))
+        one, another = (
+            matcher.push(query, MotionPrior(frame * SPACING_M)) for matcher in (growing_matcher, whole_matcher)
+        )
         if frame % 8 == 0:
             growing_matcher.grow(old.with_newest(growing.first(100 + frame)))
         if frame >= 2 * LENGTH:
@@ -120,10 +122,10 @@ def test_a_map_may_grow_before_a_new_sequence_has_a_frame() -> None:
     growing = grown(raw)
     matcher = SequenceMatcher(MapSet.of([growing.first(80)], Path("maps")), CONFIG)
     for row in range(20):
-        matcher.push(raw[row], Travel(row * SPACING_M))
+        matcher.push(raw[row], MotionPrior(row * SPACING_M))
     matcher.reset()
     matcher.grow(matcher.map_set.with_newest(growing.first(96)))
-    found = [matcher.push(raw[row], Travel(row * SPACING_M)) for row in range(76, 96)]
+    found = [matcher.push(raw[row], MotionPrior(row * SPACING_M)) for row in range(76, 96)]
     assert [one.place_index for one in found[LENGTH:] if one is not None] == list(range(76 + LENGTH, 96))
 
 

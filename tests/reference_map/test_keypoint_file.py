@@ -14,7 +14,7 @@ import pytest
 
 from edge.config import SamplingConfig
 from edge.errors import MapError
-from edge.keypoints import Camera, Keypoints
+from edge.keypoints import CameraModel, Keypoints
 from edge.keypoints.pose import look as pose_by
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_file import KeypointsKey
@@ -115,7 +115,7 @@ def test_keypoints_that_are_cut_off_while_in_use_are_read_no_more(tmp_path: Path
 
 
 def test_a_camera_with_another_field_of_view_can_look_at_a_map(tmp_path: Path) -> None:
-    made, wide = build(tmp_path / "map", places=30), Camera(400, 260, 100.0)
+    made, wide = build(tmp_path / "map", places=30), CameraModel(400, 260, 100.0)
     assert made.keypoints is not None
     shown, _ = look(24.0)
     xy = (CAMERA.directions(shown.xy) * wide.focal_px + wide.middle).astype(np.float32)

@@ -21,7 +21,7 @@ from edge.config import AcceptanceConfig, Config, MapConfig, SequenceConfig
 from edge.errors import MapError
 from edge.reference_map import MapSet, Route, open_map, open_map_set
 from edge.reference_map.store import DESCRIPTORS, PLACES, STATISTICS
-from edge.sequence import Near, PlaceMatch
+from edge.sequence import PlaceMatch, SearchRegion
 from edge.sequence.lane import NO_LAGS, Lanes
 from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from edge_plugins.mapping.builder import Place
@@ -85,9 +85,9 @@ def drive_on(maps: MapSet, look: Look, config: Config = CONFIG) -> Drive:
     return Drive(maps, look, config)
 
 
-def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> Near:
+def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> SearchRegion:
     drive, along = divmod(place, 2500)
-    return Near(along * SPACING_M * DEGREES_A_METRE, (drive * APART_M + east_m) * DEGREES_A_METRE, radius_m)
+    return SearchRegion(along * SPACING_M * DEGREES_A_METRE, (drive * APART_M + east_m) * DEGREES_A_METRE, radius_m)
 
 
 def test_tiles_have_every_byte_of_their_map(city: Path) -> None:
@@ -134,7 +134,7 @@ def test_tiles_give_the_same_matches_as_their_map(
         places = places[::-1]
     off_m = 3000.0 if tells == "wrong" else 0.0
 
-    def near(place: int) -> Near | None:
+    def near(place: int) -> SearchRegion | None:
         return None if tells == "nothing" else close_to(place, radius_m, off_m)
 
     maps = open_map_set(city / "tiles")
@@ -253,9 +253,9 @@ def test_maps_of_places_far_apart(tmp_path: Path) -> None:
     there = look_at(open_map(tmp_path / "maps" / "there"))
     drive = drive_on(maps, lambda place: there(place - 1500))
 
-    def near(place: int) -> Near:
+    def near(place: int) -> SearchRegion:
         # The same meridian, told from the other side.
-        return Near(51.0 + (place - 1500) * SPACING_M * DEGREES_A_METRE, 179.999 - 360, 60.0)
+        return SearchRegion(51.0 + (place - 1500) * SPACING_M * DEGREES_A_METRE, 179.999 - 360, 60.0)
 
     matches = drive.go(range(1600, 1700), near)
     assert drive.search.folders_in_use == [tmp_path / "maps" / "there"]

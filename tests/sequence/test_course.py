@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge.sequence.consensus import FEWER_LINES
 from edge.sequence.evidence import Roads
 from edge_plugins.mapping.builder import Place
@@ -75,7 +75,9 @@ def test_a_match_against_the_course_is_neither_the_best_nor_the_one_that_it_is_h
         for course_rad in (None, SOUTH, NORTH):
             matcher = SequenceMatcher(maps, config)
             matches = [
-                matcher.push(raw + rng.normal(scale=0.3, size=raw.shape), Travel(2.0 * frame, course_rad=course_rad))
+                matcher.push(
+                    raw + rng.normal(scale=0.3, size=raw.shape), MotionPrior(2.0 * frame, course_rad=course_rad)
+                )
                 for frame, raw in enumerate(homeward)
             ]
             part, last = matcher.search.part, matches[-1]

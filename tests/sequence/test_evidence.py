@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig
 from edge.sequence import PlaceMatch
 from edge.sequence.evidence import HoldOff, Neighborhood, lowest_around, match_at
-from edge.sequence.search import Lines, SequenceSearch
+from edge.sequence.search import SequenceCosts, SequenceSearch
 
 UNKNOWN, NOTHING = np.full(100, np.nan), np.zeros(100)
 CONFIG = AcceptanceConfig(window_m=10.0, window_places=3)
@@ -26,7 +26,7 @@ def match(
 ) -> PlaceMatch:
     search = SequenceSearch([(0, 100)], [("forward", "same")], frames, (1.0,))
     search.refill(np.zeros((frames, 1, 100), dtype=np.int32), [step * frame for frame in range(frames)])
-    lines = Lines(costs.astype(np.int32), (costs.astype(np.int32),), frames)  # as the search would give them
+    lines = SequenceCosts(costs.astype(np.int32), (costs.astype(np.int32),), frames)  # as the search would give them
     return match_at(int(costs.argmin()), 0, search, lines, newest[np.newaxis].astype(np.int32), neighborhood)
 
 

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig
 from edge.sequence import Direction
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import ALONE, ENOUGH, MOST_ODDS, Looks, PriorOf, Sighted, confidence_of, joined
+from edge.sequence.looks import (
+    ALONE,
+    ENOUGH,
+    MOST_ODDS,
+    KeyframeConsensus,
+    KeyframeVote,
+    PriorOf,
+    confidence_of,
+    joined,
+)
 from edge.sequence.prior import LEAST
 
 FROM = AcceptanceConfig().confidence_from
@@ -21,8 +30,8 @@ STRONG, WEAK = MOST_ODDS / ALONE, 1 / ALONE
 
 def sighted(
     along_m: float, at_m: float, odds: float = STRONG, *, drive: int = 0, direction: Direction = "forward"
-) -> Sighted:
-    return Sighted(drive, along_m, direction, 1e12, at_m, 0.05 * at_m, odds)
+) -> KeyframeVote:
+    return KeyframeVote(drive, along_m, direction, 1e12, at_m, 0.05 * at_m, odds)
 
 
 def side_by_side(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -30,15 +39,15 @@ def side_by_side(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDA
     return np.column_stack([np.where(drives == 2, 500.0, 3.0 * drives), along_m])
 
 
-def belief(*seen: Sighted | None, prior_of: PriorOf | None = None) -> PlaceBelief | None:
-    looks = Looks()
+def belief(*seen: KeyframeVote | None, prior_of: PriorOf | None = None) -> PlaceBelief | None:
+    looks = KeyframeConsensus()
     for one in seen:
         looks.add(one)
     last_m = max(one.at_m for one in seen if one is not None)
     return looks.belief(last_m, FROM, side_by_side, prior_of)
 
 
-def is_believed(*seen: Sighted | None, prior_of: PriorOf | None = None) -> bool:
+def is_believed(*seen: KeyframeVote | None, prior_of: PriorOf | None = None) -> bool:
     found = belief(*seen, prior_of=prior_of)
     return found is not None and found.is_believed
 

@@ -15,7 +15,7 @@ from edge.config import AcceptanceConfig, Config, MapConfig, SequenceConfig
 from edge.descriptor import NormalizedRows
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.store import ReferenceMap
-from edge.sequence import Near, PlaceMatch, Travel
+from edge.sequence import MotionPrior, PlaceMatch, SearchRegion
 from edge.sequence.place_search import PlaceSearch, is_regular
 from edge.sequence.submap import SLICE_SHARE
 from edge_plugins.mapping.builder import Place
@@ -83,20 +83,22 @@ class Drive:
         self._look = look
         self._ring: list[np.ndarray] = []
 
-    def see(self, place: int, near: Near | None = None) -> PlaceMatch | None:
+    def see(self, place: int, near: SearchRegion | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), Travel(near=near))
+        match = self.search.push(change, lambda: np.stack(self._ring), MotionPrior(near=near))
         self._unique = self._unique + 1 if match and match.uniqueness >= self._uniqueness_min else 0
         self.search.follow(match.place_index if match and self._unique >= self._believed_after else None)
         return match
 
-    def go(self, places: range, near: Callable[[int], Near | None] = lambda place: None) -> list[PlaceMatch | None]:
+    def go(
+        self, places: range, near: Callable[[int], SearchRegion | None] = lambda place: None
+    ) -> list[PlaceMatch | None]:
         return [self.see(place, near(place)) for place in places]
 
 
-def close_to(place: int, off_m: float = 0.0, radius_m: float = 60.0) -> Near:
-    return Near((place * 2 + off_m) * DEGREES_A_METRE, 0.0, radius_m)
+def close_to(place: int, off_m: float = 0.0, radius_m: float = 60.0) -> SearchRegion:
+    return SearchRegion((place * 2 + off_m) * DEGREES_A_METRE, 0.0, radius_m)
 
 
 def test_around_a_position_the_answers_are_those_of_the_whole_map(

@@ -12,7 +12,7 @@ from edge.config import Config, SamplingConfig
 from edge.feed.sampling import Steps
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import ModelKey
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 
@@ -53,7 +53,7 @@ def test_places_are_right_whatever_the_spacing(
         found = []
         for here_m in at_m.tolist():
             raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape).astype(np.float32)
-            match = matcher.push(raw, Travel(odometer * here_m))
+            match = matcher.push(raw, MotionPrior(odometer * here_m))
             found.append(np.nan if match is None or not match.accepted else map_m * match.place_index - here_m)
     assert match is not None
     assert match.step == pytest.approx(odometer * frame_m / map_m, rel=0.15 if irregular else 0.01)
@@ -102,7 +102,7 @@ def test_a_matcher_without_the_odometer_says_what_must_be_alike(road: NDArray[np
             lacks.append(matcher.lacks_odometer)
         assert lacks == [False] * (config.sequence_frames - 1) + [True]
         assert matcher.spacing == "a frame every 0.5 s, and the map has a place every 4 m"
-        matcher.push(road[0], Travel(0.0))
+        matcher.push(road[0], MotionPrior(0.0))
         assert not matcher.lacks_odometer
 
 
@@ -113,7 +113,7 @@ def test_a_known_distance_is_not_missed_where_the_map_knows_no_meters(road: NDAr
     with temporary_map([MappedDrive(road, places, "front")], model) as maps:
         matcher = SequenceMatcher(maps, config)
         for row in range(config.sequence_frames):
-            matcher.push(road[row], Travel(float(row)))
+            matcher.push(road[row], MotionPrior(float(row)))
             assert not matcher.lacks_odometer
 
 
@@ -173,7 +173,7 @@ def test_a_hole_of_3_km_costs_no_memory_and_the_place_is_known_again(road: NDArr
             tracemalloc.reset_peak()
             for here_m in way_m:
                 raw = road[here_m] + rng.normal(scale=NOISE, size=road[here_m].shape)
-                match = matcher.push(raw.astype(np.float32), Travel(float(hole_m + here_m)))
+                match = matcher.push(raw.astype(np.float32), MotionPrior(float(hole_m + here_m)))
                 if hole_m:
                     off_m.append(abs(match.place - here_m) if match is not None and match.accepted else np.nan)
             peaks.append(tracemalloc.get_traced_memory()[1])
@@ -196,7 +196,7 @@ def test_room_for_a_frame_that_was_missed_is_given_back(road: NDArray[np.float32
             tracemalloc.start()
             matcher, found = SequenceMatcher(maps, Config(sampling=SamplingConfig(spacing_m=1.0))), []
             for here_m in (*first_m, *range(120, 300)):
-                matcher.push(road[here_m], Travel(float(here_m)))
+                matcher.push(road[here_m], MotionPrior(float(here_m)))
                 found.append(tracemalloc.get_traced_memory()[0])
             tracemalloc.stop()
         return np.array(found)

@@ -11,7 +11,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.config import Config
-from edge.localization import Limits, Own, PositionEstimator
+from edge.localization import AutopilotState, FixRequest, PositionEstimator
 from edge.localization.drive_file import DriveFile
 from edge_plugins.mapping.place_log import SUFFIX
 from sim.bundle import LIST
@@ -50,8 +50,8 @@ def test_a_bundle_has_what_happened_and_no_secret(
     (tmp_path / "printed.log").write_text(f"lookback: camera rtsp://admin:{PASSWORD}@10.0.0.2\n")
     file = DriveFile(tmp_path / "newest.drive", Config())
     drive = PositionEstimator(Config(), file.write)
-    drive.update(1_000_000_000, Own(gps="healthy"))
-    drive.fix(2_000_000_000, Limits())
+    drive.update(1_000_000_000, AutopilotState(gps="healthy"))
+    drive.fix(2_000_000_000, FixRequest())
     file.close()
     words = ["bundle", str(config), "-o", str(tmp_path / "it.zip"), "--log", str(tmp_path / "printed.log")]
     assert main(words) == 0

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 from edge.config import Config, GatesConfig, TelemetryConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
-from edge.localization import GpsFix, GpsVerdict, Limits, PlaceFix, PositionEstimator
-from edge.localization.dead_reckoning import Displacement
+from edge.localization import FixRequest, GpsFix, GpsVerdict, PlaceFix, PositionEstimator
+from edge.localization.dead_reckoning import Odometry
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
@@ -35,9 +35,9 @@ class ToldEstimator(PositionEstimator):
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
-        self.offered: tuple[PlaceFix, Displacement | None] | None = None
+        self.offered: tuple[PlaceFix, Odometry | None] | None = None
 
-    def offer(self, t_ns: int, fix: PlaceFix, motion: Displacement | None) -> None:
+    def offer(self, t_ns: int, fix: PlaceFix, motion: Odometry | None) -> None:
         """A place that is recognized now."""
         self.offered, self._known = (fix, motion), None
         self._observe(fix, motion)
@@ -49,7 +49,7 @@ class ToldEstimator(PositionEstimator):
         self._judge_gps()
         self._known = None
 
-    def _asked(self, t_ns: int, limits: Limits) -> tuple[PlaceFix | None, Displacement | None]:
+    def _asked(self, t_ns: int, limits: FixRequest) -> tuple[PlaceFix | None, Odometry | None]:
         if limits.unable or self._own.is_doubled or self.offered is None:
             return None, None
         return self.offered if limits.again is None else (limits.again.place, limits.again.motion)

@@ -13,11 +13,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.localization import PlaceFix, ProtectionLevel
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.encoders import Sending
+from edge.telemetry.encoders import MessageContext
 from edge.telemetry.firmware import firmware_of
 
 FIX = PlaceFix(1, 1207, -27.4772001, 153.0283002, 182.5, 7.2, 2.1, "reverse", "swapped", 1.234, confidence=0.87)
-SENDING = Sending(5, 12345.678, 0.42, 3)
+SENDING = MessageContext(5, 12345.678, 0.42, 3)
 
 
 def carried(message: Any) -> Any:
@@ -47,8 +47,8 @@ def test_a_fix_that_must_not_become_a_position(encode: Any, change: dict[str, An
         encode(replace(FIX, **change), SENDING)
 
 
-@pytest.mark.parametrize("sending", [Sending(5, math.nan, 0.42), Sending(5, 12345.678, math.inf)])
-def test_a_position_without_its_time_is_not_sent(sending: Sending) -> None:
+@pytest.mark.parametrize("sending", [MessageContext(5, math.nan, 0.42), MessageContext(5, 12345.678, math.inf)])
+def test_a_position_without_its_time_is_not_sent(sending: MessageContext) -> None:
     with pytest.raises(ValueError, match="finite times"):
         encoders.external_position(FIX, sending)
 

@@ -13,7 +13,7 @@ from edge.config import Config, TelemetryConfig
 from edge.journal.records import PositionMessageChosen
 from edge.telemetry.firmware import FIRMWARES, VISION, Firmware, Requirement
 from edge_plugins.doctor.autopilot import check_autopilot, check_parameters
-from edge_plugins.doctor.findings import Examined
+from edge_plugins.doctor.findings import DoctorContext
 from sim.vehicle import firmware as simulated
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
@@ -76,7 +76,7 @@ def test_the_doctor_knows_what_it_needs() -> None:
     thread = threading.Thread(target=autopilot.run, args=(stop,))
     thread.start()
     telemetry = TelemetryConfig(connection=f"serial:{link.device}:921600", emit="auto")
-    examined = Examined(None, Path("/dev"), 10.0, config=Config(telemetry=telemetry))
+    examined = DoctorContext(None, Path("/dev"), 10.0, config=Config(telemetry=telemetry))
     found = [*check_autopilot(examined), *check_parameters(examined)]
     stop.set()
     thread.join()

@@ -19,7 +19,7 @@ from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link import Link, UdpLink, parse_connection
 from edge.telemetry.port import Port
-from edge_plugins.doctor.findings import Examined
+from edge_plugins.doctor.findings import DoctorContext
 from edge_plugins.doctor.setup import check_links
 from sim.vehicle.pty_link import open_pty
 from tests.udp_port import free_port
@@ -95,9 +95,9 @@ def test_doctor_warns_of_a_link_that_a_stranger_may_reach_unsigned(
     assert "signed" in words and level == "good"
 
 
-def examined(**telemetry: str) -> Examined:
+def examined(**telemetry: str) -> DoctorContext:
     config = Config(telemetry=msgspec.convert(telemetry, TelemetryConfig))
-    return Examined(None, Path("/dev"), 0.0, config=config)
+    return DoctorContext(None, Path("/dev"), 0.0, config=config)
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp"])

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.localization import Displacement
+from edge.localization import Odometry
 from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker
 
@@ -60,7 +60,7 @@ class Driven:
         self.vehicle.handle(self.speaker.say(message), self.now_ns)
 
     @property
-    def displacement(self) -> Displacement | None:
+    def displacement(self) -> Odometry | None:
         return self.vehicle.velocity.without_gps.displacement(self.now_ns)
 
     @property
@@ -77,7 +77,7 @@ def test_wheels_go_by_the_gyros_of_ardupilot_whatever_its_filter_makes_of_them()
     one = Driven(ARDUPILOT)
     one.drive()
     assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
-    east_m, north_m = one.displacement.since(Displacement(1, 0.0, 0.0)) if one.displacement else (0.0, 0.0)
+    east_m, north_m = one.displacement.since(Odometry(1, 0.0, 0.0)) if one.displacement else (0.0, 0.0)
     assert math.atan2(east_m, north_m) == pytest.approx(20.0 * RATE_RADPS / 2, abs=0.01)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.telemetry.position_history import Awaiting, PositionHistory
+from edge.telemetry.position_history import ExposureQueue, PositionHistory
 from sim.vehicle.command import straight_line
 from sim.vehicle.gps import GpsReport
 from tests.telemetry.rig import Rig
@@ -66,7 +66,7 @@ def test_a_frame_waits_for_the_position_after_it_and_not_for_ever() -> None:
 
 def test_frames_get_their_positions_in_order_each_once_it_is_interpolated() -> None:
     kept, given = history(north(1.0, 10.0)), list[float | None]()
-    waiting: Awaiting[float] = Awaiting(kept)
+    waiting: ExposureQueue[float] = ExposureQueue(kept)
 
     def give(*, all_of_them: bool = False) -> None:
         given.extend(None if at is None else north_m(at) for _, at in waiting.known(all_of_them=all_of_them))

@@ -11,7 +11,7 @@ from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
 from edge.localization import Fix, PositionEstimator, ProtectionLevel
-from edge.telemetry.acknowledgements import ANSWER_NS, PositionUse, Sent
+from edge.telemetry.acknowledgements import ANSWER_NS, FixTransmission, PositionUse
 from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import SourceSelection
@@ -19,7 +19,7 @@ from edge.telemetry.vehicle import Vehicle
 from tests.telemetry.speaker import S, Speaker, connect
 
 
-def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> Sent:
+def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTransmission:
     """A position so many meters north of the autopilot's."""
     lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
     fix = PlaceFix(
@@ -27,7 +27,7 @@ def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> Sent:
         direction="forward", order="same", uniqueness=1.2, matches=9, segment=0, recording="drive",
         confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
     )  # fmt: skip
-    return Sent(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)
+    return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)
 
 
 @pytest.mark.parametrize(("north_m", "follows"), [(8.0, True), (14.0, False)])

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from edge.geodesy import east_north_of
-from edge.localization import DeadReckoning, Maps, PositionEstimator
+from edge.localization import DeadReckoning, MapUpdate, PositionEstimator
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.shadow import Shadow, ShadowPosition
 from tests.localization.events_of import SPEED_MPS, Road, Vehicle, settings
@@ -29,7 +29,7 @@ class Shadowed(Vehicle):
         self.records: list[Any] = []
         self.shadow = Shadow(settings(), self.records.append)
         self.drive = PositionEstimator(settings(), self.shadow.update)
-        self.drive.update(0, Maps(road.maps))
+        self.drive.update(0, MapUpdate(road.maps))
         self.history, self.speeds, self.unable = PositionHistory(lambda: self.t_ns), DeadReckoning(), ""
 
     def follow(self, meters: float, sees: Any = None) -> list[ShadowPosition]:

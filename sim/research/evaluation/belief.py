@@ -31,11 +31,11 @@ from sim.research.evaluation.roads import (
     LIGHTS,
     SPACING_M,
     TOLERANCE_M,
+    BeliefScore,
     Case,
     Cut,
-    Described,
+    DriveDescriptors,
     Floats,
-    Judged,
     World,
     believe,
     judge_world,
@@ -56,7 +56,7 @@ FORK_RAD = 0.5
 OFF_MAP = slice(FIRST_FRAME, None)
 SHOWN: tuple[Cut, ...] = ("whole", "thirds")
 """Parts of the road that have a column; the last column is of all."""
-Layout = Callable[[Floats, Described, Described], tuple[Described, slice]]
+Layout = Callable[[Floats, DriveDescriptors, DriveDescriptors], tuple[DriveDescriptors, slice]]
 """A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction
 of travel, a drive over it, and a drive over another road."""
 
@@ -86,7 +86,7 @@ def _parked(line_m: Floats, driven_m: Floats) -> Floats:
     return np.asarray(center_m + CAR_PARK_M * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _forked(line_m: Floats, own: Described, other: Described) -> tuple[Described, slice]:
+def _forked(line_m: Floats, own: DriveDescriptors, other: DriveDescriptors) -> tuple[DriveDescriptors, slice]:
     """The first half of a drive on the map, and a road that leaves it there; and what lies beyond the tolerance."""
     half, rest = len(own.raw) // 2, len(other.raw) // 2
     driven_m = np.append(own.driven_m[:half], own.driven_m[half] + other.driven_m[rest:] - other.driven_m[rest])
@@ -94,7 +94,7 @@ def _forked(line_m: Floats, own: Described, other: Described) -> tuple[Described
     where_m[:half] = _along(line_m, driven_m[:half])
     raw = np.concatenate([own.raw[:half], other.raw[rest:]])
     beyond = half + int(TOLERANCE_M / np.sin(FORK_RAD) / SPACING_M)
-    return Described(raw, driven_m, driven_m, where_m), slice(beyond, None)
+    return DriveDescriptors(raw, driven_m, driven_m, where_m), slice(beyond, None)
 
 
 def _elsewhere(where_of: Callable[[Floats, Floats], Floats]) -> Layout:
@@ -135,7 +135,7 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
     yield "|---|" + "---|" * (len(SHOWN) + 1)
     wrong = []
     for name, of_network in seen.items():
-        judged: dict[Case, list[tuple[Judged, list[Judged]]]] = {}
+        judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore]]]] = {}
         for road, drives in of_network:
             for case, alone, drawn in judge_world(road, drives, draws):
                 judged.setdefault(case, []).append((alone, drawn))
@@ -161,13 +161,13 @@ def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
         yield f"| {where} | {frames} | {' | '.join(cells)} |"
 
 
-def wrong_frames(judged: Judged) -> int:
+def wrong_frames(judged: BeliefScore) -> int:
     """Frames that are believed, and not where they are believed."""
     believed = np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_from
     return int((believed & ~judged.belief.correct).sum())
 
 
-def _rows(name: str, judged: dict[Case, list[tuple[Judged, list[Judged]]]]) -> Iterator[str]:
+def _rows(name: str, judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore]]]]) -> Iterator[str]:
     for words, way, lights in GROUPS:
         cells, lowest = [], 1.0
         for cut in CUTS:
@@ -178,11 +178,11 @@ def _rows(name: str, judged: dict[Case, list[tuple[Judged, list[Judged]]]]) -> I
         yield f"| {name}, {words} | {' | '.join(cells)} | {lowest:.2f} |"
 
 
-def _recall(judged: Judged) -> float:
+def _recall(judged: BeliefScore) -> float:
     return at_threshold(judged.belief, AcceptanceConfig().confidence_from)[1]
 
 
-def _cell(judged: Sequence[Judged]) -> str:
+def _cell(judged: Sequence[BeliefScore]) -> str:
     """Recall at the default threshold, and the median meters to the first right belief on each part of the map."""
     recall = at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
     parts = max(len(one.first_m) for one in judged)

@@ -17,11 +17,11 @@ import numpy as np
 
 from edge.config import AcceptanceConfig, Config, RigConfig
 from edge.descriptor.network import Network
-from edge.localization import Displacement
+from edge.localization import Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.prior import Prior
 from sim.compare.scores import at_threshold, joined
@@ -31,10 +31,10 @@ from sim.research.evaluation.roads import (
     DEFAULT_SAMPLING,
     SPACING_M,
     Beliefs,
+    BeliefScore,
     Case,
     Cut,
-    Described,
-    Judged,
+    DriveDescriptors,
     World,
     believe,
     judge,
@@ -92,7 +92,7 @@ def main() -> None:
 
 def rows(seen: Iterator[World], draws: int) -> Iterator[str]:
     """Recall and meters to the first right belief of each way to add votes up; then what is wrong."""
-    found: dict[tuple[str, Case], list[Judged]] = {}
+    found: dict[tuple[str, Case], list[BeliefScore]] = {}
     for world in seen:
         for way, case, judged in _judged(world, draws):
             found.setdefault((way, case), []).append(judged)
@@ -109,13 +109,13 @@ def rows(seen: Iterator[World], draws: int) -> Iterator[str]:
         yield f"| {way} | {' | '.join(cells)} | {wrong} of {frames} |"
 
 
-def _cell(judged: Sequence[Judged]) -> str:
+def _cell(judged: Sequence[BeliefScore]) -> str:
     recall = at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
     first_m = [np.median(of_part) for of_part in zip(*(one.first_m for one in judged), strict=True)]
     return f"{recall:.3f}; {', '.join(f'{one:.0f}' for one in first_m)} m"
 
 
-def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, Judged]]:
+def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, BeliefScore]]:
     road, drives = world
     for _, direction, lights in GROUPS:
         calibration = drives[CALIBRATION, direction]
@@ -131,15 +131,15 @@ def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, Judged]]:
                         yield way, (direction, light, part), judge(query, mapped_m, beliefs, ahead_m)
 
 
-def lines_of(map_set: MapSet, query: Described, rig: RigConfig) -> Lines:
+def lines_of(map_set: MapSet, query: DriveDescriptors, rig: RigConfig) -> Lines:
     """What a drive sees on a map, without a reckoning."""
     assert query.east_north_m is not None
     matcher, turn_around = SequenceMatcher(map_set, Config(rig=rig, sampling=DEFAULT_SAMPLING)), TurnAround()
     drives, found = Drives(map_set, SPACING_M), []
     frames = zip(query.raw.astype(np.float32), query.driven_m.tolist(), query.east_north_m.tolist(), strict=True)
     for raw, driven_m, at_m in frames:
-        turn_around.add(Displacement(0, *at_m))
-        matcher.push(raw, Travel(driven_m, course_rad=turn_around.course_rad))
+        turn_around.add(Odometry(0, *at_m))
+        matcher.push(raw, MotionPrior(driven_m, course_rad=turn_around.course_rad))
         whole, half = (
             PlaceVote.of(line, drives, rig) if line else None for line in (matcher.best, matcher.search.shorter)
         )
@@ -147,7 +147,7 @@ def lines_of(map_set: MapSet, query: Described, rig: RigConfig) -> Lines:
     return found
 
 
-def believed_by(map_set: MapSet, query: Described, lines: Lines, voters: Sequence[Voters], draw: int) -> Beliefs:
+def believed_by(map_set: MapSet, query: DriveDescriptors, lines: Lines, voters: Sequence[Voters], draw: int) -> Beliefs:
     """What those voters believe; draw: seed of the reckoning's errors, since GPS was lost where the drive began."""
     drives, config = Drives(map_set, SPACING_M), Config(sampling=DEFAULT_SAMPLING)
     usual = ConsensusSettings.of(config, drives)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
-from edge.localization import Displacement
+from edge.localization import Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.localization.place_fix import line_middle
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Route
-from edge.sequence import Direction, Travel
+from edge.sequence import Direction, MotionPrior
 from sim.research.evaluation.roads import (
     CALIBRATION,
     DEFAULT_SAMPLING,
@@ -33,7 +33,7 @@ from sim.research.evaluation.roads import (
     LIGHTS,
     SPACING_M,
     TOLERANCE_M,
-    Described,
+    DriveDescriptors,
     Floats,
     mapped,
     worlds,
@@ -48,7 +48,7 @@ FEWEST = 20
 
 
 @dataclass(frozen=True)
-class Errors:
+class SequenceErrors:
     """Meters (n,) of each frame's line ahead of the vehicle, and how sharp it is; NaN where none is believed."""
 
     off_m: Floats
@@ -65,7 +65,7 @@ def main() -> None:
     args = options(__doc__, 1000.0).parse_args()
     network = Network.load(Path("grid"))
     rig = RigConfig(left_reverse_m=HOME_LEFT_M)
-    found: dict[tuple[Direction, LightName, int], Errors] = {}
+    found: dict[tuple[Direction, LightName, int], SequenceErrors] = {}
     for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, network)):
         for way in DIRECTIONS:
             for light in (CALIBRATION, *LIGHTS[way]):
@@ -73,7 +73,7 @@ def main() -> None:
     publish("lines", rows(found), args.page)
 
 
-def errors_of(road: Described, query: Described, way: Direction, rig: RigConfig) -> Errors:
+def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, rig: RigConfig) -> SequenceErrors:
     """Of each frame of a drive over a road, all of it mapped; rig: with the drive's lane, and no offset."""
     assert query.east_north_m is not None
     config = Config(rig=rig, sampling=DEFAULT_SAMPLING)
@@ -82,8 +82,8 @@ def errors_of(road: Described, query: Described, way: Direction, rig: RigConfig)
     with mapped(road, "whole") as map_set:
         matcher, route = SequenceMatcher(map_set, config), Route(map_set)
         for frame, raw in enumerate(query.raw.astype(np.float32)):
-            turn_around.add(Displacement(0, *query.east_north_m[frame].tolist()))
-            travel = Travel(float(query.driven_m[frame]), course_rad=turn_around.course_rad)
+            turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
+            travel = MotionPrior(float(query.driven_m[frame]), course_rad=turn_around.course_rad)
             match = matcher.push(raw, travel)
             if match is None or not match.accepted or frame < length - 1:
                 continue
@@ -91,10 +91,10 @@ def errors_of(road: Described, query: Described, way: Direction, rig: RigConfig)
             if line is not None:
                 was_m = query.route_m[frame - length + 1 : frame + 1].mean()
                 off_m[frame], sharpness[frame] = sign * (line.along_m - was_m), match.sharpness
-    return Errors(off_m, sharpness)
+    return SequenceErrors(off_m, sharpness)
 
 
-def rows(found: Mapping[tuple[Direction, LightName, int], Errors]) -> Iterator[str]:
+def rows(found: Mapping[tuple[Direction, LightName, int], SequenceErrors]) -> Iterator[str]:
     """A Markdown table: a row for each direction and light, and one for each direction in all."""
     heads = "lines; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
     spans = f"below {SHARPNESS[1]:g}, to {SHARPNESS[2]:g}, above"
@@ -106,7 +106,7 @@ def rows(found: Mapping[tuple[Direction, LightName, int], Errors]) -> Iterator[s
         offset_m = float(np.nanmedian(np.concatenate(by_day)))
         of_way = {
             light: [
-                Errors(one.off_m - offset_m, one.sharpness)
+                SequenceErrors(one.off_m - offset_m, one.sharpness)
                 for (direction, of_light, _), one in found.items()
                 if (direction, of_light) == (way, light)
             ]
@@ -118,7 +118,7 @@ def rows(found: Mapping[tuple[Direction, LightName, int], Errors]) -> Iterator[s
         yield f"| {words}, all | {_cells([one for several in of_way.values() for one in several])} |"
 
 
-def _cells(several: list[Errors]) -> str:
+def _cells(several: list[SequenceErrors]) -> str:
     right = [np.where(one.right, one.off_m, np.nan) for one in several]
     joined, sharpness = np.concatenate(right), np.concatenate([one.sharpness for one in several])
     wrong = sum(int((~one.right & ~np.isnan(one.off_m)).sum()) for one in several)

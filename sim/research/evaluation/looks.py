@@ -18,14 +18,14 @@ from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
-from edge.localization import Displacement
+from edge.localization import Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import MapSet, ReferenceMap
-from edge.sequence import PlaceMatch, Reckoning, Travel
+from edge.sequence import DeadReckoningPosition, MotionPrior, PlaceMatch
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.research.evaluation.belief import LAYOUTS
-from sim.research.evaluation.roads import TOLERANCE_M, Described
+from sim.research.evaluation.roads import TOLERANCE_M, DriveDescriptors
 from sim.world.scenario import LightName
 
 LENGTH_M, SPACING_M = 500.0, 2.0
@@ -61,7 +61,7 @@ class MemoizingKeypoints(KeypointNetwork):
         return self._known[key]
 
 
-class Filmed:
+class DriveRecording:
     """A recorded drive; ground_m: (n, 2) meters east and north of the map's first place."""
 
     def __init__(self, path: Path, origin: tuple[float, float]) -> None:
@@ -72,19 +72,19 @@ class Filmed:
         degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], np.float64)
         self.ground_m = east_north(degrees[:, 0], degrees[:, 1], origin)
 
-    def described(self, drive: int) -> Described:
+    def described(self, drive: int) -> DriveDescriptors:
         """With the numbers of drive and frame in place of descriptors."""
         driven_m = np.arange(len(self.images), dtype=np.float64) * SPACING_M
         frames = np.column_stack([np.full(len(driven_m), drive), np.arange(len(driven_m))])
-        return Described(frames.astype(np.float32), driven_m, driven_m, self.ground_m)
+        return DriveDescriptors(frames.astype(np.float32), driven_m, driven_m, self.ground_m)
 
 
 @dataclass(frozen=True)
-class Mapped:
+class RoadMap:
     """A road's map, and the drives on it by their lights."""
 
     reference: ReferenceMap
-    drives: dict[LightName, Filmed]
+    drives: dict[LightName, DriveRecording]
 
     @cached_property
     def ground_m(self) -> NDArray[np.float64]:
@@ -106,10 +106,10 @@ class Bench:
 
     def answers(
         self,
-        mapped: Mapped,
+        mapped: RoadMap,
         frames: Sequence[Image],
         ground_m: NDArray[np.float64],
-        reckoned: Sequence[Reckoning] | None = None,
+        reckoned: Sequence[DeadReckoningPosition] | None = None,
         *,
         looks: bool,
         knows_course: bool = True,
@@ -124,11 +124,11 @@ class Bench:
         for number, (image, at_m) in enumerate(zip(frames, ground_m, strict=True)):
             stands = number > 0 and np.array_equal(at_m, ground_m[number - 1])
             if not stands:
-                turned.add(Displacement(0, *at_m.tolist()))
+                turned.add(Odometry(0, *at_m.tolist()))
             driven_m += SPACING_M * SCALE * (number > 0 and not stands)
             stamp_ns += STANDS_NS if stands else STEP_NS
             course_rad = turned.course_rad if knows_course else None
-            travel = Travel(driven_m, course_rad=course_rad, reckoned=reckoned[number] if reckoned else None)
+            travel = MotionPrior(driven_m, course_rad=course_rad, reckoned=reckoned[number] if reckoned else None)
             if not stands:
                 yield recognizer.observe(image, stamp_ns, travel)
             elif recognizer.may_look_again(stamp_ns, driven_m):
@@ -187,15 +187,15 @@ class Tables:
 
     def _mapped(
         self, drive: str, lights: Sequence[LightName], draw: Callable[[int, str, LightName], Path]
-    ) -> Iterator[Mapped]:
+    ) -> Iterator[RoadMap]:
         for road in self._roads:
-            mapped = Mapped(self._map_of(road, "front" if drive == "front" else "rear"), {})
+            mapped = RoadMap(self._map_of(road, "front" if drive == "front" else "rear"), {})
             for light in lights:
-                mapped.drives[light] = Filmed(draw(road, drive, light), mapped.origin)
+                mapped.drives[light] = DriveRecording(draw(road, drive, light), mapped.origin)
             yield mapped
 
 
-def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator[str]:
+def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterator[str]:
     """Meters to the first belief, what a standing vehicle believes, and all frames: without and with keypoints."""
     first_m: tuple[list[float], list[float]] = ([], [])
     believed, wrong, frames = [0, 0], [0, 0], 0
@@ -226,7 +226,7 @@ def _on_map(bench: Bench, roads: Sequence[Mapped], light: LightName) -> Iterator
 
 
 def _standing(
-    bench: Bench, mapped: Mapped, film: Filmed
+    bench: Bench, mapped: RoadMap, film: DriveRecording
 ) -> Iterator[tuple[list[PlaceMatch | None], NDArray[np.float64]]]:
     """The answers at spots along a drive, and how far they are off."""
     for start in range(0, len(film.images) - 10, round(STANDS_M / SPACING_M)):
@@ -252,14 +252,14 @@ def _stands(image: Image) -> Iterator[Image]:
         yield (image + rng.normal(0, NOISE, image.shape)).round().clip(0, 255).astype(np.uint8)
 
 
-def _off_m(mapped: Mapped, answers: Sequence[PlaceMatch | None], ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _off_m(mapped: RoadMap, answers: Sequence[PlaceMatch | None], ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Meters (n,) of each believed place from the vehicle, NaN where none is believed."""
     places = np.array([one.place_index if one is not None and one.accepted else -1 for one in answers])
     off_m = np.hypot(*(mapped.ground_m[places] - ground_m).T)
     return np.where(places >= 0, off_m, np.nan)
 
 
-def _off_map(bench: Bench, seen: dict[str, list[Mapped]], where: str, *, looks: bool) -> Iterator[NDArray[np.float64]]:
+def _off_map(bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, looks: bool) -> Iterator[NDArray[np.float64]]:
     """The confidence of each frame on a road that is not mapped: of the next road, or of a twin, the own one."""
     for drive, roads in seen.items():
         for mapped, other in zip(roads, [*roads[1:], *roads[:1]], strict=True):

@@ -30,7 +30,7 @@ from edge.feed import FeedImages, View, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
-from edge.keypoints.pose import Pose, look
+from edge.keypoints.pose import RelativePose, look
 from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge_plugins.mapping.keypoint_rows import keypoints_key
@@ -210,7 +210,7 @@ def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], 
     return np.array(found), len(feed.rows)
 
 
-def _pose(reference: ReferenceMap, place: int, keypoints: Keypoints) -> Pose | None:
+def _pose(reference: ReferenceMap, place: int, keypoints: Keypoints) -> RelativePose | None:
     key, records = reference.header.keypoints_key, reference.keypoints
     assert key is not None
     assert records is not None

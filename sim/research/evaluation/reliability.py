@@ -36,7 +36,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Claims:
+class Confidences:
     """Frames with a confidence (n,), whether they are right, and weights: 1 for all on the map, 1 for all off it."""
 
     confidence: Floats
@@ -44,7 +44,7 @@ class Claims:
     weight: Floats
 
     @classmethod
-    def of(cls, mapped: Answers, foreign: Floats) -> Claims:
+    def of(cls, mapped: Answers, foreign: Floats) -> Confidences:
         """mapped: answers over mapped roads. foreign: confidence (n,) of frames whose road is on no map."""
         confidence = np.nan_to_num(np.concatenate([mapped.confidence, foreign]))
         right = np.concatenate([mapped.correct, np.zeros(len(foreign), bool)])
@@ -75,13 +75,13 @@ class Claims:
         return float(np.exp(found))
 
 
-def of_roads(seen: Sequence[World]) -> Claims:
+def of_roads(seen: Sequence[World]) -> Confidences:
     """Each drive over its own road with each part of it mapped, and over every other one's map."""
     mapped = [judged.belief for road, drives in seen for _, judged, _ in judge_world(road, drives)]
-    return Claims.of(joined(mapped), foreign_confidence(seen))
+    return Confidences.of(joined(mapped), foreign_confidence(seen))
 
 
-def of_streets(feeds: Path) -> Claims:
+def of_streets(feeds: Path) -> Confidences:
     """The scenes of `real_front_rear` on the map of all of them, and each on the map of all others."""
     path = find_plan(Path("real_front_rear"))
     plan = load_plan(path)
@@ -94,7 +94,7 @@ def of_streets(feeds: Path) -> Claims:
     runner = open_runner(plan, Folders(path.parent, feeds, feeds, feeds))
     mapped = joined([runner.run(pair, "Lookback").answers for pair in plan.pairs])
     foreign = [_elsewhere(runner, pair, scene) for pair in plan.pairs for scene in front]
-    return Claims.of(mapped, np.concatenate(foreign))
+    return Confidences.of(mapped, np.concatenate(foreign))
 
 
 def _elsewhere(runner: MethodRunner, pair: Pair, scene: str) -> Floats:
@@ -103,7 +103,7 @@ def _elsewhere(runner: MethodRunner, pair: Pair, scene: str) -> Floats:
     return runner.match(pair, runner.method("Lookback"), reference, query, length).confidence[length - 1 :]
 
 
-def rows_of(claims: dict[str, Claims]) -> Iterator[str]:
+def rows_of(claims: dict[str, Confidences]) -> Iterator[str]:
     """A Markdown table: of each set and upper tenth of confidence, how many frames claim what, and what is right."""
     yield f"| confidence | {' | '.join(f'{name}: frames, claimed, right' for name in claims)} |"
     yield "|" + "---|" * (len(claims) + 1)
@@ -113,7 +113,7 @@ def rows_of(claims: dict[str, Claims]) -> Iterator[str]:
         yield f"| {tenth / TENTHS:.1f} to {(tenth + 1) / TENTHS:.1f} | {' | '.join(cells)} |"
 
 
-def plot(claims: dict[str, Claims]) -> bytes:
+def plot(claims: dict[str, Confidences]) -> bytes:
     """What is claimed and what is right, as PNG; a tenth with more frames has a larger mark."""
     figure, axes = plt.subplots(figsize=(5.0, 4.4))
     axes.plot([0, 1], [0, 1], color="#888888", lw=0.8)

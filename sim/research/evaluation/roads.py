@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
 from edge.geodesy import moved
-from edge.localization import GPS_SIGMA_M, Displacement
+from edge.localization import GPS_SIGMA_M, Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey
-from edge.sequence import Direction, Reckoning, Travel
+from edge.sequence import DeadReckoningPosition, Direction, MotionPrior
 from edge_plugins.mapping.builder import NAN, Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within
@@ -52,7 +52,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Described:
+class DriveDescriptors:
     """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,).
 
     east_north_m: (n, 2) where the vehicle was, None where nobody knows.
@@ -63,7 +63,7 @@ class Described:
     driven_m: Floats
     east_north_m: Floats | None = None
 
-    def reckoned(self, lost_m: float, seed: int, origin: tuple[float, float] = ORIGIN) -> list[Reckoning]:
+    def reckoned(self, lost_m: float, seed: int, origin: tuple[float, float] = ORIGIN) -> list[DeadReckoningPosition]:
         """By GPS, and since GPS was lost, by what was driven; lost_m: before the drive began, < 0 for GPS all the time.
 
         origin: latitude and longitude of meters.
@@ -75,12 +75,12 @@ class Described:
         errors_m = GPS_SIGMA_M * rng.normal(size=2) + DRIFT * np.outer(since_m, rng.normal(size=2))
         sigmas_m = np.hypot(GPS_SIGMA_M, DRIFT * since_m)
         where = zip((self.east_north_m + errors_m).tolist(), sigmas_m.tolist(), strict=True)
-        return [Reckoning(*moved(*origin, *at_m), sigma_m) for at_m, sigma_m in where]
+        return [DeadReckoningPosition(*moved(*origin, *at_m), sigma_m) for at_m, sigma_m in where]
 
 
 Case = tuple[Direction, LightName, Cut]
-Drives = dict[tuple[LightName, Direction], Described]
-World = tuple[Described, Drives]
+Drives = dict[tuple[LightName, Direction], DriveDescriptors]
+World = tuple[DriveDescriptors, Drives]
 """A road as the rear camera saw it by day, and what the front camera saw on it."""
 
 
@@ -111,7 +111,7 @@ def _fc6() -> Network:
 
 def described(
     scenario: Scenario, folder: Path, spacing_m: float = SPACING_M, network: Network | None = None
-) -> Described:
+) -> DriveDescriptors:
     """Render a drive at each spacing_m and describe it, by fc6 unless another is given, unless `folder` has it."""
     network = network or _fc6()
     road = f"{network.info.sha256[:12]}_{scenario.seed}_{scenario.length_m:g}m_{spacing_m:g}m"
@@ -128,7 +128,7 @@ def described(
     stored = np.load(path)
     poses = [drive.pose(drive.time_at_s(driven_m)) for driven_m in stored["distance_m"].tolist()]
     east_north_m = np.array([(pose.east_m, pose.north_m) for pose in poses])
-    return Described(stored["raw"], stored["route_m"], stored["distance_m"], east_north_m)
+    return DriveDescriptors(stored["raw"], stored["route_m"], stored["distance_m"], east_north_m)
 
 
 def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
@@ -143,7 +143,7 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
 
 
 @contextmanager
-def mapped(road: Described, cut: Cut, *, to_north: bool = False) -> Iterator[MapSet]:
+def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False) -> Iterator[MapSet]:
     """The map of a part of the road, by the rear camera. to_north: along a meridian, not where it was."""
     along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
     if to_north:
@@ -161,14 +161,14 @@ def mapped(road: Described, cut: Cut, *, to_north: bool = False) -> Iterator[Map
 
 
 def believe(
-    road: Described,
-    query: Described,
+    road: DriveDescriptors,
+    query: DriveDescriptors,
     cut: Cut,
     odometer_scale: float | None = 1.0,
     *,
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
-    reckoned: Sequence[Reckoning | None] | None = None,
+    reckoned: Sequence[DeadReckoningPosition | None] | None = None,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
@@ -183,8 +183,8 @@ def believe(
         matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
         for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
             if query.east_north_m is not None:
-                turn_around.add(Displacement(0, *query.east_north_m[frame].tolist()))
-            travel = Travel(
+                turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
+            travel = MotionPrior(
                 None if odometer_scale is None else float(driven_m) * odometer_scale,
                 course_rad=turn_around.course_rad,
                 reckoned=reckoned[frame] if reckoned else None,
@@ -199,7 +199,7 @@ def believe(
     return Beliefs(*found.T)
 
 
-def offset_m(query: Described, whole: Beliefs) -> float:
+def offset_m(query: DriveDescriptors, whole: Beliefs) -> float:
     """Meters of the route by which unique matches lie beyond the vehicle."""
     unique = whole.uniqueness >= AcceptanceConfig().uniqueness_min
     return float(np.median((whole.match_m - query.route_m)[unique]))
@@ -213,14 +213,14 @@ def rig_of(way: Direction, ahead_m: float) -> RigConfig:
 
 
 @dataclass(frozen=True)
-class Judged:
+class BeliefScore:
     """Answers by belief, and meters driven on each part of the map before it is believed."""
 
     belief: Answers
     first_m: list[float]
 
 
-def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> Judged:
+def judge(query: DriveDescriptors, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) -> BeliefScore:
     """Frames beyond the map's end by less than the tolerance count if they are wrong, and not if they are right."""
     true_m = query.route_m + ahead_m
     on_map = np.abs(mapped_m - true_m[:, np.newaxis]).min(axis=1) <= SPACING_M
@@ -235,7 +235,7 @@ def judge(query: Described, mapped_m: Floats, beliefs: Beliefs, ahead_m: float) 
     ]
     answered, off_m = np.where(beliefs.confidence > 0, beliefs.confidence, np.nan), np.abs(beliefs.along_m - true_m)
     counted = slice(FIRST_FRAME, None)
-    return Judged(answers_within(answered[counted], off_m[counted], on_map[counted], TOLERANCE_M), first_m)
+    return BeliefScore(answers_within(answered[counted], off_m[counted], on_map[counted], TOLERANCE_M), first_m)
 
 
 def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network | None = None) -> Iterator[World]:
@@ -250,7 +250,9 @@ def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network
         yield described(scene(view="rear", drive_seed=1), folder, network=network), drives
 
 
-def judge_world(road: Described, drives: Drives, draws: int = 1) -> Iterator[tuple[Case, Judged, list[Judged]]]:
+def judge_world(
+    road: DriveDescriptors, drives: Drives, draws: int = 1
+) -> Iterator[tuple[Case, BeliefScore, list[BeliefScore]]]:
     """Each drive over the road with each part of it mapped: by the votes alone, and with what is reckoned.
 
     GPS was lost where the drive begins. draws: of the errors since then, and of GPS.

@@ -19,9 +19,9 @@ from edge.config import Config
 from edge.errors import FeedError
 from edge.localization import NO_PLACES, Fix, PositionEstimator, position_of
 from edge.localization.drive_file import read_drive
-from edge.localization.events import Frame
-from edge.localization.position_estimator import Asked, Entry, Restored
-from edge.localization.refusals import RULES, Refusal, Rule
+from edge.localization.events import ImageProcessed
+from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
+from edge.localization.refusals import RULES, NoFix, Rule
 from sim.research.trial import recorded_drive
 from sim.research.trial.flight_score import off_truth
 from sim.research.trial.recorded_drive import LINK, RecordedDrive
@@ -72,7 +72,7 @@ Run: TypeAlias = tuple[Config, Sequence[tuple[int, Entry]]]
 """The list of a drive, or of a part of it."""
 
 
-class Answers(NamedTuple):
+class AblationAnswers(NamedTuple):
     """What a drive got; verdicts: on GPS."""
 
     positions: list[Off]
@@ -126,7 +126,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def ablated(lists: Path, names: Sequence[str], folder: Path) -> dict[str, Answers]:
+def ablated(lists: Path, names: Sequence[str], folder: Path) -> dict[str, AblationAnswers]:
     """What one drive got, "" for all rules and constants as they are, and without each."""
     truth = recorded_drive.read_drive(folder)
     runs = [read_drive(path) for path in sorted((lists / folder.name).glob("*.drive"))]
@@ -154,29 +154,29 @@ def _set(path: str, value: object) -> Iterator[None]:
             setattr(module, name, before)
 
 
-def _replayed(runs: Sequence[Run], truth: RecordedDrive, without: Sequence[str]) -> dict[str, Answers]:
+def _replayed(runs: Sequence[Run], truth: RecordedDrive, without: Sequence[str]) -> dict[str, AblationAnswers]:
     """Open loop: the autopilot goes on by the positions of the list, but for those that no estimator here has given.
 
     without: rules, "" for none, which are compared in one replay, since asking changes nothing.
     """
-    found = {name: Answers([], []) for name in without}
+    found = {name: AblationAnswers([], []) for name in without}
     for config, entries in runs:
         estimator, verdict = PositionEstimator(config), ""
         streams = {name: _Stream(answers.positions) for name, answers in found.items()}
         for t_ns, entry in entries:
-            if isinstance(entry, Asked):
+            if isinstance(entry, FixResult):
                 period_s = STREAM_S if entry.limits.at == "now" else config.gates.min_interval_s
                 due = [name for name, stream in streams.items() if stream.is_due(t_ns, period_s)]
                 answer = estimator.fix(t_ns, entry.limits) if due else None
                 for name in due:
-                    withheld = isinstance(answer, Refusal) and answer.reason == name
+                    withheld = isinstance(answer, NoFix) and answer.reason == name
                     one = estimator.fix(t_ns, entry.limits, _without(name)) if withheld else answer
                     streams[name].add(t_ns, one, truth)
-            elif isinstance(entry, Restored):
+            elif isinstance(entry, SnapshotRestore):
                 estimator.restore(t_ns, entry.kept)
             else:
                 estimator.update(t_ns, entry)
-                if isinstance(entry, Frame) and estimator.known.gps.state != verdict:
+                if isinstance(entry, ImageProcessed) and estimator.known.gps.state != verdict:
                     verdict = estimator.known.gps.state
                     for answers in found.values():
                         answers.verdicts.append(verdict)
@@ -198,7 +198,7 @@ class _Stream:
         """Whether one more may be sent; drives were sent them up to half a period of a stream early."""
         return t_ns - self._answered_ns >= period_s * 1e9 - STREAM_S * 1e9 / 2
 
-    def add(self, t_ns: int, answer: Fix | Refusal | None, truth: RecordedDrive) -> None:
+    def add(self, t_ns: int, answer: Fix | NoFix | None, truth: RecordedDrive) -> None:
         """What was asked for then."""
         fix = None if answer is None else position_of(answer)
         if fix is not None and fix.place.stamp_ns != self._stamp_ns:
@@ -213,7 +213,7 @@ def _off(fix: Fix, truth: RecordedDrive) -> Off:
     return error_m, error_m / place.sigma_m, abs(along_m) / fix.level.along_m, abs(across_m) / fix.level.across_m
 
 
-def table(drives: Sequence[dict[str, Answers]]) -> str:
+def table(drives: Sequence[dict[str, AblationAnswers]]) -> str:
     """One row for each rule and constant; only its name where hardly anything changes, or nothing."""
     names = {"": "nothing"} | {name: name for name in drives[0] if name}
     rows = {name: _row([one[name] for one in drives]) for name in names}
@@ -232,7 +232,7 @@ def _hardly(row: str, whole: str) -> bool:
     return rest == whole_rest and abs(int(count) - int(of)) < FEW * int(of)
 
 
-def _row(drives: Sequence[Answers]) -> str:
+def _row(drives: Sequence[AblationAnswers]) -> str:
     positions = np.array([one for drive in drives for one in drive.positions]).reshape(-1, 4)
     error_m, sigmas, *levels = positions.T
     calls = [sum(state in drive.verdicts for drive in drives) for state in ("wrong", "not recognized")]

@@ -26,7 +26,7 @@ that are 160 m apart by displacement, and a margin for bends and for frames that
 
 
 @dataclass(frozen=True)
-class Stretch:
+class MapStretch:
     """A part of the road that the map knows, by its arc lengths.
 
     off_m: east and north, by how much its positions are wrong, within the arc lengths `off_within_m`. late_m: its
@@ -76,7 +76,7 @@ class CourseDraft(Draft):
     map of a folder, which `map learn` learned. keypoint_rules: see `course`.
     """
 
-    map: list[Stretch] = field(init=False)
+    map: list[MapStretch] = field(init=False)
     rules: tuple[Rule, ...] = USUAL
     keypoint_rules: tuple[Rule, ...] = ()
     firmware: str = "ardupilot"
@@ -108,7 +108,7 @@ class CourseDraft(Draft):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.map = [Stretch(0.0, self.length_m)]
+        self.map = [MapStretch(0.0, self.length_m)]
         self.drive(along(self.home, self.length_m, 0.0))
 
     @property

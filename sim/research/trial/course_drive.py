@@ -28,9 +28,9 @@ from sim.research.trial.course_map import build_map
 from sim.research.trial.course_rules import WRONG_M, CourseRun, failures, within_protection_level
 from sim.trial.cameras import TrialCamera, View
 from sim.trial.driver import Driver, Leg
-from sim.trial.records import Array, Run
-from sim.trial.run import Drive
-from sim.trial.simulation import FRAME_S, STEP_S, Silent, Simulation
+from sim.trial.records import Array, TrialRun
+from sim.trial.run import TrialDrive
+from sim.trial.simulation import FRAME_S, STEP_S, NullLink, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -80,7 +80,7 @@ class CourseSimulation(Simulation):
         self._companion_due_s, self._restarts_s = draft.companion_s, draft.restarted_s or math.inf
         self.is_heard = True
         """Whether the daemon runs."""
-        self._sets_origin = isinstance(link, Silent)
+        self._sets_origin = isinstance(link, NullLink)
         """Which somebody else does then."""
         self._companion_rng = np.random.default_rng([seed, 15])
         self._double: tuple[Driver, SimulatedAutopilot] | None = None
@@ -158,7 +158,7 @@ class CourseSimulation(Simulation):
         self.is_heard = True
 
 
-class CourseDrive(Drive):
+class CourseDrive(TrialDrive):
     """A course, driven once with the daemon and once without."""
 
     draft: CourseDraft
@@ -254,7 +254,7 @@ class CourseDrive(Drive):
             "set_down_m": float(np.flatnonzero(self.draft.way.carried).max(initial=-1) + 1),
         }
 
-    def _from_lane_m(self, run: Run) -> Array:
+    def _from_lane_m(self, run: TrialRun) -> Array:
         """How far positions are from where the map would have the vehicle, whose errors are those of its places."""
         if self._map_errors_m is None or len(self.draft.map) != 1:
             return np.empty((0, 2))

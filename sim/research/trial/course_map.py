@@ -18,12 +18,12 @@ from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
 from sim.maps.newest import choose
-from sim.research.trial.course import CourseDraft, Stretch
+from sim.research.trial.course import CourseDraft, MapStretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.records import Array
 from sim.trial.run import RIG, map_scenario
 from sim.trial.views import RoadLibrary
-from sim.world.route import Route
+from sim.world.route import WorldRoute
 from sim.world.scenario import Scenario
 
 MAP_SIGMA_M = math.sqrt(2)
@@ -82,7 +82,7 @@ def _drive_stretch(
     return np.column_stack([places_m, off_m])
 
 
-def _places_m(stretch: Stretch, rng: np.random.Generator) -> list[float]:
+def _places_m(stretch: MapStretch, rng: np.random.Generator) -> list[float]:
     places_m = [stretch.start_m]
     while places_m[-1] < stretch.end_m:
         places_m.append(places_m[-1] + rng.uniform(*stretch.spacing_m))
@@ -105,7 +105,7 @@ def open_builder(path: Path, network: Network, *, replace: bool = False, keypoin
     return MapBuilder(path, model_key(network), regions, SamplingConfig(), replace=replace, keypoints=key)
 
 
-def _place(draft: CourseDraft, route: Route, stretch: Stretch, row: int, route_m: float, off_m: Array) -> Place:
+def _place(draft: CourseDraft, route: WorldRoute, stretch: MapStretch, row: int, route_m: float, off_m: Array) -> Place:
     if stretch.on_way:
         # Against the way, on the lane that the rig's offset expects.
         at_m = float(np.argmin(np.abs(draft.way.route_m - route_m)))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Array, Run, lane_off_m, lost_s
+from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, Array, TrialRun, lane_off_m, lost_s
 
 FALSE_M, WRONG_M = 40.0, 20.0
 """Of a position from the truth, and of the place that a frame is believed to show."""
@@ -36,7 +36,7 @@ class Failure(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CourseRun(Run):
+class CourseRun(TrialRun):
     """A run of a course.
 
     expected: when positions may be expected, since the road is on a right map and GPS is lost (N,), as in `track`.

@@ -24,7 +24,7 @@ WORLDS = (21, 5, 11, 303, 911)
 LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
-class Planned(NamedTuple):
+class DrivePlan(NamedTuple):
     """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`.
 
     odometer: percent by which the wheels are wrong, see `drafted`.
@@ -93,7 +93,7 @@ def _run(args: argparse.Namespace) -> int:
     return 1 if any(score.failures for score in scores) else 0
 
 
-def plan(args: argparse.Namespace) -> list[Planned]:
+def plan(args: argparse.Namespace) -> list[DrivePlan]:
     """The drives that are asked for: of each course over the next of the roads, and of a case each seed's course."""
     seeds = range(args.first_seed, args.first_seed + args.runs)
     if args.case is not None:
@@ -103,7 +103,7 @@ def plan(args: argparse.Namespace) -> list[Planned]:
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
     maps = (False, True) if args.keypoints else (False,)
     return [
-        Planned(name, seed, args.worlds[turn % len(args.worlds)], has_keypoints, odometer)
+        DrivePlan(name, seed, args.worlds[turn % len(args.worlds)], has_keypoints, odometer)
         for name, seed, turn in drives
         for odometer in args.odometer
         for has_keypoints in maps
@@ -116,7 +116,7 @@ def drives_of(case: str, seeds: Sequence[int]) -> list[tuple[str, int, int]]:
     return [(names[seed % len(names)], seed, seed % len(names) + seed // len(names)) for seed in seeds]
 
 
-def judge(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
+def judge(runs: dict[DrivePlan, CourseRun]) -> list[CourseScore]:
     """A score for each course; before those of a case one of them together, and first of all one of everything."""
     several = len({COURSES[one.course].case for one in runs}) > 1
     scores = [CourseScore("**all**", tuple(runs.values()))] if several else []
@@ -132,7 +132,7 @@ def judge(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     return scores
 
 
-def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
+def compare(runs: dict[DrivePlan, CourseRun]) -> list[CourseScore]:
     """Each course by its odometers, without keypoints and with them."""
     found: dict[str, list[CourseRun]] = {}
     for one, run in runs.items():
@@ -143,7 +143,7 @@ def compare(runs: dict[Planned, CourseRun]) -> list[CourseScore]:
     return [CourseScore(name, tuple(found[name])) for name in of_course]
 
 
-def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Planned, CourseRun]:
+def drive_all(planned: Sequence[DrivePlan], args: argparse.Namespace) -> dict[DrivePlan, CourseRun]:
     """Drive several roads side by side, and those on one road one after the other; print a line for each drive."""
     args.output.mkdir(parents=True, exist_ok=True)
     roads = [[one for one in planned if one.world == world] for world in dict.fromkeys(one.world for one in planned)]
@@ -152,7 +152,7 @@ def drive_all(planned: Sequence[Planned], args: argparse.Namespace) -> dict[Plan
     return {one: found[one] for one in planned}
 
 
-def drive_part(planned: Sequence[Planned], length_m: float, folder: Path) -> dict[Planned, CourseRun]:
+def drive_part(planned: Sequence[DrivePlan], length_m: float, folder: Path) -> dict[DrivePlan, CourseRun]:
     """Drives in one process."""
     logging.getLogger("edge").setLevel(logging.ERROR)  # the daemon warns of what the courses do to it
     library, runs = RoadLibrary(Network.load(Path(FIRST_NETWORK)), folder / "views"), {}

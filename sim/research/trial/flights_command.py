@@ -60,7 +60,7 @@ class Flight(msgspec.Struct, frozen=True):
     lost_m: float
 
 
-class Failed(msgspec.Struct, frozen=True):
+class ReplayFailure(msgspec.Struct, frozen=True):
     """A drive that cannot be replayed, and why not."""
 
     name: str
@@ -112,7 +112,7 @@ def _listed(bundle: Path) -> Flight:
     return Flight(bundle.stem, "from the field", drive.then, drive.now, [], [], [], round(drive.lost_m, 1))
 
 
-def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None) -> None:
+def publish(flights: Sequence[Flight | ReplayFailure], given: str, page: Path | None) -> None:
     """Write the table of kinds, and what all drives say together, into a page, with a CSV of all drives beside it.
 
     given: the arguments of the command.
@@ -124,13 +124,13 @@ def publish(flights: Sequence[Flight | Failed], given: str, page: Path | None) -
             csv.writer(file, lineterminator="\n").writerows(cells(flights))
 
 
-def cells(flights: Sequence[Flight | Failed]) -> Iterator[list[object]]:
+def cells(flights: Sequence[Flight | ReplayFailure]) -> Iterator[list[object]]:
     """Every figure of every drive, two rows each, below one of their names."""
     names = [f"{name}_{share}" for name in RECORDED_M for share in ("median", "p95", "max")]
     keys = list(Score([], 0.0, 0, 0, 0, []).row())
     yield ["drive", "kind", "when", *keys, *names]
     for flight in flights:
-        if isinstance(flight, Failed):
+        if isinstance(flight, ReplayFailure):
             yield [flight.name, f"not replayed: {flight.why}"]
             continue
         recorded = [one for name in RECORDED_M for one in getattr(flight, name) or [""] * 3]
@@ -139,7 +139,7 @@ def cells(flights: Sequence[Flight | Failed]) -> Iterator[list[object]]:
             yield [flight.name, flight.kind, when, *figures, *recorded]
 
 
-def kinds_table(flights: Sequence[Flight | Failed]) -> str:
+def kinds_table(flights: Sequence[Flight | ReplayFailure]) -> str:
     """The positions of today of all drives of a firmware in a light together; and what all drives say together."""
     kinds: dict[str, list[Flight]] = {}
     for flight in flights:
@@ -170,7 +170,7 @@ def replay_all(
     listed: Sequence[Flight] = (),
     *,
     keypoints: bool = False,
-) -> list[Flight | Failed]:
+) -> list[Flight | ReplayFailure]:
     """Replay drives, those on one road one after the other. model: as `resolve_model` has it. listed: done already.
 
     flights.json and flights.md in `output` have what is done as soon as a road is.
@@ -179,8 +179,8 @@ def replay_all(
     for folder in folders:
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
-    found: dict[Path, Flight | Failed] = {}
-    flights: list[Flight | Failed] = [*listed]
+    found: dict[Path, Flight | ReplayFailure] = {}
+    flights: list[Flight | ReplayFailure] = [*listed]
     _write(flights, output)
     replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
     for group in side_by_side(replayed, groups, jobs):
@@ -190,7 +190,7 @@ def replay_all(
     return flights
 
 
-def _write(flights: Sequence[Flight | Failed], output: Path) -> None:
+def _write(flights: Sequence[Flight | ReplayFailure], output: Path) -> None:
     (output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (output / "flights.md").write_text(page(flights), encoding="utf-8")
 
@@ -204,13 +204,13 @@ def _road(folder: Path) -> int | None:
 
 def replay_group(
     folders: Sequence[Path], output: Path, views: Path, model: Path | None = None, *, keypoints: bool = False
-) -> list[tuple[Path, Flight | Failed]]:
+) -> list[tuple[Path, Flight | ReplayFailure]]:
     """Replay drives on one road, in one process; each prints its rows."""
     logging.getLogger("edge").setLevel(logging.ERROR)
     library, drives = RoadLibrary(Network.load(model), views), {}
-    found: list[tuple[Path, Flight | Failed]] = []
+    found: list[tuple[Path, Flight | ReplayFailure]] = []
 
-    def add(folder: Path, flight: Flight | Failed) -> None:
+    def add(folder: Path, flight: Flight | ReplayFailure) -> None:
         found.append((folder, flight))
         print("\n".join(map(as_row, rows(flight))), flush=True)
 
@@ -219,13 +219,13 @@ def replay_group(
             try:
                 drives[folder] = read_drive(folder)
             except SetupError as error:
-                add(folder, Failed(folder.name, str(error)))
+                add(folder, ReplayFailure(folder.name, str(error)))
         for folder, drive in drives.items():
             matched = [frame for one in drives.values() if one.map_name == drive.map_name for frame in one.used]
             try:
                 add(folder, _replay(drive, matched, output / drive.name, library, keypoints=keypoints))
             except (LookbackError, RuntimeError) as error:  # of a plug-in that failed
-                add(folder, Failed(folder.name, str(error)))
+                add(folder, ReplayFailure(folder.name, str(error)))
             library.save()
     finally:
         library.close()
@@ -260,9 +260,9 @@ def _three(errors_m: Array) -> list[float]:
     return [round(float(one), 2) for one in np.percentile(errors_m, [50, 95, 100])] if len(errors_m) else []
 
 
-def rows(flight: Flight | Failed) -> list[list[str]]:
+def rows(flight: Flight | ReplayFailure) -> list[list[str]]:
     """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
-    if isinstance(flight, Failed):
+    if isinstance(flight, ReplayFailure):
         return [[flight.name, f"not replayed: {flight.why}"]]
     recorded = [spread(errors_m) for errors_m in (flight.reckoned_m, flight.autopilot_m, flight.lane_m)]
     then, now = _cells(flight.then), _cells(flight.now)
@@ -283,12 +283,12 @@ def _cells(found: Score) -> list[str]:
     return [cell.format(**one) for cell in (*cells, "{silent_s:.0f} s", "{used}, {believed}, {false}")]
 
 
-def table(flights: Sequence[Flight | Failed]) -> str:
+def table(flights: Sequence[Flight | ReplayFailure]) -> str:
     """All drives, and what they say together."""
     return f"{markdown(COLUMNS, [row for one in flights for row in rows(one)])}\n\n{summary(flights)}"
 
 
-def summary(flights: Sequence[Flight | Failed], times: Sequence[str] = ("then", "now")) -> str:
+def summary(flights: Sequence[Flight | ReplayFailure], times: Sequence[str] = ("then", "now")) -> str:
     """What all drives say together, at some of both times."""
     replayed = [one for one in flights if isinstance(one, Flight)]
     together = [f"- {when}: {_together([getattr(one, when) for one in replayed])}" for when in times]
@@ -318,7 +318,7 @@ def _together(scores: Sequence[Score]) -> str:
     ).format(*over, *resets, **sums)
 
 
-def page(flights: Sequence[Flight | Failed]) -> str:
+def page(flights: Sequence[Flight | ReplayFailure]) -> str:
     """The table, and what the pilot read then and now."""
     texts = [
         f"\n## {flight.name}\n\n"

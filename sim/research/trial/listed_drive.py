@@ -16,11 +16,11 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization import Fix, Maps, Own, position_of
+from edge.localization import AutopilotState, Fix, MapUpdate, position_of
 from edge.localization.drive_file import read_drive, replay
-from edge.localization.events import Frame
+from edge.localization.events import ImageProcessed
 from edge.localization.place_fix import untracked_fix
-from edge.localization.position_estimator import Asked, Entry
+from edge.localization.position_estimator import Entry, FixResult
 from edge.reference_map import Route
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.position_sender import level_m
@@ -41,16 +41,16 @@ class ListedDrive:
         """file: the list of a drive, or what `lookback bundle` made. FeedError for what is neither."""
         with TemporaryDirectory() as folder:
             self.config, entries = read_drive(drive_list(file, Path(folder)))
-        own = [(t_ns, one) for t_ns, one in entries if isinstance(one, Own)]
+        own = [(t_ns, one) for t_ns, one in entries if isinstance(one, AutopilotState)]
         healthy = next((row for row, (_, one) in enumerate(own) if one.gps == "healthy"), len(own))
         first = next((row for row in range(healthy, len(own)) if own[row][1].gps == "not healthy"), 0)
         self._begins_ns = own[first][0] if own else 0
         self._ends_ns = entries[-1][0] if entries else 0
         known_m = [(t_ns / 1e9, one.driven_m) for t_ns, one in own[first:] if one.driven_m is not None]
         self._driven_m: Array = np.array(known_m).reshape(-1, 2)
-        self._gps = [(one.stamp_ns / 1e9, one.gps) for _, one in entries if isinstance(one, Frame) and one.gps]
+        self._gps = [(one.stamp_ns / 1e9, one.gps) for _, one in entries if isinstance(one, ImageProcessed) and one.gps]
         self.lost_m = float(np.ptp(self._driven_m[:, 1])) if known_m else 0.0
-        asked = [one for _, one in entries if isinstance(one, Asked)]
+        asked = [one for _, one in entries if isinstance(one, FixResult)]
         frames = _frames(self.config, entries)
         self.then = self._score([fix for one in asked if (fix := position_of(one.answer))], frames)
         self.now = self._score(_fixes(self.config, entries, was_asked=bool(asked)), frames)
@@ -94,9 +94,9 @@ def _frames(config: Config, entries: Entries) -> list[PlaceFix | None]:
     found: list[PlaceFix | None] = []
     route: Route | None = None
     for _, one in entries:
-        if isinstance(one, Maps):
+        if isinstance(one, MapUpdate):
             route = Route(one.map_set)
-        elif isinstance(one, Frame):
+        elif isinstance(one, ImageProcessed):
             match = one.match if one.match is not None and one.match.accepted else None
             found.append(untracked_fix(match, one.stamp_ns, route, config.rig) if match and route else None)
     return found
@@ -109,6 +109,6 @@ def _fixes(config: Config, entries: Entries, *, was_asked: bool) -> list[Fix]:
     found, shadow = [], Shadow(config, lambda record: None)
     for t_ns, one in entries:
         shadow.update(t_ns, one)
-        if isinstance(one, Frame) and isinstance(answer := shadow.fix(t_ns), Fix):
+        if isinstance(one, ImageProcessed) and isinstance(answer := shadow.fix(t_ns), Fix):
             found.append(answer)
     return found

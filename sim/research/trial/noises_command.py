@@ -17,9 +17,9 @@ from edge.config import Config
 from edge.geodesy import moved
 from edge.localization import PositionEstimator
 from edge.localization.drive_file import read_drive
-from edge.localization.events import Frame, Maps
-from edge.localization.position_estimator import Asked, Entry, Restored
-from edge.localization.sighting import Sightings
+from edge.localization.events import ImageProcessed, MapUpdate
+from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
+from edge.localization.sighting import Georeferencer
 from edge.reference_map import Route
 from sim.research.trial import recorded_drive
 from sim.research.trial.ablate_command import add_lists, listed
@@ -40,7 +40,7 @@ HEADER = "| what | drives | measured | rms | rms for the drive | alike 40 m apar
 
 
 @dataclass
-class Errors:
+class MeasurementErrors:
     """Of one kind of measurement on one drive, in its unit: how far off, over which sigma, after how many meters."""
 
     off: list[float] = field(default_factory=list)
@@ -54,7 +54,7 @@ class Errors:
         self.at_m.append(at_m)
 
 
-Noises = dict[str, Errors]
+Noises = dict[str, MeasurementErrors]
 """By kind of measurement, with its unit."""
 
 
@@ -89,13 +89,13 @@ def compare(config: Config, entries: Iterable[tuple[int, Entry]], truth: Recorde
     """Add what the list of a drive has after the loss of GPS."""
     one = _Drive(config, truth, found)
     for t_ns, entry in entries:
-        if isinstance(entry, Restored):
+        if isinstance(entry, SnapshotRestore):
             one.estimator.restore(t_ns, entry.kept)
-        elif not isinstance(entry, Asked):
+        elif not isinstance(entry, FixResult):
             one.estimator.update(t_ns, entry)
-            if isinstance(entry, Maps):
+            if isinstance(entry, MapUpdate):
                 one.search(entry)
-            elif isinstance(entry, Frame):
+            elif isinstance(entry, ImageProcessed):
                 one.use(entry)
 
 
@@ -104,19 +104,19 @@ class _Drive:
 
     def __init__(self, config: Config, truth: RecordedDrive, found: Noises) -> None:
         self.estimator = PositionEstimator(config)
-        self.sightings: Sightings | None = None
+        self.sightings: Georeferencer | None = None
         self._config, self._truth, self._found = config, truth, found
         self._firmware = "PX4" if truth.name.startswith("px4") else "ArduPilot"
         self._leg: tuple[float, Array, int, float | None] | None = None
 
-    def search(self, maps: Maps) -> None:
+    def search(self, maps: MapUpdate) -> None:
         """Matches are of these from now on."""
         if maps.has_grown and self.sightings is not None:
             self.sightings.route.grow(maps.map_set)
         else:
-            self.sightings = Sightings(Route(maps.map_set), self._config)
+            self.sightings = Georeferencer(Route(maps.map_set), self._config)
 
-    def use(self, frame: Frame) -> None:
+    def use(self, frame: ImageProcessed) -> None:
         """After the estimator has used it."""
         at_s, motion = frame.stamp_ns / 1e9, frame.motion
         if self.sightings is None or motion is None:
@@ -135,10 +135,10 @@ class _Drive:
         self._use_match(self.sightings, frame, at_s, at_m)
         self._use_estimate(frame, at_s, at_m)
 
-    def _of(self, kind: str) -> Errors:
-        return self._found.setdefault(kind, Errors())
+    def _of(self, kind: str) -> MeasurementErrors:
+        return self._found.setdefault(kind, MeasurementErrors())
 
-    def _use_leg(self, frame: Frame, at_s: float, at_m: float, moved_m: Array, leg: int) -> None:
+    def _use_leg(self, frame: ImageProcessed, at_s: float, at_m: float, moved_m: Array, leg: int) -> None:
         """Heading and length of a displacement, and by how much gyros drift meanwhile."""
         gyros = None if frame.without_gps is None or frame.without_gps.gyros is None else frame.without_gps.gyros
         compass_rad = None if gyros is None else gyros.compass_rad
@@ -162,7 +162,7 @@ class _Drive:
             self._of(f"{self._firmware}: gyros, degrees a second").add(off_deg / (at_s - then_s), at_m)
         self._leg = at_s, moved_m, leg, compass_rad
 
-    def _use_match(self, sightings: Sightings, frame: Frame, at_s: float, at_m: float) -> None:
+    def _use_match(self, sightings: Georeferencer, frame: ImageProcessed, at_s: float, at_m: float) -> None:
         """A look by its covariance and the map's, and a line along the road, at its middle."""
         match = frame.match
         if match is None or not match.accepted:
@@ -183,7 +183,7 @@ class _Drive:
             sigma_m = math.hypot(errors.stays_m, line.faint * errors.changes_m, errors.map_m)
             self._of(f"lines along, {where}, m").add(along_m, at_m, sigma_m)
 
-    def _use_estimate(self, frame: Frame, at_s: float, at_m: float) -> None:
+    def _use_estimate(self, frame: ImageProcessed, at_s: float, at_m: float) -> None:
         """What the filter says of where the vehicle is."""
         place = self.estimator.known.position
         if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
@@ -192,7 +192,7 @@ class _Drive:
         self._of(f"{self._firmware}: estimate along, m").add(along_m, at_m, place.sigma_along_m)
         self._of(f"{self._firmware}: estimate across, m").add(across_m, at_m, place.sigma_across_m)
 
-    def _off(self, sightings: Sightings, position_m: Array, at_s: float) -> tuple[float, float]:
+    def _off(self, sightings: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
         """Along and across of meters from the origin of local ones, less the truth."""
         assert sightings.origin is not None
         where = moved(*sightings.origin, float(position_m[0]), float(position_m[1]))
@@ -219,7 +219,7 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _alike(drives: Sequence[Errors]) -> str:
+def _alike(drives: Sequence[MeasurementErrors]) -> str:
     """Correlation of errors APART_M apart, about 0."""
     pairs = []
     for one in drives:

@@ -12,7 +12,7 @@ import pytest
 
 from edge.config import Config, MapConfig, TelemetryConfig
 from edge_plugins.doctor.computer import check_home_folders
-from edge_plugins.doctor.findings import Examined
+from edge_plugins.doctor.findings import DoctorContext
 
 ACT = """
 import os, sys
@@ -52,7 +52,7 @@ def test_others_stay_who_they_are(tmp_path: Path) -> None:
 
 def test_home_folders_are_found() -> None:
     config = Config(map=MapConfig(path="/home/pi/street.map"), telemetry=TelemetryConfig(journal="/var/lib/x.jsonl"))
-    assert check_home_folders(Examined(None, Path("/dev"), 0.0, config=config)) == []
-    ((level, words, _),) = check_home_folders(Examined(None, Path("/dev"), 0.0, as_service=True, config=config))
+    assert check_home_folders(DoctorContext(None, Path("/dev"), 0.0, config=config)) == []
+    ((level, words, _),) = check_home_folders(DoctorContext(None, Path("/dev"), 0.0, as_service=True, config=config))
     assert level == "bad"
     assert words.startswith("[map] path: /home/pi/street.map: ")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.reference_map import open_map_set
-from edge_plugins.home.way_home import Start, WayHome, plan_way_home
+from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
 from tests.plugins.home.home_requests import ENABLED
 from tests.telemetry import conftest
 from tests.telemetry.rig import START_NS, OpenRig, Rig
@@ -30,7 +30,7 @@ def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
         config = options.setdefault("home", ENABLED)
         rig = open_rig(**options)
 
-        def plan(start: Start) -> WayHome:
+        def plan(start: HomeStart) -> WayHome:
             # The simulated vehicle drives away from home, which is only a warning.
             return plan_way_home(maps, start, config)
 

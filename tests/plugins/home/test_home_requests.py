@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.home_requests import Answer, HomeAnswered
+from edge_plugins.home.home_requests import HomeAnswered, HomeReply
 from edge_plugins.home.way_home import WayHome
 from tests.plugins.home.home_requests import (
     ACCEPTED,
@@ -164,7 +164,7 @@ def test_a_repeated_command_starts_nothing_twice(home: Rig) -> None:
 
 
 def test_the_mission_can_be_requested_from_this_computer(home: Rig) -> None:
-    answers: list[Answer] = []
+    answers: list[HomeReply] = []
     home.home.ask(answers.append)
     assert home.run(10.0, lambda: answers[-1].is_final)
     assert [answer.result for answer in answers] == [IN_PROGRESS, ACCEPTED]

@@ -11,7 +11,7 @@ import pytest
 
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import Start, WayHome, plan_way_home
+from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
 from sim import geodetic
 from tests.plugins.home.test_way_home import Points, arc, joined, straight, waypoints_m
 
@@ -46,7 +46,7 @@ def length_m(drive: Points) -> float:
 def plan(
     path: Path, at_m: tuple[float, float], sigma_m: float = 1.5, route_m: float | None = None, **config: Any
 ) -> WayHome:
-    start = Start(*geodetic(*at_m), sigma_m=sigma_m, route_m=route_m)
+    start = HomeStart(*geodetic(*at_m), sigma_m=sigma_m, route_m=route_m)
     return plan_way_home(open_map_set(path), start, HomeConfig(turning_radius_m=0.0, **config))
 
 
@@ -110,7 +110,7 @@ def test_right_after_a_turn_it_goes_home_in_the_lane_that_it_came_on(
     """The lane is 6.5 m away: the way led around the turn again, which is refused where that was on the spot."""
     drive = joined(straight(200.0), arc(3.25, 180) * [-1, 1], straight(driven_m, 180.0))
     at_m = (6.5, 200.0 - driven_m)
-    start = Start(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
+    start = HomeStart(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
     way = plan_way_home(open_map_set(map_along(drive)), start, HomeConfig(turning_radius_m=2.0))
     assert not way.refusals
     assert way.length_m == pytest.approx(at_m[1] + longer_m, abs=1.0)

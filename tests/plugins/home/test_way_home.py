@@ -21,7 +21,7 @@ from edge.geodesy import east_north
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.drive_line import simplified
-from edge_plugins.home.way_home import Start, WayHome, mission_items, plan_way_home
+from edge_plugins.home.way_home import HomeStart, WayHome, mission_items, plan_way_home
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 
 MapAlong = Callable[..., Path]
@@ -52,7 +52,7 @@ def joined(*lines: Points) -> Points:
 def plan(
     path: Path, at_m: tuple[float, float] | None = None, heading_deg: float | None = None, **config: Any
 ) -> WayHome:
-    start = None if at_m is None else Start(*geodetic(*at_m), heading_deg, 1.0)
+    start = None if at_m is None else HomeStart(*geodetic(*at_m), heading_deg, 1.0)
     return plan_way_home(open_map_set(path), start, HomeConfig(**config))
 
 
@@ -243,7 +243,7 @@ def test_a_start_too_far_from_the_drive_is_refused(map_along: MapAlong) -> None:
 
 
 def test_a_position_that_is_not_known_well_is_refused(map_along: MapAlong) -> None:
-    start = Start(*geodetic(0.0, 100.0), sigma_m=25.0)
+    start = HomeStart(*geodetic(0.0, 100.0), sigma_m=25.0)
     way = plan_way_home(open_map_set(map_along(straight(300.0))), start, HomeConfig())
     assert the_finding(way) == "the vehicle's position is only known to 25 m; max_start_m is 20"
 

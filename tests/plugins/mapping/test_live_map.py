@@ -31,7 +31,7 @@ from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.own_motion import OwnDriven
+from edge_plugins.mapping.own_motion import GpsFreeDistance
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.files_written import full_disk
@@ -59,7 +59,7 @@ def drive(mapped: LiveMap, rows: range, position: VehiclePosition | None = GPS) 
     """Places every 2 m, each moved on by its row and counted by the wheels, no faster than the disk takes them."""
     for row in rows:
         at = None if position is None else replace(position, lat_deg=position.lat_deg + row * 2 / 110_800)
-        mapped.own.compare(OwnDriven(0, row * 2.0, 0), at)
+        mapped.own.compare(GpsFreeDistance(0, row * 2.0, 0), at)
         mapped.add(raw_of(row), IMAGE, at, row * 2.0)
         while mapped.store.waiting > 8 and not mapped.status.why:
             os.sched_yield()

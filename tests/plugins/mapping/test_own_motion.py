@@ -12,10 +12,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.reference_map import read_header
-from edge.telemetry.position_history import Awaiting, PositionHistory
+from edge.telemetry.position_history import ExposureQueue, PositionHistory
 from edge.telemetry.vehicle import Vehicle
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.mapping.own_motion import OwnDriven, OwnMeters, OwnMotion
+from edge_plugins.mapping.own_motion import GpsConsistency, GpsFreeDistance, GpsFreeOdometer
 from tests.plugins.mapping.test_live_map import IMAGE, START_S, live, raw_of
 from tests.plugins.mapping.test_outage import at
 from tests.reference_map.test_gps_motion import STEP_M
@@ -40,7 +40,7 @@ def vouched(folder: Path, seed: int, drag_mps: float, counted: list[int], gaps_f
         if row >= headings:
             now = replace(now, heading_deg=None)
         if row in counted:
-            mapped.own.compare(OwnDriven(now.stamp_ns, float(points[1][row]), int(row >= gaps_from)), now)
+            mapped.own.compare(GpsFreeDistance(now.stamp_ns, float(points[1][row]), int(row >= gaps_from)), now)
         mapped.add(raw_of(row), IMAGE, now, float(by_gps_m[row]))
         while mapped.store.waiting > 8:
             os.sched_yield()
@@ -93,9 +93,13 @@ def test_recorded_drives(shared: Path, name: str, is_vouched: bool) -> None:
     if not file.is_file():
         pytest.skip(f"needs the recorded drive {file.parent}")
     now_ns = 0
-    vehicle, own, history = Vehicle(), OwnMotion(MappingConfig(folder="maps"), STEP_M), PositionHistory(lambda: now_ns)
-    counted: Awaiting[OwnDriven] = Awaiting(history)
-    meters = OwnMeters()
+    vehicle, own, history = (
+        Vehicle(),
+        GpsConsistency(MappingConfig(folder="maps"), STEP_M),
+        PositionHistory(lambda: now_ns),
+    )
+    counted: ExposureQueue[GpsFreeDistance] = ExposureQueue(history)
+    meters = GpsFreeOdometer()
     vehicle.velocity.listen = meters.hear
     found, newest = [], None
     for now_ns, messages in messages_of(file):
@@ -120,7 +124,7 @@ def test_what_gps_has_no_part_in_counts_without_its_velocity() -> None:
     """The camera until wheels do; where the one followed the other, were silent or damaged, nobody counted."""
     speaker = Speaker()
     vehicle = connect(speaker)
-    velocity, meters = vehicle.velocity, OwnMeters()
+    velocity, meters = vehicle.velocity, GpsFreeOdometer()
     velocity.listen = meters.hear
     for tenth in range(10, 60):
         vehicle.handle(speaker.fix(100 * tenth, float(tenth), vn_mps=10.0, ve_mps=0.0), tenth * S // 10)

@@ -15,7 +15,7 @@ from edge.config import CameraConfig, Config, TelemetryConfig
 from edge.journal.records import Record
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion, CameraSpeed, MotionMeasured
-from edge_plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, KeptHeight
+from edge_plugins.motion.height import WINDOW_M, WINDOWS, CameraHeight, HeightRecord
 from edge_plugins.motion.velocity_sender import MOST_SCALE
 from tests.files_written import wait_for_files
 from tests.plugins.motion.road import FOV_DEG, HEIGHT, WIDTH, picture
@@ -34,7 +34,7 @@ def config(folder: Path | None = None, view: str = "front") -> Config:
 
 def known(motion: CameraMotion) -> CameraMotion:
     """With a height that GPS has shown on this drive."""
-    motion.height = CameraHeight(KeptHeight("", 0.0), 40)
+    motion.height = CameraHeight(HeightRecord("", 0.0), 40)
     for _ in range(5):
         motion.height.compare(WINDOW_M, WINDOW_M / 1.4, 0.0, 0)
     return motion

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from edge_plugins.motion.height import EARLIER_SHARE, WINDOW_M, CameraHeight, KeptHeight, PassedLine, read_height
+from edge_plugins.motion.height import (
+    EARLIER_SHARE,
+    WINDOW_M,
+    CameraHeight,
+    HeightRecord,
+    SequencePosition,
+    read_height,
+)
 from edge_plugins.motion.velocity_sender import MOST_SCALE
 
 TRUE_M, STEP_M, STEP_NS, FRAMES = 1.4, 2.0, 200_000_000, 40
@@ -16,7 +23,7 @@ BACK = (FRAMES - 1) / 2
 
 
 def height(*, earlier_m: float | None = None) -> CameraHeight:
-    return CameraHeight(KeptHeight("camera", 0.0, () if earlier_m is None else (earlier_m,) * 25), FRAMES)
+    return CameraHeight(HeightRecord("camera", 0.0, () if earlier_m is None else (earlier_m,) * 25), FRAMES)
 
 
 class Road:
@@ -35,7 +42,7 @@ class Road:
             kept = math.exp(-STEP_M / 60)
             self._off_m = kept * self._off_m + math.sqrt(1 - kept**2) * float(self._rng.normal(0, 3.5))
             along_m = map_scale * (self.at_m - BACK * STEP_M) + self._off_m + float(self._rng.normal(0, 1.5))
-            self.camera.use_frame(PassedLine(drive, 1000 + along_m, BACK) if drive else None)
+            self.camera.use_frame(SequencePosition(drive, 1000 + along_m, BACK) if drive else None)
 
 
 def off(camera: CameraHeight) -> float:
@@ -140,8 +147,8 @@ def test_places_of_another_drive_or_elsewhere_and_a_stretch_that_was_not_seen_be
 def test_it_is_kept_for_the_same_camera(tmp_path: Path) -> None:
     path = tmp_path / "events.height"
     path.write_text('{"camera": "camera", "pitch_rad": 0.1, "heights_m": [1.4, 1.4]}')
-    assert read_height(path, "camera", 0.0) == KeptHeight("camera", 0.1, (1.4, 1.4))
-    nothing = KeptHeight("another", 0.2)
+    assert read_height(path, "camera", 0.0) == HeightRecord("camera", 0.1, (1.4, 1.4))
+    nothing = HeightRecord("another", 0.2)
     assert read_height(path, "another", 0.2) == nothing
     path.write_text('{"camera": 3}')
     assert read_height(path, "another", 0.2) == nothing == read_height(None, "another", 0.2)

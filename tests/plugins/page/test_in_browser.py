@@ -33,12 +33,12 @@ from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
 from edge.localization.gps_judge import GpsVerdictState
-from edge.sequence import Agreeing
+from edge.sequence import Correspondences
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView
 from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
-from edge_plugins.page.snapshot import Snapshot, map_view
+from edge_plugins.page.snapshot import PageSnapshot, map_view
 from sim.maps.command import build_map
 from tests.chromium import NEEDS_CHROMIUM, browser
 from tests.plugins.page.test_server import THUMBNAIL, Loop, snapshot
@@ -184,7 +184,7 @@ def test_a_lost_camera_is_said(config: Path, tmp_path: Path) -> None:
         assert text(driver, "frame-words") == "no frame yet"
 
 
-def on_the_road(number: int) -> Snapshot:
+def on_the_road(number: int) -> PageSnapshot:
     """A vehicle 200 m along a road that leads north, whose drive is mapped."""
     at = 200 / 110_574, 0.0
     link = LinkStatus("up", "udpin:127.0.0.1:1", "report", *at, heading_deg=0.0)
@@ -197,10 +197,10 @@ def on_the_road(number: int) -> Snapshot:
     return dataclasses.replace(shown, status=status)
 
 
-def searching(gone_m: float, state: str) -> Callable[[int], Snapshot]:
+def searching(gone_m: float, state: str) -> Callable[[int], PageSnapshot]:
     """A vehicle that has gone so far since a place was recognized."""
 
-    def shown(number: int) -> Snapshot:
+    def shown(number: int) -> PageSnapshot:
         before = on_the_road(number)
         history = tuple(
             replace(one, used=replace(one.used, accepted=not gone_m), searched=gone_m) for one in before.status.history
@@ -244,7 +244,7 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
 def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: Path) -> None:
     """And each verdict on GPS has a color."""
     inexact, kinds = "recognized, but not exactly", {"agrees": "good", "wrong": "bad"}
-    shown: list[Snapshot] = []
+    shown: list[PageSnapshot] = []
 
     def show(why: str, gps: str, sent_ns: int | None = None, emit: str = "auto", verdict: str = "cannot say") -> None:
         before = on_the_road(1)
@@ -286,7 +286,7 @@ def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: 
 def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> None:
     on_map = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     shares = np.random.default_rng(1).random((40, 4))
-    looked = dataclasses.replace(on_the_road(1), agreeing=Agreeing(9, shares))
+    looked = dataclasses.replace(on_the_road(1), agreeing=Correspondences(9, shares))
     drawn = "document.getElementById('look').getContext('2d').getImageData(0, 0, 500, 150).data.some((one) => one)"
     shown = [looked]
     maps = dataclasses.replace(map_view(on_map), thumbnail=lambda index: THUMBNAIL)

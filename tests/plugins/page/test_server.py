@@ -32,7 +32,7 @@ from edge.telemetry import LinkStatus
 from edge_plugins.page import PageConfig
 from edge_plugins.page.metrics import STATES, as_metrics
 from edge_plugins.page.server import StatusPage
-from edge_plugins.page.snapshot import HistoryFrame, MapView, Snapshot, Status
+from edge_plugins.page.snapshot import HistoryFrame, MapView, PageSnapshot, Status
 
 CUT_OFF_S = 20.0
 """After this long the other side has not ended the connection; a busy machine takes its time."""
@@ -45,7 +45,7 @@ MAP = MapView(
 )
 
 
-def snapshot(number: int) -> Snapshot:
+def snapshot(number: int) -> PageSnapshot:
     history = tuple(
         HistoryFrame(
             FrameUsed(k, 1000 * k, True, k == 2, place=k, uniqueness=1.1 + k / 100, confidence=k / 10), (1.0, 2.0)
@@ -73,13 +73,13 @@ def snapshot(number: int) -> Snapshot:
         history=history,
     )
     image = np.full((480, 640, 3), (10, 120, 240), np.uint8)
-    return Snapshot(status, image)
+    return PageSnapshot(status, image)
 
 
 class Loop:
     """The daemon's side: hands over a snapshot when one is wanted, and counts them."""
 
-    def __init__(self, page: StatusPage, shown: Callable[[int], Snapshot] = snapshot) -> None:
+    def __init__(self, page: StatusPage, shown: Callable[[int], PageSnapshot] = snapshot) -> None:
         self.handed_over = 0
         self._page, self._shown = page, shown
         self._stop = threading.Event()
@@ -228,7 +228,7 @@ def test_doubt_and_verdict_of_gps_agree() -> None:
 
 @pytest.mark.parametrize(("state", "ready"), [("on the map", 200), ("off the map", 200), ("degraded", 503)])
 def test_a_probe_is_answered_live_and_ready(state: str, ready: int, page: StatusPage) -> None:
-    def shown(number: int) -> Snapshot:
+    def shown(number: int) -> PageSnapshot:
         one = snapshot(number)
         return dataclasses.replace(one, status=msgspec.structs.replace(one.status, state=state))
 

@@ -27,7 +27,7 @@ from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView
 from edge_plugins.page import PageConfig
 from edge_plugins.page.plugin import open_page
-from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, Snapshot, map_view
+from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, PageSnapshot, map_view
 from sim.traverse import traverse
 
 FRAMES, LENGTH = 30, 10
@@ -56,7 +56,7 @@ def watched(street: ReferenceMap, recognizer: PlaceRecognizer) -> LiveStatus:
     return status
 
 
-def snapshot(status: LiveStatus, recognizer: PlaceRecognizer) -> Snapshot:
+def snapshot(status: LiveStatus, recognizer: PlaceRecognizer) -> PageSnapshot:
     daemon = DaemonStatus(
         stamp_ns=10**9 * FRAMES,
         map_name="a map",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.bench.board import HEADER, Run, board_name, hottest_c, row, throttling
+from sim.bench.board import HEADER, BoardRun, board_name, hottest_c, row, throttling
 
 DESK = "faiss,onnx,torch,panda3d,matplotlib,jinja2"
 WITHOUT = (
@@ -67,7 +67,7 @@ def test_throttling(flags: str, cooling: dict[str, int], found: set[str], tmp_pa
 
 def test_times_that_grow_count_as_throttled() -> None:
     frames = [{"network": 10.0 + number, "search": 1.0} for number in range(20)]
-    cells = row("a board", "grid", Run(frames, [70.0, 81.0], frozenset())).strip("| ").split(" | ")
+    cells = row("a board", "grid", BoardRun(frames, [70.0, 81.0], frozenset())).strip("| ").split(" | ")
     assert cells[:2] == ["a board", "grid"]
     assert cells[3] == "19.5"
     assert cells[-3:] == ["+128 %", "81 °C", "yes, by the times"]

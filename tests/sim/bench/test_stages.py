@@ -36,7 +36,7 @@ def test_a_simulated_map_is_a_whole_map(tmp_path: Path) -> None:
     write_simulated_map(tmp_path / "m", BLOCK + 1000, KEY)
     reference_map = open_map(tmp_path / "m", every_file=True)
     assert [segment.end for segment in reference_map.header.segments] == [5000, BLOCK + 1000]
-    match = drives.Drive(tmp_path / "m", 3000, known=False).step()
+    match = drives.BenchDrive(tmp_path / "m", 3000, known=False).step()
     assert match is not None
     assert match.uniqueness > 1.5
     assert match.place == 3040

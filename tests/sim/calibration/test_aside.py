@@ -10,7 +10,7 @@ import pytest
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge_plugins.mapping.builder import Place
 from sim.calibration.offset import measure_offsets, rig_config
-from sim.calibration.sightings import MapDrives, Sighting
+from sim.calibration.sightings import MapDrives, OffsetSample
 from tests.map_of import map_of
 
 METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
@@ -36,9 +36,9 @@ def test_left_is_left_for_who_made_the_map(drives: MapDrives) -> None:
 
 def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
     rng = np.random.default_rng(2)
-    home = [Sighting("reverse", "same", 0.0, 1.2, True, left_m) for left_m in rng.normal(3.5, 3.0, 400)]
-    again = [Sighting("forward", "swapped", 26.0, 1.2, True, 0.3) for _ in range(20)]
-    lost = [Sighting("forward", "swapped", 26.0, 1.2, True) for _ in range(20)]
+    home = [OffsetSample("reverse", "same", 0.0, 1.2, True, left_m) for left_m in rng.normal(3.5, 3.0, 400)]
+    again = [OffsetSample("forward", "swapped", 26.0, 1.2, True, 0.3) for _ in range(20)]
+    lost = [OffsetSample("forward", "swapped", 26.0, 1.2, True) for _ in range(20)]
     rig = rig_config(measure_offsets([*home, *again, *lost]))
     assert rig.left_reverse_m == pytest.approx(3.5, abs=0.4)
     assert rig.left_forward_m == 0.3
@@ -50,7 +50,7 @@ def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:
     rng = np.random.default_rng(4)
     looks_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
     home = [
-        Sighting("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, look_m=look_m)
+        OffsetSample("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, look_m=look_m)
         for at, look_m in enumerate(looks_m)
     ]
     rig = rig_config(measure_offsets(home))

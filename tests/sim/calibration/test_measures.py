@@ -17,19 +17,19 @@ from edge_plugins.mapping.builder import Place
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
-from sim.calibration.sightings import MapDrives, Sighting
+from sim.calibration.sightings import MapDrives, OffsetSample
 from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
 from tests.map_of import map_of
 
 
 def sighting(
     ahead_m: float, confidence: float = 0.8, *, accepted: bool = True, line_sigma_m: float = 0.0, place_m: float = 0.0
-) -> Sighting:
+) -> OffsetSample:
     line = {"line_sigma_m": line_sigma_m, "place_m": place_m}
-    return Sighting("forward", "swapped", ahead_m, confidence, accepted, **line)
+    return OffsetSample("forward", "swapped", ahead_m, confidence, accepted, **line)
 
 
-def along_road(errors_m: NDArray[np.float64], line_sigma_m: float = 0.0) -> list[Sighting]:
+def along_road(errors_m: NDArray[np.float64], line_sigma_m: float = 0.0) -> list[OffsetSample]:
     """Matches 80 m apart from each other, so that each says something of its own."""
     return [sighting(one, line_sigma_m=line_sigma_m, place_m=80.0 * at) for at, one in enumerate(errors_m)]
 
@@ -103,7 +103,7 @@ def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_bel
     right = [sighting(20, 0.3 + at / 1000) for at in range(99)]
     strangers = [0.9 + at / 500 for at in range(41)]
 
-    def chosen(seen: list[Sighting], off_map: list[float]) -> float:
+    def chosen(seen: list[OffsetSample], off_map: list[float]) -> float:
         return choose(curve_of_drive(seen, RigConfig(), tolerance_m=40, length=20), off_map, 0.9)
 
     assert chosen(right, []) == DEFAULT

@@ -21,15 +21,15 @@ from edge.errors import ConfigError, FeedError
 from edge.feed import Feed, FeedHeader, FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
 from edge.geodesy import east_north_of
-from edge.localization import Displacement
-from edge.localization.events import Frame, Own
-from edge.localization.sighting import Sightings
+from edge.localization import Odometry
+from edge.localization.events import AutopilotState, ImageProcessed
+from edge.localization.sighting import Georeferencer
 from edge.localization.tracker import Tracker
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.route import Route
 from edge.reference_map.store import ReferenceMap, open_map
-from edge.sequence import Travel
+from edge.sequence import MotionPrior
 from sim.calibration import command
 from sim.calibration.offset import Offset, rig_config
 from sim.calibration.threshold import DEFAULT
@@ -137,17 +137,19 @@ def test_the_sigma_that_a_drive_gives_is_honest_on_another(
     offsets, _ = command.measure_rig(maps["rear"], [record(home, tmp_path / "home_day")], CONFIG, network)
     dusk = record(replace(home, drive_seed=6, light="dusk"), tmp_path / "home_dusk")
     config = msgspec.structs.replace(CONFIG, rig=rig_config(offsets))
-    tracker = Tracker(Sightings(Route(MapSet.of(maps["rear"])), config), config)
+    tracker = Tracker(Georeferencer(Route(MapSet.of(maps["rear"])), config), config)
     recognizer = open_recognizer(CONFIG, network=network, map_set=MapSet.of(maps["rear"]))
     in_sigmas: list[float] = []
     began: tuple[float, float] | None = None
     for item in traverse(dusk, CONFIG.sampling):
-        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, Travel(item.distance_m))
+        match = recognizer.observe(item.frame.image, item.frame.stamp_ns, MotionPrior(item.distance_m))
         lat_deg, lon_deg = item.row.lat_deg, item.row.lon_deg
         assert lat_deg is not None and lon_deg is not None
         began = began or (lat_deg, lon_deg)
-        moved = Displacement(1, *east_north_of(lat_deg, lon_deg, began))
-        tracker.update(Frame(item.frame.stamp_ns, match, moved, in_line=recognizer.is_in_line), None, Own())
+        moved = Odometry(1, *east_north_of(lat_deg, lon_deg, began))
+        tracker.update(
+            ImageProcessed(item.frame.stamp_ns, match, moved, in_line=recognizer.is_in_line), None, AutopilotState()
+        )
         found = tracker.at_exposure()
         if found is not None and found.stamp_ns == item.frame.stamp_ns and found.matches >= 5:
             assert found.lat_deg is not None and found.lon_deg is not None

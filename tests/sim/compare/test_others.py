@@ -20,7 +20,7 @@ from edge.errors import ConfigError, ModelError
 from sim.compare.command import add_arguments
 from sim.compare.foreign import ForeignNetwork, open_file
 from sim.compare.matching import match_alone
-from sim.compare.method_runner import Outcome
+from sim.compare.method_runner import MethodResult
 from sim.compare.options import plan_of
 from sim.compare.plan import Pair
 from sim.compare.run import Folders, open_runner
@@ -245,5 +245,7 @@ def test_recall_counts_places_among_the_best() -> None:
     errors = np.array([[9.0, 0.0, 9.0], [9.0, 9.0, 0.0], [9.0, 9.0, 0.0]])
     pair: Any = Pair("p", "r", "q", "rows", tolerance=1.0, length=1)
     nothing: Any = None
-    outcome = Outcome(pair, nothing, 1, nothing, nothing, match_alone(similarity), 0.0, errors, np.arange(3), nothing)
+    outcome = MethodResult(
+        pair, nothing, 1, nothing, nothing, match_alone(similarity), 0.0, errors, np.arange(3), nothing
+    )
     assert [round(outcome.recall_within(count), 2) for count in (1, 2, 3)] == [0.0, 0.67, 1.0]

@@ -11,7 +11,7 @@ import pytest
 
 from edge.errors import ConfigError
 from sim.compare.plots import match_plot
-from sim.evaluation.report import Cell, Figure, Interval, Picture, Section, Several, Table, write_report
+from sim.evaluation.report import Cell, Figure, Interval, Picture, ReportSection, ScoreGroup, Table, write_report
 from tests.chromium import NEEDS_CHROMIUM, browser
 
 
@@ -20,11 +20,11 @@ def drawn() -> bytes:
     return match_plot(apart, apart, np.array([0, 1, 7, 3, -1, 5]), np.array([1, 2, 3]), 1.0)
 
 
-def section() -> Section:
-    both = [Several({"R@1": first, "R@P100": sure}) for first, sure in ((0.25, float("nan")), (0.5, 0.125))]
+def section() -> ReportSection:
+    both = [ScoreGroup({"R@1": first, "R@P100": sure}) for first, sure in ((0.25, float("nan")), (0.5, 0.125))]
     rows: list[list[Cell]] = [["NSD <best>", Interval(0.5, 0.4, 0.625, 0.95), both[0]], ["SeqSLAM", 1.0, both[1]]]
     plot = Figure("matches", "Matches", drawn())
-    return Section(
+    return ReportSection(
         "One & two",
         "Text.",
         [Table("t", "T", ("m", "f", "n"), rows, "Note.")],

@@ -14,7 +14,7 @@ from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
 from sim.compare.plan import Pair, TraversePlan
 from sim.compare.traverses import (
-    Traverse,
+    MethodTraverse,
     anchored_errors,
     load_traverse,
     moved_ahead,
@@ -30,7 +30,7 @@ def pair(truth: Any, **changes: Any) -> Pair:
     return Pair(name="p", reference="there", query="here", truth=truth, **changes)
 
 
-def load(path: Path, **changes: Any) -> Traverse:
+def load(path: Path, **changes: Any) -> MethodTraverse:
     return load_traverse(path.name, TraversePlan(feed=path.name, **changes), [path], EVERY)
 
 

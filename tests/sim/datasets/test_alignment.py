@@ -17,7 +17,7 @@ pytest.importorskip("panda3d")
 from edge.errors import FeedError
 from edge.feed import read_feed
 from sim.datasets import ReadOptions, Traverse, open_dataset
-from sim.datasets.alignment import STEP_S, Alignment, Motion, likelihoods
+from sim.datasets.alignment import STEP_S, Alignment, MotionSignal, likelihoods
 from sim.datasets.commands import add_arguments
 from sim.traverse import driven_m, whole_sigma_m
 from sim.world.drive import plan_drive
@@ -117,10 +117,10 @@ def test_a_camera_that_turns_elsewhere_than_the_antenna_is_within_the_stated_sig
     drive = plan_drive(generate_route(306, 700.0), seed=6, speed_mps=7.0, stops=2)
     at_s = np.arange(0.0, drive.duration_s, STEP_S)
 
-    def motion(ahead_m: float) -> Motion:
+    def motion(ahead_m: float) -> MotionSignal:
         poses = [drive.pose(time_s, ahead_m) for time_s in at_s]
         turn = np.gradient(np.unwrap([np.radians(pose.heading_deg) for pose in poses]), STEP_S)
-        return Motion(0.0, turn, np.log1p([pose.speed_mps for pose in poses]))
+        return MotionSignal(0.0, turn, np.log1p([pose.speed_mps for pose in poses]))
 
     for ahead_m in (-2.0, 0.0, 6.0):
         tried_s, likelihood = likelihoods(motion(ahead_m), motion(0.0))

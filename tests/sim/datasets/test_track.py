@@ -8,7 +8,7 @@ import pytest
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedHeader
-from sim.datasets.track import Fix, Track
+from sim.datasets.track import Track, TrackFix
 from sim.datasets.track_files import TRACKS
 from sim.traverse import driven_m
 
@@ -21,13 +21,15 @@ def stamps(*seconds: float) -> np.ndarray:
 
 
 def test_headings_turn_the_short_way_through_north() -> None:
-    fixes = [Fix(EPOCH + i * SECOND, 51.0, -1.0, heading_deg=heading) for i, heading in enumerate((350, 10, 30, 350))]
+    fixes = [
+        TrackFix(EPOCH + i * SECOND, 51.0, -1.0, heading_deg=heading) for i, heading in enumerate((350, 10, 30, 350))
+    ]
     headings = [fix.heading_deg for fix in Track("log", fixes).at(stamps(0.25, 0.5, 1.5, 2.5))]
     assert headings == pytest.approx([355, 0, 20, 10])
 
 
 def test_what_some_fixes_lack_is_not_made_up() -> None:
-    fixes = [Fix(EPOCH, 51.0, -1.0, alt_m=100.0), Fix(EPOCH + SECOND, 51.0002, -1.0)]
+    fixes = [TrackFix(EPOCH, 51.0, -1.0, alt_m=100.0), TrackFix(EPOCH + SECOND, 51.0002, -1.0)]
     row = Track("log", fixes).rows("pictures", ["0.png"], stamps(0.5).tolist())[0]
     assert row.lat_deg == pytest.approx(51.0001)
     assert (row.alt_m, row.heading_deg, row.speed_mps) == (None, None, None)
@@ -35,10 +37,10 @@ def test_what_some_fixes_lack_is_not_made_up() -> None:
 
 def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_position() -> None:
     fixes = [
-        Fix(EPOCH + 2 * SECOND, 51.2, -1.0),
-        Fix(EPOCH, 51.0, -1.0),
-        Fix(EPOCH, 40.0, -1.0),
-        Fix(EPOCH - SECOND, 0.0, 0.0),
+        TrackFix(EPOCH + 2 * SECOND, 51.2, -1.0),
+        TrackFix(EPOCH, 51.0, -1.0),
+        TrackFix(EPOCH, 40.0, -1.0),
+        TrackFix(EPOCH - SECOND, 0.0, 0.0),
     ]
     assert [fix.lat_deg for fix in Track("log", fixes).fixes] == [51.0, 51.2]
     with pytest.raises(FeedError, match=r"^log: 1 position\(s\) in it, and two at least are needed"):
@@ -46,7 +48,7 @@ def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_po
 
 
 def test_nanoseconds_since_1970_keep_their_precision() -> None:
-    track = Track("log", [Fix(EPOCH, 51.0, -1.0), Fix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
+    track = Track("log", [TrackFix(EPOCH, 51.0, -1.0), TrackFix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
     assert [fix.stamp_ns for fix in track.at(np.array([EPOCH + 1, EPOCH + 3]))] == [EPOCH + 1, EPOCH + 3]
 
 
@@ -57,7 +59,7 @@ def test_a_car_at_a_red_light_drives_nowhere_though_its_receiver_wanders(period_
     true_m = np.interp(seconds, [0, 10, 70, 80, 100], [0, 50, 50, 100, 100])
     measured_m = true_m[:, None] * [0, 1] + random.uniform(-0.25, 0.25, (len(seconds), 2))
     fixes = [
-        Fix(int(stamp), 51.0 + north / 111_250, -1.0 + east / 70_190)
+        TrackFix(int(stamp), 51.0 + north / 111_250, -1.0 + east / 70_190)
         for stamp, (east, north) in zip(stamps(*seconds), measured_m, strict=True)
     ]
     pictures = np.arange(0, 99, 0.1)
@@ -78,10 +80,11 @@ def test_a_car_at_a_red_light_drives_nowhere_though_its_receiver_wanders(period_
 DAY_S = 86_400
 
 
-def driven(times_s: list[float]) -> list[Fix]:
+def driven(times_s: list[float]) -> list[TrackFix]:
     """Positions 10 m apart, at these times."""
     return [
-        Fix(EPOCH + round(time_s * SECOND), 51.0 + 1e-4 * row, -1.0, source="gps") for row, time_s in enumerate(times_s)
+        TrackFix(EPOCH + round(time_s * SECOND), 51.0 + 1e-4 * row, -1.0, source="gps")
+        for row, time_s in enumerate(times_s)
     ]
 
 

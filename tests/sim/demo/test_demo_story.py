@@ -19,21 +19,21 @@ from sim.demo.story import (
     sections_of,
     true_track,
 )
-from sim.trial.records import Run, Sent, Track
-from sim.trial.simulation import Silent, Simulation
+from sim.trial.records import FixErrors, TrialRun, TruthTrack
+from sim.trial.simulation import NullLink, Simulation
 
 
-def _track(left_m: float, end_off_m: float) -> Track:
+def _track(left_m: float, end_off_m: float) -> TruthTrack:
     """10 m/s, out over LENGTH_M with GPS in the lane, then home without, `left_m` beside it."""
     time_s = np.arange(0.0, 2 * LENGTH_M / 10.0, 0.1)
     gps = time_s * 10.0 < LENGTH_M
-    return Track(time_s, time_s * 10.0, np.where(gps, 0.0, left_m), np.zeros(len(time_s)), gps, end_off_m)
+    return TruthTrack(time_s, time_s * 10.0, np.where(gps, 0.0, left_m), np.zeros(len(time_s)), gps, end_off_m)
 
 
-def _run() -> Run:
+def _run() -> TrialRun:
     sent_s = LENGTH_M / 10.0 - 0.1 + np.array([8.0, 10.0])  # since the last moment with GPS
-    sent = Sent(sent_s, np.array([1.0, 3.0]), np.array([2.0, 4.0]))
-    return Run(1, 21, _track(2.0, 3.0), _track(-30.0, 80.0), sent)
+    sent = FixErrors(sent_s, np.array([1.0, 3.0]), np.array([2.0, 4.0]))
+    return TrialRun(1, 21, _track(2.0, 3.0), _track(-30.0, 80.0), sent)
 
 
 def test_the_table_tells_both_drives_side_by_side() -> None:
@@ -67,11 +67,11 @@ def test_the_picture_shows_the_true_tracks_in_meters() -> None:
     [
         ({"track": _track(2.0, 10.5)}, "ended 10.5 m off"),
         ({"track": _track(5.5, 3.0)}, "cross-track 5.5 m"),
-        ({"sent": Sent(np.array([60.0]), np.array([9.0]), np.array([2.0]))}, "4.5 sigma"),
-        ({"sent": Sent(*np.zeros((3, 0)))}, "no position"),
+        ({"sent": FixErrors(np.array([60.0]), np.array([9.0]), np.array([2.0]))}, "4.5 sigma"),
+        ({"sent": FixErrors(*np.zeros((3, 0)))}, "no position"),
     ],
 )
-def test_the_smoke_test_fails_on_a_bad_drive(change: dict[str, Track | Sent], told: str) -> None:
+def test_the_smoke_test_fails_on_a_bad_drive(change: dict[str, TruthTrack | FixErrors], told: str) -> None:
     require_good(_run())
     with pytest.raises(LookbackError, match=told):
         require_good(replace(_run(), **change))  # type: ignore[arg-type]
@@ -79,7 +79,7 @@ def test_the_smoke_test_fails_on_a_bad_drive(change: dict[str, Track | Sent], to
 
 def test_the_bar_counts_the_meters_of_the_drive() -> None:
     draft, meters = laid(), list[float]()
-    simulation = Simulation(draft, Silent(), 1, meters.append)
+    simulation = Simulation(draft, NullLink(), 1, meters.append)
     while not simulation.ended:
         simulation.step()
     assert sum(meters) == pytest.approx(simulation.driver.along_m, abs=2.0)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import Keypoints, Verified
+from edge.keypoints import InlierMatches, Keypoints
 from edge.keypoints.network import KeypointNetwork
 from sim.evaluation.matched_points import side_by_side, with_lines
 
@@ -18,7 +18,7 @@ def points(xy: list[tuple[float, float]], size: tuple[int, int]) -> Keypoints:
 def test_a_line_joins_each_pair_in_pictures_of_any_two_sizes() -> None:
     here, there = np.zeros((100, 120, 3), np.uint8), np.zeros((200, 160, 3), np.uint8)
     one, other = points([(10, 50), (30, 20)], (100, 120)), points([(40, 60), (80, 100)], (200, 160))
-    found = Verified(np.array([[0, 1]], np.int32), 1)
+    found = InlierMatches(np.array([[0, 1]], np.int32), 1)
     drawn = with_lines((here, there), (one, other), found)
     assert drawn.shape == (100, 200, 3)
     rows, columns = np.nonzero(drawn.any(axis=2))

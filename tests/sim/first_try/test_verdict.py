@@ -15,8 +15,8 @@ from edge.feed.format import View
 from edge.journal.records import FrameUsed
 from sim.calibration.offset import Offset
 from sim.evaluation.metrics import Answers
-from sim.evaluation.recognition import Judged, Recognition
-from sim.first_try.verdict import Stretch, Tried, opposite_share, verdict
+from sim.evaluation.recognition import Recognition, RecognitionScore
+from sim.first_try.verdict import FailureSpan, TryResult, opposite_share, verdict
 
 FRAMES = 100
 
@@ -26,7 +26,7 @@ def a_feed(name: str, view: View = "front", width: int = 320) -> Feed:
     return Feed(Path(name), FeedHeader(name, view, width, 240), rows)
 
 
-def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: range = range(FRAMES)) -> Tried:
+def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: range = range(FRAMES)) -> TryResult:
     """A straight road of 100 places 2 m apart, driven with a frame at each; everything else as it should be."""
     rows = np.arange(FRAMES)
     road_m = np.column_stack([2.0 * rows, np.zeros(FRAMES)])
@@ -36,23 +36,23 @@ def a_try(believed: range, correct: range, *, reverse: bool = False, on_map: ran
     states = ["warming up" if row < 16 else "on the map" if flags[0][row] else "off the map" for row in rows]
     seen = Recognition(a_feed("query"), used, states, np.zeros((FRAMES, 0), np.float32))  # type: ignore[arg-type]
     answers = Answers(np.full(FRAMES, 0.7), flags[1] & flags[2], flags[2])
-    judged = Judged("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, road_m)
+    judged = RecognitionScore("query", rows, answers, answers, flags[0], np.zeros(FRAMES), 0.0, truth_m, road_m)
     gray, faults = np.full(FRAMES, 90.0), ("",) * FRAMES
     maps = SimpleNamespace(index=SimpleNamespace(places=FRAMES))
-    return Tried(a_feed("out"), a_feed("query"), maps, Config(), seen, judged, 40.0, gray, faults)  # type: ignore[arg-type]
+    return TryResult(a_feed("out"), a_feed("query"), maps, Config(), seen, judged, 40.0, gray, faults)  # type: ignore[arg-type]
 
 
 def test_a_good_drive_needs_no_advice() -> None:
     found = verdict(a_try(range(20, 100), range(100)))
     assert found.headline == "Recognized: 95 % of the frames"
     assert found.advice == ()
-    assert found.stretches == (Stretch(0, 15, "warming up: a place is searched from 16 frames on"),)
+    assert found.stretches == (FailureSpan(0, 15, "warming up: a place is searched from 16 frames on"),)
 
 
 def test_wrong_places_come_before_everything_else() -> None:
     found = verdict(a_try(range(20, 100), range(90)))
     assert found.headline == "Not to be trusted: 10 of 80 believed places are wrong"
-    assert found.stretches[-1] == Stretch(90, 99, "believed, but over 40 m off")
+    assert found.stretches[-1] == FailureSpan(90, 99, "believed, but over 40 m off")
 
 
 def test_each_reason_is_named_where_it_holds() -> None:

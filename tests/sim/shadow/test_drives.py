@@ -18,8 +18,8 @@ from edge.descriptor.network import Network
 from edge.telemetry.shadow import ShadowPosition
 from sim.journal import records_of
 from sim.shadow.drives import ShadowDrive, read_drives
-from sim.shadow.judging import Compared, compared
-from sim.trial.run import Drive
+from sim.shadow.judging import GpsComparison, compared
+from sim.trial.run import TrialDrive
 from sim.trial.simulation import Simulation
 from sim.trial.take_me_home import home_at_night
 from sim.trial.views import RoadLibrary
@@ -31,7 +31,7 @@ LENGTH_M, WORLD = 700.0, 32
 RTK = GpsReport(fix_type=mavlink.GPS_FIX_TYPE_RTK_FIXED, accuracy_m=0.05)
 
 
-class BesideGps(Drive):
+class BesideGps(TrialDrive):
     """Out by day and home at night, with GPS all the way."""
 
     def config(self, connection: str, map_path: Path) -> Config:
@@ -73,7 +73,7 @@ def true_off_m(one: ShadowPosition, simulation: Simulation) -> tuple[float, floa
     return east_m * sin + north_m * cos, north_m * sin - east_m * cos
 
 
-def all_of(drives: list[ShadowDrive]) -> Compared:
+def all_of(drives: list[ShadowDrive]) -> GpsComparison:
     return compared(drives, [np.ones(len(one.gps_m), bool) for one in drives])
 
 

@@ -9,19 +9,19 @@ from msgspec.structs import replace
 
 from edge.commands.parser import build_parser
 from edge.config import Config
-from edge.localization import Limits, Own, PositionEstimator, Refusal
+from edge.localization import AutopilotState, FixRequest, NoFix, PositionEstimator
 from edge.localization.drive_file import DriveFile
-from edge.localization.position_estimator import Asked
+from edge.localization.position_estimator import FixResult
 
 
 def test_it_names_each_answer_that_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "list.drive"
     file = DriveFile(path, Config())
     drive = PositionEstimator(Config(), file.write)
-    drive.update(1_000_000_000, Own(gps="healthy"))
-    answer = drive.fix(2_000_000_000, Limits())
-    assert isinstance(answer, Refusal)
-    file.write(3_000_000_000, Asked(Limits(), replace(answer, reason="too old")))
+    drive.update(1_000_000_000, AutopilotState(gps="healthy"))
+    answer = drive.fix(2_000_000_000, FixRequest())
+    assert isinstance(answer, NoFix)
+    file.write(3_000_000_000, FixResult(FixRequest(), replace(answer, reason="too old")))
     file.close()
     words = ["dev", "drive", str(path)]
     args = build_parser(words).parse_args(words)

@@ -18,7 +18,7 @@ from sim import Pose
 from sim.research.trial.recorded_drive import Columns, read_columns, read_messages
 from sim.vehicle.estimator import AS_FLOWN, Estimator, FilterNoise, OdometryErrors
 from sim.vehicle.firmware import FIRMWARES
-from sim.vehicle.position_inputs import Moment, PositionInputs
+from sim.vehicle.position_inputs import InputContext, PositionInputs
 
 STEP_S = 0.1
 SLOW, RIGHT, FAST = (replace(AS_FLOWN, scale=scale) for scale in (0.97, 0.999, 1.027))
@@ -110,7 +110,7 @@ def compare(folder: Path, errors: OdometryErrors, noise: FilterNoise | None = No
 
 def _give(inputs: PositionInputs, message: Any, now_s: float, lost_s: float) -> None:
     kind = message.get_type()
-    moment = Moment(now_s, message.param1 if kind == "COMMAND_INT" else 0.0, lost_s, origin_m=(0.0, 0.0))
+    moment = InputContext(now_s, message.param1 if kind == "COMMAND_INT" else 0.0, lost_s, origin_m=(0.0, 0.0))
     if kind == "COMMAND_INT":
         inputs.command(message, moment)
     else:

@@ -16,7 +16,7 @@ from edge.feed import Feed, FeedHeader, FeedRow
 from edge.telemetry import open_link
 from edge.telemetry.codec import MavlinkCodec
 from sim import geodetic
-from sim.vehicle.command import Start, add_command, recorded_drive
+from sim.vehicle.command import VehicleStart, add_command, recorded_drive
 from tests.udp_port import free_port
 
 
@@ -61,7 +61,7 @@ def test_a_recorded_drive_begins_when_the_companion_computer_is_heard() -> None:
     """East at 5 m/s for 4 s, with a picture each second."""
     places = [geodetic(5.0 * second, 20.0) for second in range(5)]
     rows = tuple(FeedRow("", second * 10**9, lat, lon) for second, (lat, lon) in enumerate(places))
-    feed, start = Feed(Path("drive"), FeedHeader("drive", "front", 4, 3), rows), Start()
+    feed, start = Feed(Path("drive"), FeedHeader("drive", "front", 4, 3), rows), VehicleStart()
     pose_at = recorded_drive(feed, start)
     assert (pose_at(1000.0).east_m, pose_at(1000.0).speed_mps) == pytest.approx((0.0, 0.0), abs=1e-3)
     start.time_s = 1001.0
@@ -74,4 +74,4 @@ def test_a_recorded_drive_begins_when_the_companion_computer_is_heard() -> None:
 def test_a_drive_elsewhere_cannot_be_followed() -> None:
     for rows in ((FeedRow("", 0), FeedRow("", 1)), (FeedRow("", 0, 51.0, -1.0), FeedRow("", 1, 51.0, -1.001))):
         with pytest.raises(FeedError, match=r"--follow: drive: not a recording of `lookback dev sim drive`"):
-            recorded_drive(Feed(Path("drive"), FeedHeader("drive", "front", 4, 3), rows), Start())
+            recorded_drive(Feed(Path("drive"), FeedHeader("drive", "front", 4, 3), rows), VehicleStart())

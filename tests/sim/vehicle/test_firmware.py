@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.encoders import Sending
+from edge.telemetry.encoders import MessageContext
 from edge.telemetry.session import Origin
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.autopilot import SimulatedAutopilot
@@ -87,8 +87,8 @@ class Bench:
         lat_deg, lon_deg = truth.geodetic()
         return PlaceFix(self.now_ns, 1, lat_deg, lon_deg, 0.0, sigma_m, sigma_m, "forward", "same", 1.2)
 
-    def sending(self, age_s: float = 0.0) -> Sending:
-        return Sending(1, self.autopilot.boot_s, age_s)
+    def sending(self, age_s: float = 0.0) -> MessageContext:
+        return MessageContext(1, self.autopilot.boot_s, age_s)
 
     def tell_fix(self, north_m: float = 0.0, age_s: float = 0.0) -> int | None:
         return self.tell(encoders.external_position(self.fix(north_m), self.sending(age_s)))
@@ -193,7 +193,7 @@ def test_a_fix_with_an_altitude_or_of_another_frame_is_denied(changed: dict[str,
 def test_a_send_time_off_the_boot_clock_costs_half_a_second_of_travel() -> None:
     bench = Bench("ardupilot", gps=False)
     bench.drive(10.0)
-    bench.tell(encoders.external_position(bench.fix(), Sending(1, 0.0, 0.0)))
+    bench.tell(encoders.external_position(bench.fix(), MessageContext(1, 0.0, 0.0)))
     assert bench.autopilot.resets[-1].error_after_m == pytest.approx(0.5 * SPEED_MPS, abs=0.1)
 
 

@@ -5,17 +5,17 @@ import itertools
 import numpy as np
 import pytest
 
-from sim.world.drive import ACCELERATION_MPS2, Drive, plan_drive
+from sim.world.drive import ACCELERATION_MPS2, WorldDrive, plan_drive
 from sim.world.route import KINDS, generate_route
 
 ROUTE = generate_route(7, 600.0)
 
 
-def drive(direction: str = "forward", **options: float) -> Drive:
+def drive(direction: str = "forward", **options: float) -> WorldDrive:
     return plan_drive(ROUTE, direction, seed=3, **options)  # type: ignore[arg-type]
 
 
-def positions(motion: Drive, step_s: float) -> np.ndarray:
+def positions(motion: WorldDrive, step_s: float) -> np.ndarray:
     poses = [motion.pose(t) for t in np.arange(0, motion.duration_s, step_s)]
     return np.array([(pose.east_m, pose.north_m) for pose in poses])
 

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import Message
 from sim.research.trial import gps_histories
-from sim.research.trial.course import GPS_S, CourseDraft, Stretch, is_command
+from sim.research.trial.course import GPS_S, CourseDraft, MapStretch, is_command
 from sim.research.trial.course_rules import (
     HONEST,
     USUAL,
@@ -119,7 +119,7 @@ def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
 def _wrong_in_gap(draft: CourseDraft, gap_m: float, off_m: float) -> None:
     """A gap of the map after 400 m, in the middle of which GPS begins to be so far to the side."""
     agreed_m = draft.length_m - 400.0
-    draft.map = [Stretch(0.0, agreed_m - gap_m), Stretch(agreed_m, draft.length_m)]
+    draft.map = [MapStretch(0.0, agreed_m - gap_m), MapStretch(agreed_m, draft.length_m)]
     from_s, (east_m, north_m) = (400.0 + gap_m / 2) / 8.0, draft.side(off_m)
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong

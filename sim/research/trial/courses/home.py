@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sim.research.trial import gps_histories
-from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, Stretch
+from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, MapStretch
 from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
 from sim.research.trial.courses.gps import follow_history
 from sim.research.trial.courses.registry import course
@@ -40,7 +40,7 @@ def _again(draft: CourseDraft) -> None:
 def _repeat(draft: CourseDraft, value: str) -> None:
     """The same way by a front camera on a front camera's day map, half a meter beside its lane, in this light."""
     draft.home = draft.road(light=value, direction="forward")
-    draft.map = [Stretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
+    draft.map = [MapStretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
     draft.drive(along(draft.home, 0.0, draft.length_m))
 
 
@@ -80,7 +80,7 @@ def _home_in(draft: CourseDraft, value: str) -> None:
     """Out by day, mapped by a rear camera; GPS is lost at the turn; home on that map, in this light."""
     out_and_home(draft, value)
     draft.maps_live = True
-    draft.map = [Stretch(SET_OFF_M, draft.length_m)]
+    draft.map = [MapStretch(SET_OFF_M, draft.length_m)]
     draft.gps_at = lambda time_s: GpsReport()
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.research.trial.course import CONFIRMED_M, GPS_S, Course, CourseDraft, Stretch
+from sim.research.trial.course import CONFIRMED_M, GPS_S, Course, CourseDraft, MapStretch
 from sim.research.trial.course_rules import (
     HONEST,
     USUAL,
@@ -42,7 +42,7 @@ FALSE_BY_M, TWIN_M, CHANGES_M = 300.0, 25.0, 60.0
 def _one_stretch(draft: CourseDraft) -> None:
     """One stretch of 220 m is known, and entered, left and seen from everywhere else."""
     start_m = draft.rng.integers(22) / 21 * (draft.length_m - 220.0)
-    draft.map = [Stretch(start_m, start_m + 220.0)]
+    draft.map = [MapStretch(start_m, start_m + 220.0)]
 
 
 @course("C", "false-{}", 140, 260, 400, rules=(*USUAL, resumes))
@@ -51,9 +51,9 @@ def _false(draft: CourseDraft, value: float) -> None:
     start_m = draft.share(0.3)
     end_m = min(start_m + value, draft.length_m - 60)
     draft.map = [
-        Stretch(0.0, start_m),
-        Stretch(start_m, end_m, off_m=draft.side(FALSE_BY_M)),
-        Stretch(end_m, draft.length_m),
+        MapStretch(0.0, start_m),
+        MapStretch(start_m, end_m, off_m=draft.side(FALSE_BY_M)),
+        MapStretch(end_m, draft.length_m),
     ]
     draft.unsent = [(draft.length_m - end_m, draft.length_m - start_m + 240)]
 
@@ -62,7 +62,7 @@ def _false(draft: CourseDraft, value: float) -> None:
 def _false_no_gps(draft: CourseDraft, value: float) -> None:
     """The same without GPS from boot: nothing but the wrong stretch is known for the first half of the way."""
     _false(draft, value)
-    draft.map = [Stretch(0.0, draft.share(0.15)), draft.map[1]]
+    draft.map = [MapStretch(0.0, draft.share(0.15)), draft.map[1]]
     draft.has_gps = False
 
 
@@ -70,7 +70,7 @@ def _false_no_gps(draft: CourseDraft, value: float) -> None:
 def _false_within(draft: CourseDraft) -> None:
     """400 m within one drive of the map are 300 m wrong, and met first; no GPS from boot, a person drives."""
     off_m, off_within_m = draft.side(FALSE_BY_M), (draft.length_m - 420.0, draft.length_m - 20.0)
-    draft.map = [Stretch(0.0, draft.length_m, off_m=off_m, off_within_m=off_within_m)]
+    draft.map = [MapStretch(0.0, draft.length_m, off_m=off_m, off_within_m=off_within_m)]
     draft.has_gps = draft.steers = False
 
 
@@ -78,8 +78,8 @@ def _false_within(draft: CourseDraft) -> None:
 def _false_recording(draft: CourseDraft, value: float) -> None:
     """410 m of the map are 150 m wrong in two segments of one recording, so far apart; no GPS, a person drives."""
     off_m, name = draft.side(150.0), "a recording"
-    first = Stretch(60.0, 265.0, off_m=off_m, recording=name)
-    draft.map = [first, Stretch(265.0 + value, 470.0 + value, off_m=off_m, recording=name)]
+    first = MapStretch(60.0, 265.0, off_m=off_m, recording=name)
+    draft.map = [first, MapStretch(265.0 + value, 470.0 + value, off_m=off_m, recording=name)]
     draft.has_gps = draft.steers = False
 
 
@@ -111,7 +111,7 @@ def _twin_after(draft: CourseDraft, value: float) -> None:
 @course("C", "late-30", rules=HONEST)
 def _late(draft: CourseDraft) -> None:
     """The map is of a recording whose pictures are 30 m late, and which nobody has aligned."""
-    draft.map = [Stretch(0.0, draft.length_m, late_m=30.0)]
+    draft.map = [MapStretch(0.0, draft.length_m, late_m=30.0)]
 
 
 @course("C", "recording-{}", "25-ahead", "12-aside", least_m=1200.0, rules=(*HONEST, never_called))
@@ -121,7 +121,7 @@ def _recording_off(draft: CourseDraft, value: str) -> None:
     far_m, way = value.split("-")
     from_m, to_m = draft.length_m - 700.0, draft.length_m - 300.0
     off_m = draft.side(float(far_m) * draft.rng.choice((-1.0, 1.0)), 0.0 if way == "ahead" else np.pi / 2)
-    draft.map = [Stretch(0.0, draft.length_m, off_m=off_m, off_within_m=(from_m, to_m))]
+    draft.map = [MapStretch(0.0, draft.length_m, off_m=off_m, off_within_m=(from_m, to_m))]
     draft.gps_at = lambda time_s: GpsReport() if time_s < 650.0 / 8.0 else NO_FIX
     draft.steers = False
     if way == "ahead":
@@ -145,13 +145,13 @@ def _no_gps(draft: CourseDraft) -> None:
 @course("C", "shifted-40", rules=(within_sigmas, not_worse))
 def _shifted(draft: CourseDraft) -> None:
     """The whole map is 40 m wrong."""
-    draft.map = [Stretch(0.0, draft.length_m, off_m=draft.side(40.0))]
+    draft.map = [MapStretch(0.0, draft.length_m, off_m=draft.side(40.0))]
 
 
 @course("C", "two-drives-40", rules=(within_sigmas, not_worse))
 def _two_drives(draft: CourseDraft) -> None:
     """Two drives over the road disagree by 40 m, and nobody says which of them is right."""
-    draft.map = [Stretch(0.0, draft.length_m), Stretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
+    draft.map = [MapStretch(0.0, draft.length_m), MapStretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
 
 
 @course("C", "two-laps", rules=HONEST)
@@ -160,7 +160,7 @@ def _two_laps(draft: CourseDraft) -> None:
     start_m = draft.length_m / 2
     lap = bent(along(draft.home, start_m + 119, start_m))
     draft.drive(lap.then(lap).then(lap).then(lap))
-    draft.map = [Stretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
+    draft.map = [MapStretch(start_m, start_m + 119, on_way=True, off_m=draft.side(FALSE_BY_M))]
     draft.has_gps, draft.steers = False, False
 
 

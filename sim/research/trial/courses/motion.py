@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.research.trial.course import CourseDraft, Stretch
+from sim.research.trial.course import CourseDraft, MapStretch
 from sim.research.trial.course_rules import HONEST, USUAL, known_again, known_at_rest, never_wrong, resumes, sends
 from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import bent, beside, carried_on, carried_to, joined, towed
@@ -61,7 +61,7 @@ def _figure_eight(draft: CourseDraft) -> None:
     right = bent(along(draft.home, draft.length_m - 2, middle_m))
     left = bent(along(draft.home, middle_m - 1, 0.0), to_the_left=True)
     draft.drive(joined(right, left).then(right))
-    draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
+    draft.map = [MapStretch(0.0, draft.length_m, on_way=True)]
 
 
 @course("B", "circle-twice", rules=(*USUAL, sends))
@@ -69,7 +69,7 @@ def _circle_twice(draft: CourseDraft) -> None:
     """The same circle twice."""
     lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
     draft.drive(lap.then(lap))
-    draft.map = [Stretch(0.0, draft.length_m, on_way=True)]
+    draft.map = [MapStretch(0.0, draft.length_m, on_way=True)]
 
 
 @course("B", "laps-12-apart", rules=(*USUAL, sends))
@@ -79,7 +79,7 @@ def _laps_apart(draft: CourseDraft) -> None:
     outwards_m = 30.0
     both = beside(lap.then(lap), lambda m: APART_M * min(max((m - lap.length_m) / outwards_m, 0.0), 1.0))
     draft.drive(both)
-    inside = Stretch(draft.share(0.4), draft.length_m, on_way=True)
+    inside = MapStretch(draft.share(0.4), draft.length_m, on_way=True)
     draft.map = [inside, replace(inside, left_m=-APART_M)]
 
 
@@ -137,7 +137,7 @@ def _standing_start(draft: CourseDraft) -> None:
     """Switched on at rest anywhere on the map of repeat-dusk, without GPS, and with an origin 260 m off; then on."""
     draft.origin_off_m = draft.side(260.0)
     draft.home = draft.road(light="dusk", direction="forward")
-    draft.map = [Stretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
+    draft.map = [MapStretch(0.0, draft.length_m, left_m=-0.5, camera=("front", "day", 1))]
     way = along(draft.home, draft.rng.uniform(0.0, 0.6) * draft.length_m, draft.length_m)
     draft.drive(way, Leg(0.0, then_wait_s=STANDS_S), Leg(way.length_m - 2))
     draft.has_gps = draft.steers = False

@@ -8,28 +8,28 @@ import numpy as np
 import pytest
 
 from edge.config import AcceptanceConfig, RigConfig
-from edge.sequence import Reckoning
+from edge.sequence import DeadReckoningPosition
 from sim.research.evaluation.lengths import USED, WAYS, believed_by, lines_of
 from sim.research.evaluation.lines import alikeness, errors_of
-from sim.research.evaluation.roads import Cut, Described, believe, judge, kept, mapped, rig_of
+from sim.research.evaluation.roads import Cut, DriveDescriptors, believe, judge, kept, mapped, rig_of
 
 PLACES, SPACING_M = 220, 2.0
 
 
-def road(seed: int) -> Described:
+def road(seed: int) -> DriveDescriptors:
     """Neighbors a little alike, as on a road."""
     rng = np.random.default_rng(seed)
     raw = rng.normal(size=(PLACES + 2, 2, 128))
     alike = np.asarray(np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0), np.float32)
     route_m = np.arange(0.0, PLACES) * SPACING_M
-    return Described(alike, route_m, route_m)
+    return DriveDescriptors(alike, route_m, route_m)
 
 
-def way_home(of: Described, noise: float = 0.5) -> Described:
+def way_home(of: DriveDescriptors, noise: float = 0.5) -> DriveDescriptors:
     """The same places backwards, on another day."""
     rng = np.random.default_rng(9)
     raw = of.raw[::-1] + noise * np.abs(rng.normal(size=of.raw.shape)).astype(np.float32)
-    return Described(raw, of.route_m[::-1].copy(), of.driven_m)
+    return DriveDescriptors(raw, of.route_m[::-1].copy(), of.driven_m)
 
 
 @pytest.mark.parametrize(("cut", "parts"), [("whole", 1), ("first half", 1), ("second half", 1), ("thirds", 2)])
@@ -47,7 +47,7 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, 
     assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_from].all()
 
 
-def on_the_ground() -> tuple[Described, Described]:
+def on_the_ground() -> tuple[DriveDescriptors, DriveDescriptors]:
     """A road that leads north, and the way home along it, hard to see."""
     ground_m = np.column_stack([np.zeros(PLACES), road(1).route_m])
     to_north = replace(road(1), east_north_m=ground_m)
@@ -68,7 +68,7 @@ def test_votes_of_halves_begin_where_the_reckoning_does() -> None:
     """Also where it begins again; without one they neither count nor are kept."""
     (of, query), begins = on_the_ground(), 114
     vague = [replace(one, sigma_m=1e6) for one in query.reckoned(-1.0, seed=1)]  # no place is likelier than another
-    reckoned: dict[str, list[Reckoning | None]] = {
+    reckoned: dict[str, list[DeadReckoningPosition | None]] = {
         "always": [*vague],
         "late": [None] * begins + vague[begins:],
         "again": [*vague[: begins - 1], None, *vague[begins:]],

@@ -7,13 +7,13 @@ import pytest
 
 from edge.sequence.consensus import RIGHT_AT_HALF, probability
 from sim.evaluation.metrics import Answers
-from sim.research.evaluation.reliability import Claims, rows_of
+from sim.research.evaluation.reliability import Confidences, rows_of
 
 
 def test_frames_on_the_map_count_as_much_as_all_off_it() -> None:
     on_map = np.array([True, True, True, True, False])
     mapped = Answers(np.array([0.55, 0.55, 0.55, 0.95, 0.55]), np.array([True, True, False, True, False]), on_map)
-    claims = Claims.of(mapped, np.array([0.0, 0.0, 0.55, np.nan]))
+    claims = Confidences.of(mapped, np.array([0.0, 0.0, 0.55, np.nan]))
     tenths = list(claims.tenths())
     # Three of four on the map, of which two are right, and two of five off it.
     assert tenths[5][1:] == pytest.approx((0.55, 2 / 4 / (3 / 4 + 2 / 5)))
@@ -30,7 +30,7 @@ def test_the_fit_finds_the_odds_by_which_the_frames_are_right(at_half: float) ->
     odds = at_half * agreement / (1 - agreement)
     right = rng.random(len(agreement)) < odds / (1 + odds)
     claimed = np.array([probability(float(one)) for one in agreement])
-    claims = Claims(claimed, right, np.full(len(right), 1 / len(right)))
+    claims = Confidences(claimed, right, np.full(len(right), 1 / len(right)))
     assert claims.fitted() == pytest.approx(at_half, rel=0.05)
     if at_half == RIGHT_AT_HALF:
         for count, mean, share in claims.tenths():

@@ -11,7 +11,7 @@ from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.localization import tracker
 from edge.localization.drive_file import DriveFile
-from sim.research.trial.ablate_command import CONSTANTS, Answers, table
+from sim.research.trial.ablate_command import CONSTANTS, AblationAnswers, table
 from tests.golden.harness import HERE
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
@@ -47,7 +47,7 @@ def test_each_row_is_the_same_drive_without_one_thing(tmp_path: Path, capsys: py
 def test_what_hardly_changes_is_named_and_has_no_row() -> None:
     drives = [{"": 200, "too old": 200, "standing": 199, GATE: 190}]
     found = table(
-        [{name: Answers([(1.0, 1.0, 0.0, 0.0)] * count, []) for name, count in one.items()} for one in drives]
+        [{name: AblationAnswers([(1.0, 1.0, 0.0, 0.0)] * count, []) for name, count in one.items()} for one in drives]
     )
     assert [row.split(" | ")[0] for row in found.splitlines()[4:-4]] == ["| nothing", f"| {GATE}"]
     assert found.endswith("nothing else, without: standing.\n\nThe same without: too old.")

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from edge.commands.parser import build_parser
-from edge.localization import Maps, PositionEstimator
+from edge.localization import MapUpdate, PositionEstimator
 from edge.localization.drive_file import DriveFile
 from sim.bundle import LIST
 from sim.research.trial.listed_drive import ListedDrive
@@ -22,7 +22,7 @@ def bundle(folder: Path, *, reports_only: bool) -> Path:
     one = Vehicle(Road(folder, Stretch(0, 600, sigma_m=1.0)))
     file = DriveFile(folder / "it.drive", settings())
     one.drive, one.off_m = PositionEstimator(settings(), file.write), 3.0
-    one.drive.update(0, Maps(one.road.maps))
+    one.drive.update(0, MapUpdate(one.road.maps))
     for row in range(250):
         one.move()
         one.own(has_gps=row < 150)

@@ -11,7 +11,7 @@ import pytest
 from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.geodesy import moved
-from sim.research.trial.noises_command import Errors, Noises, compare, table
+from sim.research.trial.noises_command import MeasurementErrors, Noises, compare, table
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.vehicle.position_inputs import east_north_m
 from sim.world.scenario import Scenario
@@ -55,8 +55,8 @@ def test_lines_are_as_far_off_as_they_were_drawn(found: Noises) -> None:
 def test_a_row_says_how_long_errors_stay() -> None:
     rng = np.random.default_rng(1)
     at_m = (2.0 * np.arange(500)).tolist()
-    noisy = [{"noise": Errors(rng.normal(0, 2, 500).tolist(), [1.0] * 500, at_m)} for _ in range(4)]
-    stays = [{"bias": Errors([side] * 500, [1.0] * 500, at_m)} for side in (-3.0, 3.0)]
+    noisy = [{"noise": MeasurementErrors(rng.normal(0, 2, 500).tolist(), [1.0] * 500, at_m)} for _ in range(4)]
+    stays = [{"bias": MeasurementErrors([side] * 500, [1.0] * 500, at_m)} for side in (-3.0, 3.0)]
     rows = {row.split(" | ")[0]: row.split(" | ")[2:] for row in table([*noisy, *stays]).splitlines()[2:]}
     measured, rms, of_drive, alike, ratio = rows["| noise"]
     assert measured == "2000" and float(rms) == float(ratio[:-2]) == pytest.approx(2.0, abs=0.1)

@@ -27,7 +27,7 @@ from sim import geodetic
 from sim.datasets.flight_logs import tlog_frames
 from sim.research.trial.flight_camera import FlightCamera, Scenes
 from sim.research.trial.flight_score import Score, SentPosition, score
-from sim.research.trial.flights_command import RESETS, Failed, Flight, page, publish, replay_all
+from sim.research.trial.flights_command import RESETS, Flight, ReplayFailure, page, publish, replay_all
 from sim.research.trial.recorded_drive import JOURNAL, LINK, RecordedDrive, first_boot, read_drive
 from tests.golden.harness import HERE
 
@@ -191,10 +191,10 @@ def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) ->
 def test_docs_have_a_line_for_each_kind_and_a_file_of_all_drives(drive: RecordedDrive, tmp_path: Path) -> None:
     empty, sent = score(drive, [], [], []), [SentPosition(1.0, 5.0, 0, error, 0.0, error, 2.0) for error in (1.0, 3.0)]
     flown = msgspec.structs.replace(empty, positions=sent)
-    flights: list[Flight | Failed] = [
+    flights: list[Flight | ReplayFailure] = [
         Flight("ardupilot_a", "ArduPilot, night", empty, flown, [2.0, 2.5, 3.0], [1.0, 2.0, 3.0], [], 1234.0),
         Flight("ardupilot_b", "ArduPilot, night", empty, empty, [4.0, 4.5, 5.0], [1.0, 2.0, 3.0], [], 1000.0),
-        Failed("px4_c", "it has no truth"),
+        ReplayFailure("px4_c", "it has no truth"),
     ]
     page_ = tmp_path / "flights.md"
     page_.write_text("<!-- flights: begin -->\n<!-- flights: end -->\n")

@@ -34,7 +34,7 @@ from sim.research.trial.table import (
 )
 from sim.research.trial.ways import joined, placed
 from sim.trial.driver import Driver, Leg
-from sim.trial.records import Sent, Track
+from sim.trial.records import FixErrors, TruthTrack
 from sim.trial.run import JOURNAL, map_scenario
 from sim.trial.views import RoadLibrary
 from sim.trial.way import along
@@ -116,16 +116,16 @@ def test_every_course_says_what_it_is_about_and_can_be_laid() -> None:
             assert draft.legs[-1].to_m < draft.way.length_m
 
 
-def straight(count: int = 600) -> Track:
+def straight(count: int = 600) -> TruthTrack:
     time_s = np.arange(0.0, count) * 0.1
     zeros = np.zeros(count)
-    return Track(time_s, time_s * 8.0, zeros, zeros + 5.0, time_s < 9.0)
+    return TruthTrack(time_s, time_s * 8.0, zeros, zeros + 5.0, time_s < 9.0)
 
 
 def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> CourseRun:
     """Positions each second from the tenth on."""
     sent_s = np.arange(10.0, 60.0)
-    sent = Sent(sent_s, np.full(50, error_m), np.full(50, sigma_m))
+    sent = FixErrors(sent_s, np.full(50, error_m), np.full(50, sigma_m))
     track = straight()
     run = CourseRun(1, WORLD, track, track, sent, expected=track.time_s >= 9.0, after_m=np.full(50, error_m))
     return replace(run, **changes)  # type: ignore[arg-type]  # fields by name
@@ -136,7 +136,7 @@ CALLED = ((30.0, 4, "Lookback: GPS is wrong by 45 m to the E"),)
 WARNED = ((30.0, 4, "Lookback: not recognized where GPS says we are"),)
 DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
 """45 m wrong from 160 m on."""
-NOTHING = Sent(np.array([]), np.array([]), np.array([]))
+NOTHING = FixErrors(np.array([]), np.array([]), np.array([]))
 BELIEVED = np.array([(5.0, 90.0), (9.0, 3.0), (30.0, 2.0)])
 """A place that is 90 m off, and right ones after 72 and 240 m."""
 
@@ -144,7 +144,7 @@ BELIEVED = np.array([(5.0, 90.0), (9.0, 3.0), (30.0, 2.0)])
 def with_levels(along_m: float, across_m: float) -> CourseRun:
     """One position that is 1 m off along the way and 8 m across it, with these levels."""
     off_m = np.array([[1.0, -8.0]])
-    sent = Sent(np.array([10.0]), np.hypot(*off_m.T), np.array([3.0]), off_m)
+    sent = FixErrors(np.array([10.0]), np.hypot(*off_m.T), np.array([3.0]), off_m)
     return run_of(sent=sent, levels=np.array([[10.01, along_m, across_m]]))
 
 
@@ -173,7 +173,7 @@ def with_levels(along_m: float, across_m: float) -> CourseRun:
         (course_rules.sends, run_of(sent=NOTHING), "share sent 0.00"),
         (course_rules.resumes, run_of(), ""),
         (course_rules.resumes, run_of(sent=NOTHING), "none for 350 m at 42"),
-        (course_rules.resumes, run_of(sent=Sent(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
+        (course_rules.resumes, run_of(sent=FixErrors(*np.array([[10.0], [1.0], [3.0]]))), "none for 200 m at 28"),
         (course_rules.arrives, run_of(), ""),
         (course_rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
         (course_rules.on_its_lane, run_of(), ""),
