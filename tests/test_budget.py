@@ -17,11 +17,11 @@ ROOMS = {
     "edge/health": 300,
     "edge/journal": 400,
     "edge/keypoints": 600,
-    "edge/localization": 3000,
+    "edge/localization": 3050,
     "edge/recognition": 900,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
-    "edge/telemetry": 2800,
+    "edge/telemetry": 2900,
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
     "edge_plugins/doctor": 650,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 34600,
+    "tests": 34700,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

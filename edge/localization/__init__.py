@@ -31,10 +31,10 @@ from edge.localization.events import (
     OdometryUpdate,
     ProtectionLevel,
 )
-from edge.localization.filter import AGREE_SIGMAS, CORRELATION_M
+from edge.localization.filter import CORRELATION_M
 from edge.localization.gps_judge import GpsVerdict
 from edge.localization.integrity import distance_from, offset_m
-from edge.localization.odometer import OdometerCalibration, ScaleFactor
+from edge.localization.odometer import AGREE_SIGMAS, MOST_DRIVES, DriveScale, OdometerCalibration, ScaleFactor, learned
 from edge.localization.own_motion import GyroOdometer
 from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
 from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
@@ -46,6 +46,7 @@ __all__ = [
     "GPS_HEALTHY",
     "GPS_SIGMA_M",
     "MAX_SPEED_MPS",
+    "MOST_DRIVES",
     "NO_PLACES",
     "PERIOD_NS",
     "STANDING",
@@ -53,6 +54,7 @@ __all__ = [
     "AutopilotState",
     "DeadReckoning",
     "Discontinuity",
+    "DriveScale",
     "Entry",
     "EstimatorState",
     "Fix",
@@ -75,6 +77,7 @@ __all__ = [
     "ProtectionLevel",
     "ScaleFactor",
     "distance_from",
+    "learned",
     "offset_m",
     "position_of",
 ]

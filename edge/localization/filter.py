@@ -36,8 +36,6 @@ CORRELATION_M = 60.0
 """Meters driven within which the errors of two sequence matches are about the same."""
 LINE_M = 45.0
 """Correlation length of the error of sequence matches that changes, measured on three roads in five lights."""
-AGREE_SIGMAS = 3.0
-"""Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
 GATE = {1: 9.0, 2: 11.83}
 """Square of that, by the number of dimensions."""
 MAP_M = 200.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,7 +17,9 @@ import numpy as np
 from edge.geodesy import Origin, east_north_of
 from edge.localization.dead_reckoning import MAX_SPEED_MPS
 
-SPAN_M, WITHIN_M, LEAST_M = 5.0, 500.0, 15.0
+AGREE_SIGMAS = 3.0
+"""Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
+SPAN_M, WITHIN_M, LEAST_M = 5.0, 500.0, 10.0
 """Meters of a span that is compared, of all spans that count, and from which on they show anything."""
 STANDS_M = 0.3
 """Less between two readings is no way: there a receiver's position wanders while the vehicle stands."""
@@ -29,6 +32,8 @@ from setting off, an odometer was found to be wrong by 1.8 % too much or too lit
 CHANGES = 0.02
 """What of an odometer's error is not the same before and after, as a share: on 17 recorded drives 0.0015 (rms) from the
 first 60 m to the rest. More than that allows for loads, tires and surfaces that those did not have."""
+LEARNED_M, MOST_DRIVES = 100.0, 20
+"""Meters that a drive must have compared before its scale counts for later ones, and drives that count, the newest."""
 OTHER_M, OTHER = 20.0, 0.04
 """Meters without GPS in which the autopilot must move as the odometer says, but for this share: else it is moved by
 something that GPS has not been compared with."""
@@ -53,6 +58,33 @@ class ScaleFactor(NamedTuple):
         return math.hypot(self.sigma, self.varies)
 
 
+class DriveScale(NamedTuple):
+    """What one drive has found: by which share its odometer measured too little, and one standard deviation of that."""
+
+    mean: float
+    sigma: float
+
+
+def learned(drives: Sequence[DriveScale]) -> ScaleFactor | None:
+    """What earlier drives of a vehicle show of the next one, the newest last; None of fewer than two that agree.
+
+    Only those since the newest one that disagrees with the last one count, by AGREE_SIGMAS and CHANGES: what was found
+    before a tire was changed is void. By how much it varies from drive to drive is what they vary by beyond their
+    standard deviations (a random-effects model), in which CHANGES counts as one more drive.
+    """
+    newest = np.array(drives[-MOST_DRIVES:]).reshape(-1, 2)[::-1]
+    off = np.abs(newest[:, 0] - newest[:1, 0])
+    agrees = off <= AGREE_SIGMAS * np.hypot(np.hypot(newest[:, 1], newest[:1, 1]), CHANGES)
+    count = int(np.argmin([*agrees, False]))
+    if count < 2:
+        return None
+    means, sigmas = newest[:count].T
+    excess = max(0.0, float(np.sum((means - np.mean(means)) ** 2 - (1 - 1 / count) * sigmas**2)))
+    varies = math.sqrt((CHANGES**2 + excess) / count)
+    weights = (sigmas**2 + varies**2) ** -1
+    return ScaleFactor(float(np.average(means, weights=weights)), float(np.sum(weights)) ** -0.5, varies)
+
+
 @dataclass(frozen=True)
 class _Reading:
     """Of the odometer: when, meters, and m/s since the one before."""
@@ -73,9 +105,15 @@ class _Span(NamedTuple):
 
 
 class OdometerCalibration:
-    """Compares an odometer with a receiver, as both come."""
+    """Compares an odometer with a receiver, as both come, and with what earlier drives of the vehicle found."""
 
     def __init__(self) -> None:
+        self.learned: ScaleFactor | None = None
+        """By earlier drives, see `learned`; counts while this drive's receiver does not contradict it."""
+        self.found: DriveScale | None = None
+        """By this drive alone, None before LEARNED_M are compared."""
+        self.is_changed = False
+        """Whether this drive contradicts what was learned, as after a change of tires."""
         self.scale: ScaleFactor | None = None
         """Of the odometer, None while nothing is shown, or where the autopilot does not move by it."""
         self._fixes: deque[tuple[int, Origin]] = deque()
@@ -84,6 +122,10 @@ class OdometerCalibration:
         self._began: tuple[_Reading, Origin] | None = None  # where a span did
         self._spans: deque[_Span] = deque()
         self._without: tuple[float, float] | None = None  # meters by the odometer and by the autopilot, without GPS
+
+    def learn(self, scale: ScaleFactor | None) -> None:
+        """Begin with what earlier drives have found."""
+        self.learned, self.scale = scale, self.scale or scale
 
     def add_fix(self, stamp_ns: int, at: Origin) -> None:
         """Where a healthy receiver was, by a report that came at a time."""
@@ -148,7 +190,7 @@ class OdometerCalibration:
 
     def _found(self) -> ScaleFactor | None:
         if sum(one.driven_m for one in self._spans) < LEAST_M:
-            return None
+            return self.learned
         # By least squares, with how late the receiver is beside LATE_S: from a standstill on, all are late by as much.
         spans = np.array(self._spans)
         design, ways_m, variances = spans[:, [0, 3]], spans[:, 1], spans[:, 2]
@@ -158,5 +200,14 @@ class OdometerCalibration:
         # What differs from span to span by more than a receiver does, differs later on as well: wheels that spin.
         off_m2 = float(np.sum((ways_m - design @ found) ** 2 - variances))
         varies = max(0.0, off_m2) / float(np.sum(spans[:, 0] ** 2))
-        sigma = math.sqrt(covariance[0, 0] + varies / len(spans))
-        return ScaleFactor(float(scale) - 1, sigma, math.sqrt(varies + CHANGES**2))
+        mean, sigma = float(scale) - 1, math.sqrt(covariance[0, 0] + varies / len(spans))
+        if float(np.sum(spans[:, 0])) >= LEARNED_M:
+            self.found = DriveScale(mean, sigma)
+        before = self.learned
+        self.is_changed = before is not None and abs(mean - before.mean) > AGREE_SIGMAS * math.hypot(
+            sigma, before.later
+        )
+        if before is None or self.is_changed:
+            return ScaleFactor(mean, sigma, math.sqrt(varies + CHANGES**2))
+        changes = min(CHANGES, before.varies)
+        return ScaleFactor(before.mean, before.later).and_also(ScaleFactor(mean, sigma, math.sqrt(varies + changes**2)))

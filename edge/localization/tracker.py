@@ -23,7 +23,6 @@ from edge.localization.claims import SPREAD_M, STRETCH_WRONG
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import (
-    AGREE_SIGMAS,
     COMPASS,
     CORRELATION_M,
     GATE,
@@ -36,7 +35,7 @@ from edge.localization.filter import (
     Vector,
 )
 from edge.localization.hypotheses import FilterBank, Name
-from edge.localization.odometer import ScaleFactor
+from edge.localization.odometer import AGREE_SIGMAS, ScaleFactor
 from edge.localization.sighting import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 

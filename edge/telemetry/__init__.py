@@ -8,8 +8,9 @@ again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilo
 Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the
 velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says
 what an answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its
-filter uses GPS. `kept_bound` keeps over a restart what bounds the autopilot's own position. `people` is for people, and
-`encoders` writes all that is sent. `autopilot` joins all into the one object that the daemon polls.
+filter uses GPS. `kept_bound` keeps over a restart what bounds the autopilot's own position, `kept_wheels` what drives
+show of the wheels. `people` is for people, and `encoders` writes all that is sent. `autopilot` joins all into the one
+object that the daemon polls.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ class LinkStatus:
     """What is known of the autopilot's link; degrees (WGS 84), heading clockwise from north; None where not known.
 
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
-    velocity_aid: what measures velocity without GPS by its parameters, "none" where nothing does. gps_verdict,
-    gps_off_m, gps_off, gps_doubt: what the places say of GPS, see GpsVerdict; gps_off in words.
-    sent_ns: CLOCK_MONOTONIC of the newest position that was sent, or with which the autopilot agreed; sent_sigma_m: its
-    standard deviation; level_along_m, level_across_m: its protection level, None where nothing bounds it.
+    velocity_aid: what measures velocity without GPS by its parameters, "none" where nothing does. wheels: by how much
+    these measure too little, in words, by this drive and those before. gps_verdict, gps_off_m, gps_off, gps_doubt:
+    what the places say of GPS, see GpsVerdict; gps_off in words. sent_ns: CLOCK_MONOTONIC of the newest position that
+    was sent, or with which the autopilot agreed; sent_sigma_m: its standard deviation; level_along_m, level_across_m:
+    its protection level, None where nothing bounds it.
     """
 
     state: str
@@ -40,6 +42,7 @@ class LinkStatus:
     gps: str = "unknown"
     gps_why: str = ""
     velocity_aid: str | None = None
+    wheels: str | None = None
     gps_verdict: str = "cannot say"
     gps_off_m: float | None = None
     gps_off: str = ""

@@ -30,6 +30,7 @@ from edge.telemetry import LinkStatus
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.firmware import GPS_SET
 from edge.telemetry.kept_bound import AidingStore
+from edge.telemetry.kept_wheels import KeptWheels, in_percent
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
@@ -41,6 +42,7 @@ from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
+DOUBTED = ("doubtful", "disagrees", "wrong")  # verdicts on GPS
 GPS_SPEED_NS = 500_000_000  # older, the speed is of another moment
 log = logging.getLogger(__name__)
 
@@ -94,6 +96,7 @@ class AutopilotConnection:
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
         self._bound = AidingStore(config.journal, drive, clock_ns())
+        self._wheels = KeptWheels(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
@@ -151,6 +154,7 @@ class AutopilotConnection:
         now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, across_m = level_m(sent[1].level) if sent else (None, None)
+        scale = self.vehicle.velocity.shown.scale
         return LinkStatus(
             state=self.state,
             connection=self.config.connection,
@@ -162,6 +166,7 @@ class AutopilotConnection:
             gps=gps.state(now_ns),
             gps_why=gps.why(now_ns),
             velocity_aid=self.velocity_aid.without_gps,
+            wheels=in_percent(scale) if scale else None,
             gps_verdict=verdict.state,
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
@@ -352,6 +357,7 @@ class AutopilotConnection:
         self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.known.is_bounded)
         if now_ns >= self._bound.due_ns:
             self._bound.keep(now_ns)
+        self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns))
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
