@@ -10,9 +10,10 @@ the position; in their place, if both are too much for a frame. No frame costs m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,36 @@ ROOM = 1.25
 EXACT = 1e-6
 """Places by which a sum of steps may be inexact."""
 
-Mode = Literal["whole", "around", "scanning"]
+
+@dataclass(frozen=True)
+class Everywhere:
+    """All places are searched, of maps that are small enough."""
+
+
+@dataclass(frozen=True)
+class Nowhere:
+    """Nothing is searched, since nobody knows where: the maps are scanned."""
+
+
+@dataclass(frozen=True)
+class Around:
+    """Places around a position; beside: around one that a scan has found, or a belief has confirmed since, as well.
+
+    Where too many places lie there, or none, the maps are scanned until the position or the vehicle has moved on.
+    """
+
+    reach: SearchRegion
+    beside: SearchRegion | None = None
+
+
+@dataclass(frozen=True)
+class Along:
+    """Places before and after one whose position is not known."""
+
+    place_index: int
+
+
+Where: TypeAlias = Everywhere | Nowhere | Around | Along
 Ring = Callable[[], NDArray[np.float32]]
 """All rows of the ring (n, R, D), oldest first, for where the newest one is not enough."""
 NearestOf: TypeAlias = Callable[[int], NDArray[np.intp]]
@@ -55,7 +85,12 @@ def is_regular(map_set: MapSet, frames: int) -> bool:
 
 
 class PlaceSearch:
-    """Cost rows and sequence search, over as many places as a frame may cost."""
+    """Cost rows and sequence search, over as many places as a frame may cost.
+
+    part: what is searched now; None while scanning, since it is not known where to look.
+    """
+
+    part: Submap | None
 
     def __init__(self, map_set: MapSet, config: Config, stopwatch: Callable[[str], None] = lambda stage: None) -> None:
         """`stopwatch("matching")` is called when the costs of a frame are computed, and its search begins."""
@@ -66,19 +101,11 @@ class PlaceSearch:
         self._driven = [0.0]
         """Places, at each row of the ring and the one before, the oldest first."""
         self._span: float = config.sequence_frames  # the most places that lines have room for
-        self.part: Submap | None = None
-        """What is searched now; None while scanning, since it is not known where to look."""
-        self._reach: SearchRegion | None = None  # of the part, if it lies around a position
-        self._beside: SearchRegion | None = (
-            None  # what a scan has found, or a belief has confirmed since, beside a position
-        )
-        self._settled = 0  # the place that a part without positions lies around
-        self._is_fresh = True  # the part was matched with no row of the ring yet
         self._unbelieved = 0  # frames since a place was believed
         self._is_position_known = False  # of the autopilot, at the newest frame
         self._measured_frames = config.sequence_frames  # in a row of which the distance driven is known
         self._is_regular = is_regular(map_set, config.sequence_frames)
-        self._search(self._everything(), None)
+        self._search(Everywhere() if self._is_whole else Nowhere())
 
     @property
     def _most(self) -> int:
@@ -88,11 +115,6 @@ class PlaceSearch:
     @property
     def _is_whole(self) -> bool:
         return self.map_set.index.places <= self._most
-
-    @property
-    def mode(self) -> Mode:
-        """How the next frame is searched."""
-        return "whole" if self._is_whole else "scanning" if self.part is None else "around"
 
     @property
     def folders_in_use(self) -> list[Path]:
@@ -123,23 +145,21 @@ class PlaceSearch:
         self._count_measured(self._config.sequence_frames)
         if self._is_whole and self.part:
             self.part.clear()
-            self._is_fresh = True
         else:
-            self.part = self._reach = self._beside = None
+            self._search(Nowhere())
 
     def grow(self, map_set: MapSet, ring: Ring) -> None:
         """Search a set from now on that has further places after those of the last one; between two frames."""
         was_whole, grows, self.map_set = self._is_whole, map_set.index.places > self.map_set.index.places, map_set
-        if not self._is_whole:
-            if was_whole:
-                self.part = self._reach = None
-            elif self._reach is not None:
-                self._search_around(self._reach)
-        elif grows:
-            before, was_fresh = self.part, self._is_fresh
-            self._search(self._everything(), None)
-            if self.part is not None and before is not None and not was_fresh:
-                self._is_fresh = not self.part.take_over(before, ring(), self._lanes)
+        if self._is_whole and grows:
+            before = self.part
+            self._search(Everywhere())
+            if self.part is not None and before is not None and not before.is_empty:
+                self.part.take_over(before, ring(), self._lanes)
+        elif was_whole and not self._is_whole:
+            self._search(Nowhere())
+        elif isinstance(self._where, Around):
+            self._search(self._where)
 
     def push(
         self,
@@ -185,7 +205,8 @@ class PlaceSearch:
         if self._is_whole:
             return
         self._unbelieved = 0 if place_index is not None else self._unbelieved + 1
-        if place_index is not None and (self._beside is not None or not self._is_position_known):
+        has_beside = isinstance(self._where, Around) and self._where.beside is not None
+        if place_index is not None and (has_beside or not self._is_position_known):
             self._follow(place_index)
 
     @property
@@ -196,51 +217,51 @@ class PlaceSearch:
     def _advance(self, change: NormalizedRows, ring: Ring) -> PlaceMatch | None:
         if self.part is None:
             return None
-        if any(self._lanes.lags) or self._is_fresh:
+        if any(self._lanes.lags) or self.part.is_empty:
             rows = ring()
-            ages = range(len(rows))[::-1] if self._is_fresh else change.ages
+            ages = range(len(rows))[::-1] if self.part.is_empty else change.ages
             costs = lane_costs(self.map_set, rows, ages, self.part.ranges, self._lanes)
         else:
             costs = self.map_set.costs(change.rows, self.part.ranges)
         self._stopwatch("matching")
-        if not self._is_fresh:
-            return self.part.push(costs, change.ages, self._driven[-1])
-        self._is_fresh = False
-        return self.part.refill(costs, self._driven[-len(costs) :])
+        if self.part.is_empty:
+            return self.part.refill(costs, self._driven[-len(costs) :])
+        return self.part.push(costs, change.ages, self._driven[-1])
 
     def _look_around(self, near: SearchRegion) -> None:
         """Search around the position, if the part does not reach as far as it must."""
-        is_by_place = self.part is not None and self._reach is None
+        where = self._where
         # A position says nothing of maps without any, nor of a place that was recognized on one.
-        if not self.map_set.blocks.is_known or (is_by_place and not self._is_doubtful):
+        if not self.map_set.blocks.is_known or (isinstance(where, Along) and not self._is_doubtful):
             return
         must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
-        if self._reach is None or not self._reach.holds(near, must_m):
-            self._search_around(SearchRegion(near.lat_deg, near.lon_deg, must_m + SLACK_M))
+        if not (isinstance(where, Around) and where.reach.holds(near, must_m)):
+            reach = SearchRegion(near.lat_deg, near.lon_deg, must_m + SLACK_M)
+            self._search(Around(reach, where.beside if isinstance(where, Around) else None))
 
     def _follow(self, place_index: int) -> None:
         """Move the part on before the vehicle comes to its end."""
-        reach, around = self._beside or self._reach, self._around(place_index)
-        if reach is None or around is None:
-            moved = abs(place_index - self._settled) > self._most // 8
-            far = reach is not None or around is not None or moved
+        where, around = self._where, self._around(place_index)
+        if isinstance(where, Around) and around is not None:
+            reach = where.beside or where.reach
+            is_far = not reach.holds(around, reach.radius_m - SLACK_M)
+        elif isinstance(where, Along) and around is None:
+            is_far = abs(place_index - where.place_index) > self._most // 8
         else:
-            far = not reach.holds(around, reach.radius_m - SLACK_M)
-        if far:
+            is_far = True
+        if is_far:
             self._settle(place_index)
 
     def _settle(self, place_index: int) -> None:
         """Search around a place from the next frame on, and around the autopilot's position, which may be right."""
         self._unbelieved = 0
-        around, position = self._around(place_index), self._reach if self._is_position_known else None
-        self._beside = around if position is not None else None
-        if around is not None:
-            self._search_around(position or around)
-            return
-        first, end = self.map_set.index.whole(place_index)
-        some = self._most // 4
-        self._search([(max(first, place_index - some), min(end, place_index + some))], None)
-        self._settled = place_index
+        where, around = self._where, self._around(place_index)
+        if around is None:
+            self._search(Along(place_index))
+        elif isinstance(where, Around) and self._is_position_known:
+            self._search(Around(where.reach, around))
+        else:
+            self._search(Around(around))
 
     def _around(self, place_index: int) -> SearchRegion | None:
         """A place's own surroundings, None where its position is not known."""
@@ -250,24 +271,29 @@ class PlaceSearch:
         radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
         return SearchRegion(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
-    def _search_around(self, reach: SearchRegion) -> None:
-        near, beside = self._within(reach), self._within(self._beside) if self._beside else []
-        self._search(self.map_set.index.widened(sorted(near + beside), math.ceil(self._span)), reach)
-        if self.part is None and beside:
-            self._search(self.map_set.index.widened(beside, math.ceil(self._span)), reach)
+    def _search(self, where: Where) -> None:
+        """Search there from the next frame on: in the first of some parts that is not too much for a frame."""
+        self._where = where
+        fits = (some for some in self._parts(where) if 0 < sum(end - start for start, end in some) <= self._most)
+        ranges = next(fits, None)
+        self.part = self._submap(ranges) if ranges else None
+
+    def _parts(self, where: Where) -> Iterator[Ranges]:
+        """What may be searched there, the best first."""
+        index = self.map_set.index
+        if isinstance(where, Everywhere):
+            yield [(0, index.places)]
+        elif isinstance(where, Along):
+            first, end = index.whole(where.place_index)
+            some = self._most // 4
+            yield [(max(first, where.place_index - some), min(end, where.place_index + some))]
+        elif isinstance(where, Around):
+            near, beside = self._within(where.reach), self._within(where.beside) if where.beside else []
+            yield index.widened(sorted(near + beside), math.ceil(self._span))
+            yield index.widened(beside, math.ceil(self._span))
 
     def _within(self, reach: SearchRegion) -> Ranges:
         return self.map_set.blocks.within(reach.lat_deg, reach.lon_deg, reach.radius_m)
-
-    def _everything(self) -> Ranges:
-        return [(0, self.map_set.index.places)] if self._is_whole else []
-
-    def _search(self, ranges: Ranges, reach: SearchRegion | None) -> None:
-        """Make some ranges the part that is searched; with none, or too many for a frame, there is no part."""
-        count = sum(end - start for start, end in ranges)
-        is_some = 0 < count <= self._most
-        self.part = self._submap(ranges) if is_some else None
-        self._reach, self._is_fresh = reach, True
 
     def _submap(self, ranges: Ranges) -> Submap:
         return Submap(ranges, self.map_set, self._config, self._span, halves=True, is_measured=self._is_measured)
@@ -292,8 +318,7 @@ class PlaceSearch:
         span = length * (now - self._driven[0]) / (len(self._driven) - 1)
         if span > self._span + EXACT or length < self._span > 2 * ROOM * span:
             self._span = max(length, ROOM * span)
-            if self.part is not None:
-                self.part, self._is_fresh = self._submap(self.part.ranges), True
+            self._renew()
 
     def _measure(self, is_measured: bool) -> None:
         self._count_measured(self._measured_frames + 1 if is_measured and self._is_regular else 0)
@@ -301,5 +326,10 @@ class PlaceSearch:
     def _count_measured(self, frames: int) -> None:
         """Search other slopes where distance is known now, and was not within the sequence; or the reverse."""
         was_measured, self._measured_frames = self._is_measured, frames
-        if self.part is not None and self._is_measured != was_measured:
-            self.part, self._is_fresh = self._submap(self.part.ranges), True
+        if self._is_measured != was_measured:
+            self._renew()
+
+    def _renew(self) -> None:
+        """Match the part anew, whose lines are others now."""
+        if self.part is not None:
+            self.part = self._submap(self.part.ranges)

@@ -153,7 +153,7 @@ class SequenceSearch:
 
     def clear(self) -> None:
         """Discard all rows: the next line begins with the next row."""
-        self._rows = 0
+        self.rows = 0  # in the ring
         # All rows before the first are alike everywhere, so that it does not matter where they were.
         self._drive([self._driven[-1]] * (self.length + 1))
         self._ring[:] = self._nothing
@@ -201,7 +201,7 @@ class SequenceSearch:
                 if span < self._places:
                     sums[:, span:] -= leaving[:, : self._places - span]
         self._ring[self._newest] = entering
-        self._rows = min(self._rows + 1, self.length)
+        self.rows = min(self.rows + 1, self.length)
 
     def refill(self, rows: NDArray[np.int32], driven: Sequence[float] | None = None) -> None:
         """Replace the whole ring by rows (n <= length, orders, N), oldest first, the last being a new frame's.
@@ -213,7 +213,7 @@ class SequenceSearch:
         self._ring[:] = self._nothing
         for age, costs in enumerate(rows[::-1]):
             self._ring[(self._newest - age) % self.length] = self._by_plane(costs)
-        self._rows, self._kept = len(rows), set()
+        self.rows, self._kept = len(rows), set()
         self._sum_up(self.length)
 
     def replace(self, age: int, costs: NDArray[np.int32]) -> None:
@@ -243,7 +243,7 @@ class SequenceSearch:
         against: places (N,) at which none ends in a direction, by direction. length: rows, of the ring if None.
         """
         length = length or self.length
-        if self._rows < (min(length, FIRST_FRAMES) if self._open_ends else length):
+        if self.rows < (min(length, FIRST_FRAMES) if self._open_ends else length):
             return None
         if length not in self._kept:
             self._sum_up(length)
@@ -280,7 +280,7 @@ class SequenceSearch:
 
     def recent(self, plane: Alignment) -> NDArray[np.int32]:
         """The rows in the ring as that plane's lines see them, (n <= length, N) in map order, oldest first; a copy."""
-        slots = np.arange(self._newest - self._rows + 1, self._newest + 1) % self.length
+        slots = np.arange(self._newest - self.rows + 1, self._newest + 1) % self.length
         at = self._mirror(plane, np.arange(self._places))[self._at]
         rows: NDArray[np.int32] = self._ring[slots[:, np.newaxis], self.planes.index(plane), at]
         return rows
@@ -288,7 +288,7 @@ class SequenceSearch:
     @property
     def step(self) -> float:
         """Places driven from one row to the next, on average."""
-        return (self._driven[-1] - self._driven[-self._rows]) / max(1, self._rows - 1)
+        return (self._driven[-1] - self._driven[-self.rows]) / max(1, self.rows - 1)
 
     def passed(self, plane: int, place: int, length: int | None = None) -> NDArray[np.float64]:
         """Places that the best line of a plane and length that ends there has passed since each row, the newest first.
@@ -299,7 +299,7 @@ class SequenceSearch:
         at = at if self.planes[plane][0] == "forward" else self._places - 1 - at
         sums = self._sums[length].at(np.array([plane]), np.array([at]))[:, 0]
         whole = np.where(self._room[plane, at] >= self._reaches(length), sums, NO_LINE)
-        driven = np.array(self._driven[: -1 - min(self._rows, length) : -1])
+        driven = np.array(self._driven[: -1 - min(self.rows, length) : -1])
         passed: NDArray[np.float64] = self._slopes[int(whole.argmin())] * (driven[0] - driven)
         return passed
 

@@ -79,6 +79,11 @@ class RowMatcher:
         self.newest: NDArray[np.int32] = np.zeros((1, 0), dtype=np.int32)
         """Costs (orders, N) of the newest row, in units of COST_ONE."""
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no row yet."""
+        return self._search.rows == 0
+
     def push(
         self, costs: NDArray[np.int32], ages: Sequence[int] = (0,), driven: float | None = None
     ) -> PlaceMatch | None:
@@ -171,18 +176,17 @@ class Submap(RowMatcher):
             is_measured=is_measured,
         )
 
-    def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> bool:
+    def take_over(self, before: Submap, ring: NDArray[np.float32], lanes: Lanes) -> None:
         """Go on from a part that has the first of these places, so that only the others are matched with the ring.
 
-        ring: its rows (n, R, D), oldest first. lanes: see `lane_costs`. False if the others can be passed in other
-        directions or region orders, so that this part has to be matched with all rows.
+        ring: its rows (n, R, D), oldest first. lanes: see `lane_costs`. Where the others can be passed in other
+        directions or region orders, this part stays empty, and has to be matched with all rows.
         """
         if before._search.planes != self._search.planes:
-            return False
+            return
         further = [(len(before.places), len(self.places))]
         costs = lane_costs(self._map_set, ring, range(len(ring))[::-1], further, lanes)
         self._search.take_over(before._search, costs)
-        return True
 
     def head(self, course_rad: float | None) -> None:
         """Search from the next row on only what leads along a course; everything if that is not known."""

@@ -234,6 +234,18 @@ def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[in
     assert drive.search.part is None
 
 
+def test_after_a_gap_a_place_that_is_believed_by_looks_is_searched_around(
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+) -> None:
+    """Also where the last one was near it."""
+    drive = Drive(MapSet.of(long_map), look)
+    drive.go(range(2500, 2600))
+    drive.search.clear()
+    drive.search.follow(2600)
+    assert drive.search.part is not None
+    assert 2600 in drive.search.part.places
+
+
 def test_after_a_gap_the_position_is_searched_around_again(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
