@@ -1,7 +1,5 @@
 """How far the place belief can be trusted: simulated roads, front against rear, all of the road mapped or part of it.
 
-    python -m sim.research.evaluation.belief --seeds 8117 8221 --cache FOLDER [--networks grid fc6] [--page PAGE]
-
 A rear camera maps each road by day. A front camera drives it the same way by dusk, night, rain and snow, home by dusk
 and night, and both ways by day, which only gives the rig's offset. The course is known. GPS was lost where the drive
 begins: what is reckoned since is off by a random share of the distance, 5 % to one standard deviation in each
@@ -9,11 +7,11 @@ direction, and says so; each drive is driven with some such errors.
 The second table has what is believed off the map, on a drive over the next seed's road as if it lay beside the mapped
 one, crossed it or left it, with GPS now and 500 m after it was lost; and on the mapped road itself, as if it were a
 twin of it 25 m beside, where nothing but the reckoning can say that it is not.
---page writes all of it between the marks of a page.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -41,7 +39,6 @@ from sim.research.evaluation.roads import (
     judge_world,
     worlds,
 )
-from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import LightName
 
 GROUPS: Sequence[tuple[str, Direction, tuple[LightName, ...]]] = (
@@ -118,26 +115,17 @@ LAYOUTS: dict[str, Sequence[Layout]] = {
 """Where the other road lies; those of one name share a row."""
 
 
-def main() -> None:
-    """Print the tables for each network, or write them into a page."""
-    parser = options(__doc__, 1000.0)
-    parser.add_argument("--networks", nargs="+", default=["grid"], help="names, files or folders of networks")
-    parser.add_argument("--draws", type=int, default=4, help="of the reckoning's errors, for each drive (default 4)")
-    args = parser.parse_args()
+def rows(args: argparse.Namespace) -> Iterator[str]:
+    """How far the place belief can be trusted: parts of the roads mapped, then roads that are on no map."""
     roads = args.seeds, args.length, args.cache
     seen = {name: list(worlds(*roads, Network.load(Path(name)))) for name in args.networks}
-    publish("belief", tables(seen, args.draws), args.page)
-
-
-def tables(seen: dict[str, list[World]], draws: int) -> Iterator[str]:
-    """Of each network: parts of the roads mapped, then roads that are on no map."""
     yield f"| network, drive | {' | '.join(SHOWN)} | lowest |"
     yield "|---|" + "---|" * (len(SHOWN) + 1)
     wrong = []
     for name, of_network in seen.items():
         judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore]]]] = {}
         for road, drives in of_network:
-            for case, alone, drawn in judge_world(road, drives, draws):
+            for case, alone, drawn in judge_world(road, drives, args.draws):
                 judged.setdefault(case, []).append((alone, drawn))
         yield from _rows(name, judged)
         found = [one for of_case in judged.values() for one in of_case]
@@ -173,7 +161,7 @@ def _rows(name: str, judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore
         for cut in CUTS:
             found = [one for light in lights for one in judged[way, light, cut]]
             alone, drawn = [one for one, _ in found], [one for _, of_drive in found for one in of_drive]
-            cells += [f"{_cell(alone)} -> {_cell(drawn)}"] * (cut in SHOWN)
+            cells += [f"{cell(alone)} -> {cell(drawn)}"] * (cut in SHOWN)
             lowest = min(lowest, *map(_recall, drawn))
         yield f"| {name}, {words} | {' | '.join(cells)} | {lowest:.2f} |"
 
@@ -182,7 +170,7 @@ def _recall(judged: BeliefScore) -> float:
     return at_threshold(judged.belief, AcceptanceConfig().confidence_from)[1]
 
 
-def _cell(judged: Sequence[BeliefScore]) -> str:
+def cell(judged: Sequence[BeliefScore]) -> str:
     """Recall at the default threshold, and the median meters to the first right belief on each part of the map."""
     recall = at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
     parts = max(len(one.first_m) for one in judged)
@@ -203,7 +191,3 @@ def _off_map(seen: Sequence[World], layouts: Sequence[Layout], lost_m: float) ->
                 alone.append(found.by_votes[is_off])
                 both.append(found.confidence[is_off])
     return np.concatenate(alone), np.concatenate(both)
-
-
-if __name__ == "__main__":
-    main()

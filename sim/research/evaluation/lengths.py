@@ -1,13 +1,12 @@
 """How long lines should be whose votes are believed: 80 m, 40 m, or either; on simulated roads, a part of them mapped.
 
-    python -m sim.research.evaluation.lengths --seeds 12101 --cache FOLDER [--draws 1] [--page docs/evaluation.md]
-
 The roads, drives and errors of `sim.research.evaluation.belief`. The lines of each frame are searched once, and their
 votes are added up in several ways.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,17 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from edge.config import AcceptanceConfig, Config, RigConfig
+from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
-from edge.localization import Odometry
-from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
-from edge.sequence import MotionPrior
 from edge.sequence.consensus import ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
 from edge.sequence.prior import Prior
-from sim.compare.scores import at_threshold, joined
-from sim.research.evaluation.belief import GROUPS, wrong_frames
+from sim.research.evaluation.belief import GROUPS, cell, wrong_frames
 from sim.research.evaluation.roads import (
     CALIBRATION,
     DEFAULT_SAMPLING,
@@ -37,6 +32,7 @@ from sim.research.evaluation.roads import (
     DriveDescriptors,
     World,
     believe,
+    driven,
     judge,
     kept,
     mapped,
@@ -44,7 +40,6 @@ from sim.research.evaluation.roads import (
     rig_of,
     worlds,
 )
-from sim.research.evaluation.tables import options, publish
 
 PARTS: tuple[Cut, ...] = ("second half", "thirds")
 Lines = list[tuple[tuple[PlaceVote | None, PlaceVote | None], bool]]
@@ -81,20 +76,12 @@ WAYS: dict[str, Sequence[Voters]] = {
 """Of several voters, the most certain is believed."""
 
 
-def main() -> None:
-    """Print the table, or write it into a page."""
-    parser = options(__doc__, 1000.0)
-    parser.add_argument("--draws", type=int, default=1, help="of the reckoning's errors, for each drive (default 1)")
-    args = parser.parse_args()
+def rows(args: argparse.Namespace) -> Iterator[str]:
+    """How long lines should be: recall and meters to the first right belief by each way to add votes; what is wrong."""
     seen = worlds(args.seeds, args.length, args.cache, Network.load(Path("grid")))
-    publish("lengths", rows(seen, args.draws), args.page)
-
-
-def rows(seen: Iterator[World], draws: int) -> Iterator[str]:
-    """Recall and meters to the first right belief of each way to add votes up; then what is wrong."""
     found: dict[tuple[str, Case], list[BeliefScore]] = {}
     for world in seen:
-        for way, case, judged in _judged(world, draws):
+        for way, case, judged in _judged(world, args.draws):
             found.setdefault((way, case), []).append(judged)
     heads = [f"{words}: {part}" for words, _, _ in GROUPS for part in PARTS]
     yield f"| lines | {' | '.join(heads)} | wrong |"
@@ -103,16 +90,10 @@ def rows(seen: Iterator[World], draws: int) -> Iterator[str]:
         cells = []
         for _, direction, lights in GROUPS:
             for part in PARTS:
-                cells.append(_cell([one for light in lights for one in found[way, (direction, light, part)]]))
+                cells.append(cell([one for light in lights for one in found[way, (direction, light, part)]]))
         ones = [one for (name, _), of_case in found.items() if name == way for one in of_case]
         wrong, frames = sum(map(wrong_frames, ones)), sum(len(one.belief.correct) for one in ones)
         yield f"| {way} | {' | '.join(cells)} | {wrong} of {frames} |"
-
-
-def _cell(judged: Sequence[BeliefScore]) -> str:
-    recall = at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
-    first_m = [np.median(of_part) for of_part in zip(*(one.first_m for one in judged), strict=True)]
-    return f"{recall:.3f}; {', '.join(f'{one:.0f}' for one in first_m)} m"
 
 
 def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, BeliefScore]]:
@@ -133,13 +114,8 @@ def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, BeliefScore]]
 
 def lines_of(map_set: MapSet, query: DriveDescriptors, rig: RigConfig) -> Lines:
     """What a drive sees on a map, without a reckoning."""
-    assert query.east_north_m is not None
-    matcher, turn_around = SequenceMatcher(map_set, Config(rig=rig, sampling=DEFAULT_SAMPLING)), TurnAround()
     drives, found = Drives(map_set, SPACING_M), []
-    frames = zip(query.raw.astype(np.float32), query.driven_m.tolist(), query.east_north_m.tolist(), strict=True)
-    for raw, driven_m, at_m in frames:
-        turn_around.add(Odometry(0, *at_m))
-        matcher.push(raw, MotionPrior(driven_m, course_rad=turn_around.course_rad))
+    for matcher, _ in driven(map_set, query, Config(rig=rig, sampling=DEFAULT_SAMPLING)):
         whole, half = (
             PlaceVote.of(line, drives, rig) if line else None for line in (matcher.best, matcher.search.shorter)
         )
@@ -169,7 +145,3 @@ def believed_by(map_set: MapSet, query: DriveDescriptors, lines: Lines, voters: 
             best = max(beliefs, key=lambda belief: belief.confidence)
             along_m[frame], confidence[frame] = best.along_m, best.confidence
     return Beliefs(along_m, confidence, along_m, confidence, along_m, confidence)
-
-
-if __name__ == "__main__":
-    main()

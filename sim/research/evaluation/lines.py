@@ -1,7 +1,5 @@
 """How far off along the road believed lines are: by direction and light, by sharpness, and over how many meters alike.
 
-    python -m sim.research.evaluation.lines --seeds 9203 12101 --cache FOLDER [--page docs/evaluation.md]
-
 The roads and drives of `sim.research.evaluation.belief`, all of the road mapped. The middle of each line that is
 believed by the votes alone, less where the vehicle was at the mean of its frames, above 0 ahead of it. One offset of
 the rig serves each direction: the median by day, of all roads.
@@ -9,7 +7,8 @@ the rig serves each direction: the median by day, of all roads.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,12 +18,9 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
-from edge.localization import Odometry
-from edge.localization.dead_reckoning import TurnAround
 from edge.localization.place_fix import line_middle
-from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Route
-from edge.sequence import Direction, MotionPrior
+from edge.sequence import Direction
 from sim.research.evaluation.roads import (
     CALIBRATION,
     DEFAULT_SAMPLING,
@@ -35,10 +31,10 @@ from sim.research.evaluation.roads import (
     TOLERANCE_M,
     DriveDescriptors,
     Floats,
+    driven,
     mapped,
     worlds,
 )
-from sim.research.evaluation.tables import options, publish
 from sim.world.scenario import LightName
 
 SHARPNESS = (-np.inf, 0.05, 0.1, np.inf)
@@ -60,31 +56,14 @@ class SequenceErrors:
         return np.abs(self.off_m) <= TOLERANCE_M
 
 
-def main() -> None:
-    """Print the table, or write it into a page."""
-    args = options(__doc__, 1000.0).parse_args()
-    network = Network.load(Path("grid"))
-    rig = RigConfig(left_reverse_m=HOME_LEFT_M)
-    found: dict[tuple[Direction, LightName, int], SequenceErrors] = {}
-    for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, network)):
-        for way in DIRECTIONS:
-            for light in (CALIBRATION, *LIGHTS[way]):
-                found[way, light, number] = errors_of(road, drives[light, way], way, rig)
-    publish("lines", rows(found), args.page)
-
-
 def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, rig: RigConfig) -> SequenceErrors:
     """Of each frame of a drive over a road, all of it mapped; rig: with the drive's lane, and no offset."""
-    assert query.east_north_m is not None
     config = Config(rig=rig, sampling=DEFAULT_SAMPLING)
-    length, sign, turn_around = config.sequence_frames, 1 if way == "forward" else -1, TurnAround()
+    length, sign = config.sequence_frames, 1 if way == "forward" else -1
     off_m, sharpness = np.full((2, len(query.raw)), np.nan)
     with mapped(road, "whole") as map_set:
-        matcher, route = SequenceMatcher(map_set, config), Route(map_set)
-        for frame, raw in enumerate(query.raw.astype(np.float32)):
-            turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
-            travel = MotionPrior(float(query.driven_m[frame]), course_rad=turn_around.course_rad)
-            match = matcher.push(raw, travel)
+        route = Route(map_set)
+        for frame, (_, match) in enumerate(driven(map_set, query, config)):
             if match is None or not match.accepted or frame < length - 1:
                 continue
             line = line_middle(match, route, length)
@@ -94,8 +73,14 @@ def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, r
     return SequenceErrors(off_m, sharpness)
 
 
-def rows(found: Mapping[tuple[Direction, LightName, int], SequenceErrors]) -> Iterator[str]:
-    """A Markdown table: a row for each direction and light, and one for each direction in all."""
+def rows(args: argparse.Namespace) -> Iterator[str]:
+    """How far off along the road believed lines are: for each direction and light, and for each direction in all."""
+    rig = RigConfig(left_reverse_m=HOME_LEFT_M)
+    found: dict[tuple[Direction, LightName, int], SequenceErrors] = {}
+    for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, Network.load(Path("grid")))):
+        for way in DIRECTIONS:
+            for light in (CALIBRATION, *LIGHTS[way]):
+                found[way, light, number] = errors_of(road, drives[light, way], way, rig)
     heads = "lines; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
     spans = f"below {SHARPNESS[1]:g}, to {SHARPNESS[2]:g}, above"
     lags = ", ".join(map(str, LAGS_M))
@@ -144,7 +129,3 @@ def alikeness(drives: list[Floats], lag_m: float) -> float:
     both = np.concatenate(pairs, axis=1)
     one, other = both[:, ~np.isnan(both).any(axis=0)]
     return float((one @ other) / np.sqrt((one @ one) * (other @ other)))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""What is believed on maps with keypoints and on the same maps without: what `sim.research.evaluation.poses` adds.
+"""What is believed on maps with keypoints and on the same maps without: what `poses` finds drives for.
 
 The daemon's own recognizer gets the frames of simulated drives, the course, and an odometer that counts 1 % too much.
 """

@@ -1,25 +1,18 @@
 """One look at a map with keypoints, on simulated roads, as the tables of docs/keypoints.md: poses, or what is believed.
 
-    python -m sim.research.evaluation.poses 9601 9602 --folder DRIVES --write docs/keypoints.md
-    python -m sim.research.evaluation.poses 9821 9822 9823 --believed --folder DRIVES --write docs/keypoints.md
-    python -m sim.research.evaluation.poses 9811 9812 --repeats --folder DRIVES --write docs/keypoints.md
-    python -m sim.research.evaluation.poses 9601 --folder DRIVES --light dusk --map-mounted 3 0
-
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
-What is believed: see `looks`; --off-map prints what is believed where no place is right. What is made stays in the
-folder, and is not made again.
+What is believed: see `looks`.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -36,7 +29,6 @@ from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
 from sim.research.evaluation import looks
-from sim.research.evaluation.tables import publish
 from sim.world.recording import record_drive
 from sim.world.scenario import LightName, Scenario
 
@@ -47,62 +39,40 @@ DRIVES: dict[str, tuple[View, Scenario]] = {
 }
 """The view of the map's camera, and the drive on it: half a meter beside, and in the lane of the way home."""
 LIGHTS: tuple[LightName, ...] = ("dusk", "night", "snow")
+ALL_LIGHTS = sorted({*LIGHTS, *(light for some in looks.LIGHTS.values() for light in some)})
 AROUND = 2
 DRAWS = 100
 """Between the seeds of two draws of a drive: of its speed, other cars, lit windows and noise."""
 
 
-def main() -> None:
-    """Measure, print and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("roads", nargs="+", type=int, metavar="SEED")
-    parser.add_argument("--folder", type=Path, required=True, help="where drives and maps are kept")
-    parser.add_argument("--believed", action="store_true", help="what the recognizer believes, in place of poses")
-    parser.add_argument("--repeats", action="store_true", help="what it believes on straight streets built alike")
-    parser.add_argument("--off-map", action="store_true", help="what it believes where no place is right; not written")
-    draws = "drives of each light on each road, for what is believed (default 1)"
-    parser.add_argument("--draws", type=int, default=1, metavar="N", help=draws)
-    parser.add_argument("--write", type=Path, metavar="PAGE")
-    lights = sorted({*LIGHTS, *(light for some in looks.LIGHTS.values() for light in some)})
-    parser.add_argument("--light", choices=lights, action="append", help="only this one")
-    for option, whose in (("--map-mounted", "the map's"), ("--mounted", "the other")):
-        about = f"degrees by which {whose} camera looks down, and to the right"
-        parser.add_argument(option, type=float, nargs=2, default=(0.0, 0.0), metavar=("DOWN", "RIGHT"), help=about)
-    args = parser.parse_args()
-    cv2.setNumThreads(1)
+def rows(args: argparse.Namespace) -> Iterator[str]:
+    """What the poses of looks are off by, without any filter."""
     mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
-    if args.repeats:
-        streets = {
-            repeats_m: looks.Tables(
-                args.roads,
-                partial(_long_map, args.folder, mounts[0], repeats_m),
-                [partial(_long, args.folder, mounts[1], repeats_m, draw) for draw in range(args.draws)],
-            )
-            for repeats_m in looks.REPEATS_M
-        }
-        publish("streets", looks.on_streets(streets), args.write)
-    elif args.believed or args.off_map:
-        tables = looks.Tables(
-            args.roads,
-            partial(_long_map, args.folder, mounts[0], 0),
-            [partial(_long, args.folder, mounts[1], 0, draw) for draw in range(args.draws)],
-        )
-        if args.believed:
-            publish("looks", tables.on_map(args.light), args.write)
-        if args.off_map:
-            publish("off the map", tables.off_map(), None)
-    else:
-        cases = product(DRIVES, args.light or LIGHTS)
-        publish("poses", _poses(args.folder, args.roads, cases, mounts), args.write)
-
-
-def _poses(
-    folder: Path, roads: Sequence[int], cases: Iterable[tuple[str, LightName]], mounts: tuple[_Mount, _Mount]
-) -> Iterator[str]:
     yield "| drive | with a pose | along | across | heading | rms over sigma |"
     yield "|---" * 6 + "|"
-    for drive, light in cases:
-        yield _row(f"{drive}, {light}", [_of_road(folder, drive, light, road, *mounts) for road in roads])
+    for drive, light in product(DRIVES, args.light or LIGHTS):
+        yield _row(f"{drive}, {light}", [_of_road(args.cache, drive, light, road, *mounts) for road in args.seeds])
+
+
+def looks_on_map(args: argparse.Namespace) -> Iterator[str]:
+    """What the recognizer believes, with keypoints and without."""
+    yield from _tables(args, args.draws).on_map(args.light)
+
+
+def looks_off_map(args: argparse.Namespace) -> Iterator[str]:
+    """What it believes where no place is right."""
+    yield from _tables(args, 1).off_map()
+
+
+def looks_on_streets(args: argparse.Namespace) -> Iterator[str]:
+    """What it believes on straight streets built alike."""
+    yield from looks.on_streets({repeats_m: _tables(args, args.draws, repeats_m) for repeats_m in looks.REPEATS_M})
+
+
+def _tables(args: argparse.Namespace, draws: int, repeats_m: float = 0) -> looks.Tables:
+    """draws: drives of each light on each road."""
+    drives = [partial(_long, args.cache, _Mount(*args.mounted), repeats_m, draw) for draw in range(draws)]
+    return looks.Tables(args.seeds, partial(_long_map, args.cache, _Mount(*args.map_mounted), repeats_m), drives)
 
 
 def _long(folder: Path, mounted: _Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
@@ -221,7 +191,3 @@ def _turned(moved_m: NDArray[np.float64], heading: float) -> tuple[float, float]
     """East and north as right and ahead."""
     cos, sin = np.cos(heading), np.sin(heading)
     return float(moved_m @ (cos, -sin)), float(moved_m @ (sin, cos))
-
-
-if __name__ == "__main__":
-    main()

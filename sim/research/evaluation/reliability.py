@@ -1,15 +1,13 @@
 """Whether a confidence of 0.7 is right in 7 of 10 frames: on simulated roads, and on real streets front against rear.
 
-    python -m sim.research.evaluation.reliability --roads 2017 2129 2237 2339 --roads 3037 3049 --length 1200 \\
-        --feeds FEEDS --cache FOLDER [--page docs/evaluation.md --picture docs/pictures/reliability.png]
-
 Frames on the map count as much as all frames off it: those where a part of the road is not mapped, and drives over
-roads that are on no map. Each `--roads` is a set of seeds, whose frames alone also give a `consensus.RIGHT_AT_HALF`. Of
+roads that are on no map. Each `--seeds` is a set of roads, whose frames alone also give a `consensus.RIGHT_AT_HALF`. Of
 real streets each scene is recognized on the map of all scenes, and on that of all others.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -28,7 +26,6 @@ from sim.compare.scores import joined
 from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.roads import World, foreign_confidence, judge_world, worlds
-from sim.research.evaluation.tables import options, publish
 
 TENTHS, LEAST_SHOWN = 10, 7
 """What is believed has more than the second; the picture shows all."""
@@ -128,26 +125,15 @@ def plot(claims: dict[str, Confidences]) -> bytes:
     return to_png(figure)
 
 
-def main() -> None:
-    """Print, write and draw how right the confidence is."""
-    parser = options(__doc__, 1200.0, seeds=False)
-    parser.add_argument(
-        "--roads", type=int, nargs="+", action="append", required=True, help="seeds of a set of roads; may be repeated"
-    )
-    parser.add_argument("--feeds", type=Path, help="folder with the recordings of the plan real_front_rear")
-    parser.add_argument("--picture", type=Path, help="draw it into this file")
-    args = parser.parse_args()
+def rows(args: argparse.Namespace) -> Iterator[str]:
+    """Whether a confidence of 0.7 is right in 7 of 10 frames: of each set of roads, and of real streets."""
     claims = {
         f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache)))
-        for seeds in args.roads
+        for seeds in args.sets
     }
     if args.feeds:
         claims["real streets"] = of_streets(args.feeds)
     fits = ", ".join(f"{one.fitted():.1f} by {name}" for name, one in claims.items())
-    publish("reliability", [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."], args.page)
+    yield from [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."]
     if args.picture:
         args.picture.write_bytes(plot(claims))
-
-
-if __name__ == "__main__":
-    main()

@@ -24,7 +24,7 @@ from edge.localization import GPS_SIGMA_M, Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import MapSet, ModelKey
-from edge.sequence import DeadReckoningPosition, Direction, MotionPrior
+from edge.sequence import DeadReckoningPosition, Direction, MotionPrior, PlaceMatch
 from edge_plugins.mapping.builder import NAN, Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within
@@ -160,6 +160,26 @@ def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False) -> Itera
         yield maps
 
 
+def driven(
+    map_set: MapSet,
+    query: DriveDescriptors,
+    config: Config,
+    odometer_scale: float | None = 1.0,
+    reckoned: Sequence[DeadReckoningPosition | None] | None = None,
+) -> Iterator[tuple[SequenceMatcher, PlaceMatch | None]]:
+    """Of each frame of a drive the matcher after it, and its answer; see `believe`."""
+    matcher, turn_around = SequenceMatcher(map_set, config), TurnAround()
+    for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
+        if query.east_north_m is not None:
+            turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
+        travel = MotionPrior(
+            None if odometer_scale is None else driven_m * odometer_scale,
+            course_rad=turn_around.course_rad,
+            reckoned=reckoned[frame] if reckoned else None,
+        )
+        yield matcher, matcher.push(raw, travel)
+
+
 def believe(
     road: DriveDescriptors,
     query: DriveDescriptors,
@@ -178,18 +198,9 @@ def believe(
     config = Config(rig=rig or RigConfig(), sampling=sampling)
     found = np.full((len(query.raw), 6), np.nan)
     found[:, 1::2] = 0.0
-    turn_around = TurnAround()
     with mapped(road, cut) as map_set:
-        matcher, route_m = SequenceMatcher(map_set, config), map_set.places["route_m"]
-        for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m, strict=True)):
-            if query.east_north_m is not None:
-                turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
-            travel = MotionPrior(
-                None if odometer_scale is None else float(driven_m) * odometer_scale,
-                course_rad=turn_around.course_rad,
-                reckoned=reckoned[frame] if reckoned else None,
-            )
-            match = matcher.push(raw, travel)
+        route_m = map_set.places["route_m"]
+        for frame, (matcher, match) in enumerate(driven(map_set, query, config, odometer_scale, reckoned)):
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.alone.confidence > 0:
