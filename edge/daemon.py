@@ -106,7 +106,7 @@ class Daemon:
         displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
         if self._turn_around.add(displacement):
             self._recognizer.begin_way_back()
-        reckoned = self._drive.reckoned(displacement)
+        reckoned = self._drive.dead_reckoning_position(displacement)
         match = self._recognize(
             frame, MotionPrior(distance_m, missed, self._search_area(), self._turn_around.course_rad, reckoned)
         )
@@ -123,7 +123,7 @@ class Daemon:
     def _look_again(self, frame: Frame, distance_m: float | None) -> None:
         """Look at a further picture while the vehicle stands, and nothing is believed; publish the place it shows."""
         displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
-        reckoned = self._drive.reckoned(displacement)
+        reckoned = self._drive.dead_reckoning_position(displacement)
         travel = MotionPrior(distance_m, 0, self._search_area(), self._turn_around.course_rad, reckoned)
         match = self._recognize(frame, travel, again=True)
         if match is not None:
@@ -143,11 +143,11 @@ class Daemon:
             gps=vehicle.gps_fix(stamp_ns, now_ns),
             missed=missed,
             in_line=in_line,
-            undated_s=self.parts.pictures.stamp_sigma_s,
+            timestamp_sigma_s=self.parts.pictures.stamp_sigma_s,
         )
         self._drive.update(now_ns, frame)
         if in_line:
-            self._autopilot.judge_gps(self._drive.known.gps)
+            self._autopilot.judge_gps(self._drive.state.gps)
 
     def _recognize(self, frame: Frame, travel: MotionPrior, *, again: bool = False) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged.
@@ -173,7 +173,7 @@ class Daemon:
 
     def _search_area(self) -> SearchRegion | None:
         """Where the autopilot may be, None where it does not know or nobody knows how well."""
-        own, sigma_m = self._autopilot.vehicle.position(self._clock_ns()), self._drive.known.own_sigma_m
+        own, sigma_m = self._autopilot.vehicle.position(self._clock_ns()), self._drive.state.own_sigma_m
         if own is None or sigma_m is None:
             return None
         return SearchRegion(
@@ -245,7 +245,7 @@ class Daemon:
         """To people, if it is an event."""
         if not match.event:
             return None
-        fix = self._drive.known.position
+        fix = self._drive.state.position
         if fix is None or fix.stamp_ns != frame.stamp_ns:
             fix = untracked_fix(match, frame.stamp_ns, self._drive.route, self.parts.config.rig)
         self.parts.events += 1

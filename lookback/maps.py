@@ -18,7 +18,7 @@ from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
 from edge.keypoints import CameraModel
 from edge.keypoints.mount import turned_aside
-from edge.keypoints.pose import RelativePose, look
+from edge.keypoints.pose import RelativePose, pose_to_keyframe
 from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
@@ -125,7 +125,7 @@ class Map:
             optics = checks.field_of_view(fov_deg), Lens(lens=lens, distortion=tuple(distortion))
         camera = CameraModel(key.width, height, *optics)
         there, points = keypoints_of(records[place], key), points_of(records[place])
-        found = look(query, there, points, camera)
+        found = pose_to_keyframe(query, there, points, camera)
         # A map has its points as a camera would that looks along the road: this one's may look beside it.
         return found and found.turned(turned_aside(camera_of(key).directions(there.xy), points.places[:, :2]))
 

@@ -47,18 +47,18 @@ FARTHEST = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class RelativePose:
-    """Meters to the right and ahead of the row's camera, and turned clockwise in radians.
+    """The relative pose of a camera to a keyframe (PnP): meters to the right and ahead of it, and radians clockwise.
 
-    covariance: (3, 3) of these; where another minimum explains the points nearly as well, with the way to it. agrees:
-    (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs: (n, 2) rows of them among the
-    picture's keypoints and the place's, of `look`.
+    covariance: (3, 3) of these; where another minimum explains the points nearly as well, with the way to it.
+    inlier_mask: (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs: (n, 2) rows of them
+    among the picture's keypoints and the place's, of `pose_to_keyframe`.
     """
 
     right_m: float
     ahead_m: float
-    turn: float
+    turn_rad: float
     covariance: NDArray[np.float64]
-    agrees: NDArray[np.bool_]
+    inlier_mask: NDArray[np.bool_]
     cost: float
     pairs: NDArray[np.int32] | None = None
 
@@ -66,16 +66,18 @@ class RelativePose:
         """In the frame of a camera at the same place that looks so much further clockwise."""
         cos, sin = np.cos(turn), np.sin(turn)
         frame = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        right_m, ahead_m, own = (frame @ [self.right_m, self.ahead_m, self.turn - turn]).tolist()
-        return replace(self, right_m=right_m, ahead_m=ahead_m, turn=own, covariance=frame @ self.covariance @ frame.T)
+        right_m, ahead_m, own = (frame @ [self.right_m, self.ahead_m, self.turn_rad - turn]).tolist()
+        return replace(
+            self, right_m=right_m, ahead_m=ahead_m, turn_rad=own, covariance=frame @ self.covariance @ frame.T
+        )
 
     @property
-    def count(self) -> int:
+    def inliers(self) -> int:
         """Points that agree."""
-        return int(self.agrees.sum())
+        return int(self.inlier_mask.sum())
 
 
-def pose_of(
+def solve_pnp(
     points: MapPoints, seen: NDArray[np.float64], camera: CameraModel, starts: NDArray[np.float64] = STARTS
 ) -> RelativePose | None:
     """The pose from which points (n,) of known distance are seen in directions (n, 2); None if too few of them agree.
@@ -110,7 +112,7 @@ def pose_of(
     return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
 
 
-def look(
+def pose_to_keyframe(
     query: Keypoints, place: Keypoints, points: MapPoints, camera: CameraModel, starts: NDArray[np.float64] = STARTS
 ) -> RelativePose | None:
     """The pose of a picture's camera by the points of a row of the map that it sees; None if those are too few.
@@ -123,7 +125,7 @@ def look(
     seen = camera.directions(query.xy[mine] * (camera.width / query.size[1]))
     ahead = np.isfinite(seen).all(axis=1)
     pairs, theirs, seen = pairs[ahead], theirs[ahead], seen[ahead]
-    pose = pose_of(points[theirs], seen, camera, starts)
+    pose = solve_pnp(points[theirs], seen, camera, starts)
     return pose and replace(pose, pairs=pairs)
 
 

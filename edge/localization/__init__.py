@@ -1,20 +1,20 @@
 """From what happens on a drive to a position of the vehicle, and whether it may be published.
 
 `events` is what can happen, and `position_estimator` the one door to what follows; a `drive_file` keeps them.
-`place_fix` makes positions of matches; `sighting` puts a match on the ground, and `look` what one picture says of it;
-`filter` is the Kalman filter of all that is unknown, `measurements` what each kind of measurement says of it, and
-`hypotheses` one such filter for each thing that may be wrong; `tracker` follows the vehicle with them, and `gps_judge`
-says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `own_motion` what no filter has touched of
-it, and `odometer` says what GPS has shown of the wheels.
-`decide`, which is to be read first, says whether a position is published: by the `refusals`, which rest on the
-probability of another place (`integrity`, by what was observed, `claims`, and by what `bound`s the vehicle without
-places, from an `anchor` on), and on how far off it may be (`protection_level`).
+`place_fix` makes positions of matches; `sequence_match` puts a match on the ground, and `pose_measurement` what one
+picture says of it; `filter` is the Kalman filter of all that is unknown, `measurements` what each kind of measurement
+says of it, and `hypotheses` one such filter for each thing that may be wrong; `tracker` follows the vehicle with them,
+and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `gyro_odometer` what no
+filter has touched of it, and `odometer_calibration` says what GPS has shown of the wheels.
+`decide`, which is to be read first, says whether a position is published: by the `fix_rules`, which rest on the
+probability of another place (`integrity`, by the `evidence` observed, and by the `autopilot_covariance` without places,
+from an `odometry_datum` on), and on how far off it may be (`protection_level`).
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.bound import PERIOD_NS
+from edge.localization.autopilot_covariance import PERIOD_NS
 from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Gyros, Integral, Odometry
 from edge.localization.events import (
     BOUND_WRONG,
@@ -32,12 +32,19 @@ from edge.localization.events import (
     ProtectionLevel,
 )
 from edge.localization.filter import CORRELATION_M
-from edge.localization.gps_judge import GpsVerdict
+from edge.localization.fix_rules import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
+from edge.localization.gps_monitor import GpsVerdict
+from edge.localization.gyro_odometer import GyroOdometer
 from edge.localization.integrity import distance_from, offset_m
-from edge.localization.odometer import AGREE_SIGMAS, MOST_DRIVES, DriveScale, OdometerCalibration, ScaleFactor, learned
-from edge.localization.own_motion import GyroOdometer
+from edge.localization.odometer_calibration import (
+    AGREE_SIGMAS,
+    MOST_DRIVES,
+    DriveScale,
+    OdometerCalibration,
+    ScaleFactor,
+    learned,
+)
 from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
-from edge.localization.refusals import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
 
 __all__ = [
     "AGREE_SIGMAS",

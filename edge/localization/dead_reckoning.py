@@ -11,6 +11,8 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 
+from msgspec import Struct
+
 SPEED_VALID_NS = 1_000_000_000  # how long a speed holds beyond its stamp
 LONGEST_GAP_NS = 2_000_000_000  # the longest silence that two reports of a velocity are believed to span
 LONGEST_GAP_OF_SPEED_NS = 5_000_000_000
@@ -42,7 +44,7 @@ breaks. With 30 m, five drives home that had backed twice by 60 m on the way out
 
 @dataclass(frozen=True)
 class Gyros:
-    """Of a displacement whose heading is by gyros alone, see `own_motion`: since its leg began.
+    """Of a displacement whose heading is by gyros alone, see `gyro_odometer`: since its epoch began.
 
     time_s: seconds. compass_rad: the autopilot's heading less that by the gyros. turned_rad2: variance of the latter,
     by what it may have turned between two rates. bias_east_m, bias_north_m: meters that a bias of 1 rad/s would add.
@@ -55,16 +57,15 @@ class Gyros:
     bias_north_m: float = 0.0
 
 
-@dataclass(frozen=True)
-class Odometry:
-    """Meters east and north that the vehicle has moved, in all legs; between two of them its velocity was unknown.
+class Odometry(Struct, frozen=True, rename={"odometry_epoch": "leg"}):
+    """Meters east and north that the vehicle has moved, in all epochs; between two of them its velocity was unknown.
 
-    unknown_m: the most by which it may be wrong for all times between two legs, and in which a speed was bridged.
+    unknown_m: the most by which it may be wrong for all times between two epochs, and in which a speed was bridged.
     doubtful_east_m, doubtful_north_m: what of it was not driven if a change of the speed that no vehicle can make,
     `STRONGEST_MPS2`, was none. gyros: None where the heading is not theirs.
     """
 
-    leg: int
+    odometry_epoch: int
     east_m: float
     north_m: float
     unknown_m: float = 0.0
@@ -312,7 +313,7 @@ class TurnAround:
 
     def add(self, displacement: Odometry | None) -> bool:
         """True at the frame at which it drives the other way; then not again before it has turned once more."""
-        if displacement is None or (self._recent and displacement.leg != self._recent[-1].leg):
+        if displacement is None or (self._recent and displacement.odometry_epoch != self._recent[-1].odometry_epoch):
             self._recent.clear()
         third, self.course_rad = TURN_FRAMES // 3, None
         if displacement is None:

@@ -9,39 +9,39 @@ from msgspec.structs import replace
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.bound import AutopilotCovariance
-from edge.localization.claims import Evidence, EvidenceHistory
+from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import BOUND_WRONG, AutopilotState, Fix, FixRequest
+from edge.localization.evidence import Evidence, EvidenceHistory
+from edge.localization.fix_rules import AGREES, NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
 from edge.localization.integrity import (
     ONE_MORE,
     FixCandidate,
     another_place,
     better_of,
-    by_own,
+    innovation_of,
     is_correction,
     level_of,
     worse_m,
 )
-from edge.localization.refusals import AGREES, NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
 
 
 @dataclass(frozen=True)
 class StateEstimate:
     """What is known when a position is asked for.
 
-    place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. own: what
-    the autopilot reports, without what is known to be wrong of it, which is_led says that there is. bound: what bounds
-    its position. claims: what places have shown so far. aside: see `Tracker`. is_blurred: whether the newest
-    frame's place is recognized, and no line shows where exactly.
+    place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. autopilot:
+    what the autopilot reports, without what is known to be wrong of it, which is_led says that there is. covariance:
+    what bounds its position. evidence: what places have shown so far. cross_track: see `Tracker`. is_blurred: whether
+    the newest frame's place is recognized, and no line shows where exactly.
     """
 
     place: PlaceFix | None
     motion: Odometry | None
-    own: AutopilotState
-    bound: AutopilotCovariance
-    claims: EvidenceHistory
-    aside: tuple[float, float] | None
+    autopilot: AutopilotState
+    covariance: AutopilotCovariance
+    evidence: EvidenceHistory
+    cross_track: tuple[float, float] | None
     is_blurred: bool
     is_led: bool = False
 
@@ -50,25 +50,27 @@ def decide(
     now_ns: int, known: StateEstimate, limits: FixRequest, gates: GatesConfig, rules: Sequence[Rule] = RULES
 ) -> Fix | NoFix:
     """A position that may be published at a moment, or why none may."""
-    place, motion, own, bound, claims = known.place, known.motion, known.own, known.bound, known.claims
+    place, motion, own, bound, claims = known.place, known.motion, known.autopilot, known.covariance, known.evidence
     if place is None:
         return refusal(GateInputs(gates, limits, own, known.is_blurred), rules) or NoFix(NO_PLACES)
 
     # What would be sent: along the way and across it, the better of the place and the autopilot's own position.
     axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
     if limits.again is not None:
-        best: FixCandidate | None = FixCandidate(place, limits.again.keeps)
+        best: FixCandidate | None = FixCandidate(place, limits.again.held_axes)
     else:
-        best = better_of(place, own, axes_m, by_gps=bound.bound is not None and bound.bound.by_gps)
+        best = better_of(place, own, axes_m, by_gps=bound.aiding is not None and bound.aiding.by_gps)
     sent = best or FixCandidate(place)
     # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
     claim = Evidence() if motion is None or not place.is_position else claims.of(place, motion)
     place_wrong = claims.wrong(claim)
-    autopilot = by_own(place, motion, own, bound, known.aside)
+    autopilot = innovation_of(place, motion, own, bound, known.cross_track)
     likelihood, may_be_shifted = autopilot.likelihood(place)
     wrong = another_place(claim, place_wrong, likelihood, may_be_shifted=may_be_shifted)
     # How far off it may be, also by GPS and motion since, in which no place has a part.
-    level = level_of(sent.place, claim, claims, bound.reckoned(sent.place, motion, own), own.speed_mps or 0.0, gates)
+    level = level_of(
+        sent.place, claim, claims, bound.dead_reckoning_offset(sent.place, motion, own), own.speed_mps or 0.0, gates
+    )
 
     facts = GateInputs(
         gates,
@@ -90,7 +92,7 @@ def decide(
         or is_correction(sent, own, gates.min_move_m),
     )
     bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
-    fix = Fix(sent.place, level, bound_wrong, motion, sent.keeps)
+    fix = Fix(sent.place, level, bound_wrong, motion, sent.held_axes)
     refused = refusal(facts, rules)
     if refused is None:
         return fix

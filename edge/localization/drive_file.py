@@ -34,8 +34,8 @@ from edge.localization.events import (
     MapUpdate,
     OdometryUpdate,
 )
+from edge.localization.fix_rules import NoFix
 from edge.localization.position_estimator import Entry, FixResult, PositionEstimator, SnapshotRestore
-from edge.localization.refusals import NoFix
 from edge.reference_map import MapHeader, MapPlaces, PlaceIndex
 
 FORMAT = 2  # of the file
@@ -185,7 +185,7 @@ def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[i
     drive = PositionEstimator(config)
     for t_ns, entry in entries:
         if isinstance(entry, FixResult):
-            yield t_ns, entry, drive.fix(t_ns, entry.limits)
+            yield t_ns, entry, drive.fix(t_ns, entry.request)
         elif isinstance(entry, SnapshotRestore):
             drive.restore(t_ns, entry.kept)
         else:

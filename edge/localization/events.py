@@ -16,7 +16,7 @@ from msgspec import Struct
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.odometer import ScaleFactor
+from edge.localization.odometer_calibration import ScaleFactor
 from edge.reference_map import MapPlaces
 from edge.sequence import PlaceMatch
 
@@ -39,13 +39,13 @@ GPS_SIGMA_M = 3.0
 """The least of a receiver, in each direction, whatever it reports: multipath is not in what it reports."""
 
 
-class ImageProcessed(Struct, frozen=True, tag="Frame"):
+class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_s": "undated_s"}):
     """The answer to one used frame.
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
     where that is unknown; without_gps: the same by what GPS has no part in. gps: where GPS has the vehicle then.
     missed: places passed before it without a frame. in_line: whether a line may lead through the frame, see
-    `PlaceRecognizer`. undated_s: one standard deviation of the time of exposure.
+    `PlaceRecognizer`. timestamp_sigma_s: one standard deviation of the time of exposure.
     """
 
     stamp_ns: int
@@ -55,7 +55,7 @@ class ImageProcessed(Struct, frozen=True, tag="Frame"):
     gps: GpsFix | None = None
     missed: int = 0
     in_line: bool = True
-    undated_s: float = 0.0
+    timestamp_sigma_s: float = 0.0
 
 
 class AutopilotState(Struct, frozen=True, tag="Own"):
@@ -95,14 +95,15 @@ class OdometryUpdate(Struct, frozen=True, tag="Moved"):
     motion: Odometry | None
 
 
-class FixFeedback(Struct, frozen=True, tag="Used"):
-    """A position was sent, or confirms the autopilot's own. left_m: how far that is from it now; None: not known yet.
+class FixFeedback(Struct, frozen=True, tag="Used", rename={"remaining_m": "left_m"}):
+    """A position was sent, or confirms the autopilot's own. remaining_m: how far that is from it now; None: not known
+    yet.
 
     fix: None of one that was not ours to judge, as of a recorded drive.
     """
 
     fix: Fix | None
-    left_m: float | None = None
+    remaining_m: float | None = None
 
 
 class Discontinuity(Struct, frozen=True, tag="Break"):
@@ -126,38 +127,39 @@ class MapUpdate(Struct, frozen=True, tag="Maps"):
 Event: TypeAlias = ImageProcessed | AutopilotState | OdometryUpdate | FixFeedback | Discontinuity | MapUpdate
 
 
-@dataclass(frozen=True)
-class ProtectionLevel:
-    """Meters along the road and across it, infinite where nothing bounds the position."""
+class ProtectionLevel(Struct, frozen=True, rename={"along_track_m": "along_m", "cross_track_m": "across_m"}):
+    """A protection level: meters along-track and cross-track, infinite where nothing bounds the position."""
 
-    along_m: float
-    across_m: float
+    along_track_m: float
+    cross_track_m: float
 
     def is_within(self, limit_m: float) -> bool:
         """Whether neither is above a limit."""
-        return max(self.along_m, self.across_m) <= limit_m
+        return max(self.along_track_m, self.cross_track_m) <= limit_m
 
     def or_more(self, other: ProtectionLevel) -> ProtectionLevel:
         """The larger one of both in each direction."""
-        return ProtectionLevel(max(self.along_m, other.along_m), max(self.across_m, other.across_m))
+        return ProtectionLevel(
+            max(self.along_track_m, other.along_track_m), max(self.cross_track_m, other.cross_track_m)
+        )
 
 
 UNBOUNDED = ProtectionLevel(math.inf, math.inf)
 
 
-class Fix(Struct, frozen=True, tag=True):
+class Fix(Struct, frozen=True, tag=True, rename={"held_axes": "keeps"}):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
-    the autopilot's, once that has used it. motion: see `ImageProcessed`, at its moment. keeps: whether the autopilot's
-    own position is kept along the way, and across it.
+    the autopilot's, once that has used it. motion: see `ImageProcessed`, at its moment. held_axes: whether the
+    autopilot's own position is kept along the way, and across it.
     """
 
     place: PlaceFix
     level: ProtectionLevel
     bound_wrong: float = BOUND_WRONG
     motion: Odometry | None = None
-    keeps: tuple[bool, bool] = (False, False)
+    held_axes: tuple[bool, bool] = (False, False)
 
 
 class FixRequest(Struct, frozen=True, tag="Limits"):

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.localization.odometer import ScaleFactor
+from edge.localization.odometer_calibration import ScaleFactor
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

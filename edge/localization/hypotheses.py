@@ -22,7 +22,7 @@ from collections.abc import Callable
 from itertools import chain
 from typing import Literal, TypeAlias
 
-from edge.localization.claims import STRETCH_WRONG
+from edge.localization.evidence import STRETCH_WRONG
 from edge.localization.filter import DRAG, GPS, POSITION, Filter
 
 Name: TypeAlias = Literal["burst", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]

@@ -9,7 +9,7 @@ The autopilot has no such checks, and a wrong position does more harm than none.
             to bound the autopilot, the map as a whole is shifted, or, where own motion since GPS or since the last
             matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, SHIFT_M)
 
-`place_wrong` is STRETCH_WRONG for each stretch that is independent evidence (`claims`). Evidence is gathered from every
+`place_wrong` is STRETCH_WRONG for each stretch that is independent (`evidence`). Evidence is gathered from every
 match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
 could refute it.
 """
@@ -26,12 +26,12 @@ from msgspec.structs import replace
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import DeadReckoningOffset
-from edge.localization.bound import AutopilotCovariance
-from edge.localization.claims import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory
+from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, AutopilotState, ProtectionLevel
-from edge.localization.odometer import AGREE_SIGMAS
+from edge.localization.evidence import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory
+from edge.localization.odometer_calibration import AGREE_SIGMAS
+from edge.localization.odometry_datum import DeadReckoningOffset
 from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, protection_level
 
 ONE_MORE = 20.0
@@ -63,34 +63,35 @@ home at night by lines, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median
 
 
 class FixCandidate(NamedTuple):
-    """What would be sent; keeps: see `Fix`."""
+    """What would be sent; held_axes: see `Fix`."""
 
     place: PlaceFix
-    keeps: tuple[bool, bool] = (False, False)
+    held_axes: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True)
 class Innovation:
     """The autopilot's own position against a place, and how far beside the road own motion has the vehicle.
 
-    distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps, wrong:
-    whether GPS bounded it last, and the probability that what did was wrong. aside: see `Tracker`.
+    distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps,
+    fault_probability: whether GPS bounded it last, and the probability that what did was wrong. cross_track: see
+    `Tracker`.
     """
 
     distance_m: float | None
     sigma_m: float | None
     by_gps: bool
-    wrong: float
-    aside: tuple[float, float] | None
+    fault_probability: float
+    cross_track: tuple[float, float] | None
 
     def likelihood(self, place: PlaceFix) -> tuple[float, bool]:
         """How likely both make the position, 1 / m, infinite where nothing bounds it; whether all places may be off."""
         likelihood, is_shift = math.inf, False
         if self.distance_m is not None and self.sigma_m is not None:
-            likelihood = likelihood_of(self.distance_m, math.hypot(self.sigma_m, place.sigma_m), self.wrong)
+            likelihood = likelihood_of(self.distance_m, math.hypot(self.sigma_m, place.sigma_m), self.fault_probability)
             is_shift = self.by_gps and self.distance_m > AGREE_SIGMAS * place.sigma_m
-        if self.aside is not None:
-            likelihood, is_shift = min(likelihood, likelihood_of(*self.aside, STRETCH_WRONG)), True
+        if self.cross_track is not None:
+            likelihood, is_shift = min(likelihood, likelihood_of(*self.cross_track, STRETCH_WRONG)), True
         return likelihood, is_shift
 
     def contradicts(self, place: PlaceFix) -> bool:
@@ -98,23 +99,25 @@ class Innovation:
         return (self.distance_m or 0.0) > AGREE_SIGMAS * math.hypot(self.sigma_m or math.inf, place.sigma_m)
 
 
-def by_own(
+def innovation_of(
     place: PlaceFix,
     motion: Odometry | None,
     own: AutopilotState,
     bound: AutopilotCovariance,
-    aside: tuple[float, float] | None,
+    cross_track: tuple[float, float] | None,
 ) -> Innovation:
     """Where nothing bounds the autopilot's position, as after a reboot too: by GPS and motion since."""
     sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
-    reckoned = None if sigma_m is not None else bound.reckoned(place, motion, own)
+    reckoned = None if sigma_m is not None else bound.dead_reckoning_offset(place, motion, own)
     if reckoned is not None:
-        return Innovation(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, aside)
+        return Innovation(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, cross_track)
     # One that nothing aids has run away, or is ours.
     is_known = own.position is not None and own.is_aided and place.is_position
     distance_m = distance_from(own.position, place) if own.position is not None and is_known else None
-    by_gps, wrong = (False, BOUND_WRONG) if bound.bound is None else (bound.bound.by_gps, bound.bound.wrong)
-    return Innovation(distance_m, sigma_m, by_gps, wrong, aside)
+    by_gps, wrong = (
+        (False, BOUND_WRONG) if bound.aiding is None else (bound.aiding.by_gps, bound.aiding.fault_probability)
+    )
+    return Innovation(distance_m, sigma_m, by_gps, wrong, cross_track)
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
@@ -156,7 +159,7 @@ def level_of(
     """
     if not claim.observations:
         return UNBOUNDED
-    count = len(claims.stretches(claim.observations))
+    count = len(claims.independent_segments(claim.observations))
     alike = 2 * UNNOTICED_M / SPREAD_M
     shifted = MAP_SHIFTED
     if reckoned is not None:
@@ -248,7 +251,7 @@ def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) ->
     times = AGREE_SIGMAS if best.place.by_lane else OFF_SIGMAS
     return any(
         not keeps and abs(one_m) > max(min_move_m, times * sigma_m)
-        for one_m, sigma_m, keeps in zip(off_m, sigmas_m, best.keeps, strict=True)
+        for one_m, sigma_m, keeps in zip(off_m, sigmas_m, best.held_axes, strict=True)
     )
 
 
@@ -260,14 +263,14 @@ def along_and_across(east_north_m: tuple[float, float], heading_deg: float) -> t
 
 
 def worse_m(
-    place: PlaceFix, best: FixCandidate | None, by_own: Innovation, own: AutopilotState
+    place: PlaceFix, best: FixCandidate | None, innovation: Innovation, own: AutopilotState
 ) -> tuple[float, float] | None:
     """Standard deviation of a position, and the largest that makes the autopilot's no worse; None where it does not.
 
     Along the way; of one that is better in a direction, but whose velocity nothing measures, in all.
     """
     if best is None:
-        return place.sigma_along_m, _most_m(by_own.sigma_m or 0.0, 1.0 if by_own.by_gps else GROWS)
+        return place.sigma_along_m, _most_m(innovation.sigma_m or 0.0, 1.0 if innovation.by_gps else GROWS)
     return (place.sigma_m, ACCURATE_M) if not own.is_aided and place.sigma_m > ACCURATE_M else None
 
 

@@ -23,8 +23,8 @@ from edge.localization.filter import (
     Slot,
     Vector,
 )
-from edge.localization.look import SHARED_M, STANDS_M, PoseMeasurement
-from edge.localization.sighting import SequenceMatch, left_of
+from edge.localization.pose_measurement import SHARED_M, STANDS_M, PoseMeasurement
+from edge.localization.sequence_match import SequenceMatch, left_of
 
 GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
@@ -66,7 +66,7 @@ def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bo
         row = state.rows((HEADING, [1.0]), (slot.aim, [1.0]))
         # A vehicle that goes backwards heads the other way.
         turned_rad = math.remainder(look.heading_rad - course_rad, math.pi) - row @ state.mean
-        state.correct(row, turned_rad, np.array([[shared * look.pose[2, 2] + variance]]))
+        state.correct(row, turned_rad, np.array([[shared * look.pose_covariance[2, 2] + variance]]))
     return True
 
 
@@ -92,12 +92,12 @@ def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool
 
 def line_of(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
     """Rows, innovation and noise of a sequence match, along the road and across it."""
-    along, since_m, doubtful_m = line.passed.along, line.passed.since_m[:2], line.passed.since_m[2:]
+    along, since_m, doubtful_m = line.midpoint.along, line.midpoint.since_m[:2], line.midpoint.since_m[2:]
     axes = np.array([along, left_of(along)])
     rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
     rows[:, HEADING : DOUBT + 1] = -axes @ state.slopes(since_m, doubtful_m)
-    rows[0, slot.stays], rows[0, slot.changes] = 1.0, line.faint
+    rows[0, slot.stays], rows[0, slot.changes] = 1.0, line.sigma_factor
     of_map_m = state.mean[slot.map] + state.mean[slot.whole]
-    off_m = axes @ (line.passed.place_m - (state.position_m - state.truly(since_m, doubtful_m)) - of_map_m)
-    off_m[0] -= state.mean[slot.stays] + line.faint * state.mean[slot.changes]
-    return rows, off_m, np.diag([(line.faint * line.sigma_m) ** 2, line.errors.lane_m**2])
+    off_m = axes @ (line.midpoint.place_m - (state.position_m - state.truly(since_m, doubtful_m)) - of_map_m)
+    off_m[0] -= state.mean[slot.stays] + line.sigma_factor * state.mean[slot.changes]
+    return rows, off_m, np.diag([(line.sigma_factor * line.sigma_m) ** 2, line.errors.lane_m**2])

@@ -24,8 +24,7 @@ from msgspec import Struct
 
 from edge.config import Config
 from edge.journal.records import PlaceFix
-from edge.localization.bound import AutopilotCovariance, Drift
-from edge.localization.claims import EvidenceHistory
+from edge.localization.autopilot_covariance import AutopilotCovariance, Drift
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.decide import StateEstimate, decide
 from edge.localization.events import (
@@ -39,10 +38,11 @@ from edge.localization.events import (
     MapUpdate,
     OdometryUpdate,
 )
-from edge.localization.gps_judge import GpsJudge, GpsVerdict
-from edge.localization.integrity import by_own
-from edge.localization.refusals import RULES, NoFix, Rule
-from edge.localization.sighting import Georeferencer
+from edge.localization.evidence import EvidenceHistory
+from edge.localization.fix_rules import RULES, NoFix, Rule
+from edge.localization.gps_monitor import GpsMonitor, GpsVerdict
+from edge.localization.integrity import innovation_of
+from edge.localization.sequence_match import Georeferencer
 from edge.localization.tracker import Tracker
 from edge.reference_map import Route
 from edge.sequence import DeadReckoningPosition
@@ -51,10 +51,10 @@ CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is called wrong."""
 
 
-class FixResult(Struct, frozen=True, tag="Asked"):
+class FixResult(Struct, frozen=True, tag="Asked", rename={"request": "limits"}):
     """A position was asked for, and this was the answer: changes nothing, and can be compared."""
 
-    limits: FixRequest
+    request: FixRequest
     answer: Fix | NoFix
 
 
@@ -97,7 +97,7 @@ class PositionEstimator:
         self._config, self._listeners = config, listeners
         self._sightings: Georeferencer | None = None
         self._tracker: Tracker | None = None
-        self._gps = GpsJudge(config.gates)
+        self._gps = GpsMonitor(config.gates)
         self._claims = EvidenceHistory(config.gates)
         self._bound = AutopilotCovariance(config.gates.drift_percent / 100)
         self._own = AutopilotState()
@@ -160,7 +160,7 @@ class PositionEstimator:
         return self._sightings.route
 
     @property
-    def known(self) -> EstimatorState:
+    def state(self) -> EstimatorState:
         """What the events so far show."""
         if self._known is None:
             bound, gps, own = self._bound, self._gps, self._own
@@ -168,14 +168,14 @@ class PositionEstimator:
             if self._tracker is not None:
                 position, heading_error = self._tracker.at_exposure(), self._tracker.heading_error
             own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
-            is_bounded = bound.bound is not None
+            is_bounded = bound.aiding is not None
             of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
             self._known = EstimatorState(position, gps.published, gps.is_ignored, *of_own, heading_error)
         return self._known
 
-    def reckoned(self, motion: Odometry | None) -> DeadReckoningPosition | None:
+    def dead_reckoning_position(self, motion: Odometry | None) -> DeadReckoningPosition | None:
         """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""
-        return self._bound.reckoning(motion, self._gps.believed(self._own))
+        return self._bound.dead_reckoning_position(motion, self._gps.believed(self._own))
 
     def _use_maps(self, event: MapUpdate) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
@@ -191,9 +191,9 @@ class PositionEstimator:
         match = frame.match
         self._is_recognized = match is not None and match.accepted
         tracker, believed = self._tracker, self._gps.believed(self._own)
-        undated_m, before = frame.undated_s * (self._own.speed_mps or 0.0), self._motion
-        looked = None if match is None else self._sightings.looked(match, undated_m)
-        is_compared = tracker.update(frame, looked, believed, undated_m)
+        timestamp_sigma_m, before = frame.timestamp_sigma_s * (self._own.speed_mps or 0.0), self._motion
+        looked = None if match is None else self._sightings.pose_measurement(match, timestamp_sigma_m)
+        is_compared = tracker.update(frame, looked, believed, timestamp_sigma_m)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
         self._motion = frame.motion
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):
@@ -226,12 +226,14 @@ class PositionEstimator:
         if motion is None or not fix.is_position or fix.disputed:
             return
         known = self._estimate(fix, motion)
-        likelihood, is_shift = by_own(fix, motion, known.own, known.bound, known.aside).likelihood(fix)
+        likelihood, is_shift = innovation_of(
+            fix, motion, known.autopilot, known.covariance, known.cross_track
+        ).likelihood(fix)
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
 
     def _judge_gps(self) -> None:
         """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
-        ignored, bound = self._gps.is_ignored, self._bound.bound
+        ignored, bound = self._gps.is_ignored, self._bound.aiding
         is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
         self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)
         is_no_bound = is_lost and is_bound_by_gps and self._gps.is_wrong
@@ -254,10 +256,10 @@ class PositionEstimator:
             self._gps.bound()
 
     def _use_used(self, t_ns: int, used: FixFeedback) -> None:
-        if used.left_m is None or used.fix is None:
+        if used.remaining_m is None or used.fix is None:
             self._bound.sent(t_ns)
         elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
-            self._bound.bind_by_fix(used.fix, used.left_m, self._own)
+            self._bound.bind_by_fix(used.fix, used.remaining_m, self._own)
             self._claims.contradict_nothing()
             self._gps.bound()
 
@@ -277,6 +279,6 @@ class PositionEstimator:
 
     def _estimate(self, place: PlaceFix | None, motion: Odometry | None) -> StateEstimate:
         is_blurred = self._is_recognized and self._tracker is not None and self._tracker.at_exposure() is None
-        own, aside = self._gps.believed(self._own), None if self._tracker is None else self._tracker.aside
+        own, cross_track = self._gps.believed(self._own), None if self._tracker is None else self._tracker.cross_track
         is_led = own.position != self._own.position
-        return StateEstimate(place, motion, own, self._bound, self._claims, aside, is_blurred, is_led)
+        return StateEstimate(place, motion, own, self._bound, self._claims, cross_track, is_blurred, is_led)

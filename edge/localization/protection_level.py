@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import DeadReckoningOffset
-from edge.localization.claims import STRETCH_WRONG, alike_m
 from edge.localization.events import UNBOUNDED, ProtectionLevel
+from edge.localization.evidence import STRETCH_WRONG, alike_m
 from edge.localization.filter import CORRELATION_M
+from edge.localization.odometry_datum import DeadReckoningOffset
 
 MODEL_ERROR = 1.2
 """Times by which errors may be larger than the filter states: counted on simulated drives."""

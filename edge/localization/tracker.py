@@ -19,9 +19,9 @@ from edge.config import Config
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
-from edge.localization.claims import SPREAD_M, STRETCH_WRONG
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import AutopilotState, GpsFix, ImageProcessed
+from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
     CORRELATION_M,
@@ -35,8 +35,8 @@ from edge.localization.filter import (
     Vector,
 )
 from edge.localization.hypotheses import FilterBank, Name
-from edge.localization.odometer import AGREE_SIGMAS, ScaleFactor
-from edge.localization.sighting import Georeferencer, SequenceMatch, left_of
+from edge.localization.odometer_calibration import AGREE_SIGMAS, ScaleFactor
+from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -98,10 +98,10 @@ class TrackScore:
 
     def add(self, sighting: SequenceMatch, stamp_ns: int) -> None:
         """One more that agreed."""
-        look = sighting.look
+        look = sighting.pose
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches, self.confidence = self.matches + 1, max(self.confidence, sighting.match.confidence)
-        self.points = 0 if look is None else look.points
+        self.points = 0 if look is None else look.inliers
         if look is not None:
             self.goes_back = look.goes_back
 
@@ -141,11 +141,11 @@ class Tracker:
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
-        self.aside: tuple[float, float] | None = None
+        self.cross_track: tuple[float, float] | None = None
         """How far beside the road of the matches own motion since GPS has the vehicle, and one standard deviation."""
 
     def update(
-        self, frame: ImageProcessed, looked: SequenceMatch | None, own: AutopilotState, undated_m: float = 0.0
+        self, frame: ImageProcessed, looked: SequenceMatch | None, own: AutopilotState, timestamp_sigma_m: float = 0.0
     ) -> bool:
         """Use a frame; whether a place was compared with what is known. looked: what its picture says.
 
@@ -156,7 +156,7 @@ class Tracker:
         if motion is None:
             self.reset()
             return False
-        if before is not None and before.motion is not None and motion.leg != before.motion.leg:
+        if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._sightings.clear()
             self._track = self._exposure = None
         if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._sightings.length // 2:
@@ -180,9 +180,9 @@ class Tracker:
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
             self._track, self._exposure = None, None
         sighting = None
-        is_evidence = match is not None and match.alone.accepted and undated_m <= UNDATED_M
-        if match is not None and match.accepted and (undated_m <= UNDATED_M or gps_m is None):
-            sighting = self._sighting(match, looked and looked.on_course(course), undated_m)
+        is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M
+        if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
+            sighting = self._sighting(match, looked and looked.on_course(course), timestamp_sigma_m)
         if sighting is not None:
             self._use(sighting, own, frame.stamp_ns, is_evidence=is_evidence)
         self.bank.judge(frame.stamp_ns / 1e9)
@@ -226,7 +226,7 @@ class Tracker:
 
     def bind(self) -> None:
         """GPS bounds the autopilot's position, and corrects its velocity."""
-        self._is_bound, self.aside = True, None
+        self._is_bound, self.cross_track = True, None
 
     @property
     def gps_off_m(self) -> Vector | None:
@@ -295,14 +295,16 @@ class Tracker:
         is_known = self._track is not None and state.since_look_m < CORRELATION_M
         return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
 
-    def _sighting(self, match: PlaceMatch, looked: SequenceMatch | None, undated_m: float) -> SequenceMatch | None:
+    def _sighting(
+        self, match: PlaceMatch, looked: SequenceMatch | None, timestamp_sigma_m: float
+    ) -> SequenceMatch | None:
         """What a match says of where the vehicle is: by one look, or else by its line."""
         if looked is not None:
             return looked
         # Where another place fits this frame better, the votes know the place, but no line says where it ends.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return None
-        return self._sightings.of(match, undated_m)
+        return self._sightings.of(match, timestamp_sigma_m)
 
     def _use(self, sighting: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
         if not self._is_placed:
@@ -313,7 +315,7 @@ class Tracker:
         if own.drives_itself:
             lane_m = math.hypot(sighting.errors.lane_m, ASTRAY_M)
             sighting = dataclasses.replace(sighting, errors=dataclasses.replace(sighting.errors, lane_m=lane_m))
-        look, drive, errors = sighting.look, sighting.drive, sighting.errors
+        look, drive, errors = sighting.pose, sighting.drive, sighting.errors
 
         def use(state: Filter) -> bool:
             slot = state.slot(drive, errors)
@@ -331,16 +333,16 @@ class Tracker:
         """A match agreed."""
         self._track, self._is_checked = track, sighting.checked_m > 0
         track.add(sighting, stamp_ns)
-        if track.is_confirmed and self.aside is None:
+        if track.is_confirmed and self.cross_track is None:
             self.bank.before = None
-        if track.matches >= FIRST or sighting.look is None:
+        if track.matches >= FIRST or sighting.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._course_rad)
 
     def _begin(self, sighting: SequenceMatch) -> None:
         """Be where the first match is."""
-        state, since_m = self.bank.right, sighting.passed.since_m
+        state, since_m = self.bank.right, sighting.midpoint.since_m
         moved_m = state.truly(since_m[:2], since_m[2:])
-        state.place(sighting.passed.place_m + moved_m, UNKNOWN_M**2 * np.eye(2))
+        state.place(sighting.midpoint.place_m + moved_m, UNKNOWN_M**2 * np.eye(2))
         self.bank.begin(state)
         self._is_placed = True
         self._is_begun = True
@@ -353,29 +355,29 @@ class Tracker:
         if self._is_begun:
             self._is_begun = False
             return 0.0
-        along = sighting.passed.along
+        along = sighting.midpoint.along
         reach_m = AGREE_SIGMAS * math.sqrt(float(along @ self.bank.right.spread @ along))
         return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
 
     def _compare_across(self, sighting: SequenceMatch) -> None:
         """A vehicle that went aside is there until its motion contradicts that: no position follows a false street."""
-        if sighting.look is not None and self.bank.before is None:
-            self.aside = None  # it has said how far across the vehicle is
+        if sighting.pose is not None and self.bank.before is None:
+            self.cross_track = None  # it has said how far across the vehicle is
             return
-        state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.passed.along)
+        state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.midpoint.along)
         slot = state.slot(sighting.drive, sighting.errors)
-        if sighting.look is not None:
-            off_m = float(left @ (sighting.look.position_m - state.position_m))
+        if sighting.pose is not None:
+            off_m = float(left @ (sighting.pose.position_m - state.position_m))
             rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
-            noise = float(left @ sighting.look.covariance @ left)
+            noise = float(left @ sighting.pose.covariance @ left)
         else:
             both, innovation, noises = measurements.line_of(state, slot, sighting)
             rows, off_m, noise = both[1:], float(innovation[1]), float(noises[1, 1])
         sigma_m = math.sqrt(float((rows @ state.covariance @ rows.T)[0, 0]) + noise)
         if abs(off_m) > AGREE_SIGMAS * sigma_m:
-            self.aside = abs(off_m), sigma_m
-        elif self.aside is not None and self.aside[0] - abs(off_m) > AGREE_SIGMAS * sigma_m:
-            self.aside = None
+            self.cross_track = abs(off_m), sigma_m
+        elif self.cross_track is not None and self.cross_track[0] - abs(off_m) > AGREE_SIGMAS * sigma_m:
+            self.cross_track = None
 
     def _corrects_itself(self) -> bool:
         """Without GPS, the vehicle is elsewhere, or its wheels slip, once that is a thousand times likelier."""
@@ -417,7 +419,7 @@ class Tracker:
         motion = None if before is None else before.motion
         if track is None or self._exposure is None or before is None or motion is None or displacement is None:
             return None
-        if displacement.leg != motion.leg:
+        if displacement.odometry_epoch != motion.odometry_epoch:
             return None
         step = self._step(motion, displacement, (stamp_ns - before.stamp_ns) / 1e9)
         driven_m = float(np.hypot(*step.moved_m))
@@ -455,14 +457,20 @@ class Tracker:
     ) -> FilterStep:
         moved_m = _vector(now) - _vector(then)
         unknown_m, bridged_m2, unknown_m2 = now.unknown_since(then), 0.0, 0.0
-        if now.leg != then.leg:
+        if now.odometry_epoch != then.odometry_epoch:
             unknown_m2 = unknown_m**2 / 3
         else:  # from first to last, a speed that was bridged is off in one way
             bridged_m2 = ((self._bridged_m + unknown_m) ** 2 - self._bridged_m**2) / 3
         one = None if before is None or before.without_gps is None else before.without_gps
         other = None if frame is None or frame.without_gps is None else frame.without_gps
         turned_rad, variance = None, 0.0
-        if one is not None and other is not None and one.gyros and other.gyros and one.leg == other.leg:
+        if (
+            one is not None
+            and other is not None
+            and one.gyros
+            and other.gyros
+            and one.odometry_epoch == other.odometry_epoch
+        ):
             turned_rad = math.remainder(other.gyros.compass_rad - one.gyros.compass_rad, math.tau)
             variance = max(0.0, other.gyros.turned_rad2 - one.gyros.turned_rad2)
         return FilterStep(moved_m[:2], moved_m[2:], max(0.0, seconds), turned_rad, variance, unknown_m2, bridged_m2)
@@ -491,7 +499,7 @@ class Tracker:
             heading_rad = course_rad + state.mean[HEADING] + state.mean[slot.aim] + math.pi * track.goes_back
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = state.spread
-        if newest.look is None:
+        if newest.pose is None:
             covariance = covariance + _line_variance(state, newest) * np.outer(along, along)
         along_var = float(along @ covariance @ along)
         return PlaceFix(
@@ -523,7 +531,7 @@ def _line_variance(state: Filter, line: SequenceMatch) -> float:
 
     The displacement since the middle is in the state; the other half of the line, which is as long, has the same error.
     """
-    since_m = line.passed.since_m[:2]
+    since_m = line.midpoint.since_m[:2]
     return max(0.0, state.sigma(SCALE) ** 2 - KNOWN_SCALE**2) * (2**2 - 1**2) * float(since_m @ since_m)
 
 

@@ -23,12 +23,12 @@ from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
-from edge.keypoints.pose import STARTS, RelativePose, look
+from edge.keypoints.pose import STARTS, RelativePose, pose_to_keyframe
 from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
 from edge.sequence import MOST_ASIDE_RAD, Correspondences, Direction, KeyframeMatch
-from edge.sequence.looks import ENOUGH, confidence_of
+from edge.sequence.keyframe_consensus import ENOUGH, confidence_of
 
 MOST = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
@@ -179,7 +179,7 @@ class PlaceVerification:
             start = self._from(row, place, pose)
             found = None if row == place else self._pose(query, row, start)
             if found is not None:
-                right_m, ahead_m, turn = np.array([found.right_m, found.ahead_m, found.turn]) - start[0]
+                right_m, ahead_m, turn = np.array([found.right_m, found.ahead_m, found.turn_rad]) - start[0]
                 if math.hypot(right_m, ahead_m) <= ROWS_APART_M and abs(turn) <= ROWS_TURNED_RAD:
                     support += _support_of(found)
         return support
@@ -190,9 +190,9 @@ class PlaceVerification:
         if self._newest is None:
             return None
         query, place, pose = self._newest
-        assert pose.pairs is not None  # of `look`
+        assert pose.pairs is not None  # of `pose_to_keyframe`
         pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 1))
-        rows = pose.pairs[pose.agrees]
+        rows = pose.pairs[pose.inlier_mask]
         return Correspondences(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
     def _matches(self, query: Keypoints, place: int) -> int:
@@ -202,7 +202,7 @@ class PlaceVerification:
         key, record = self._key(place), self._record(place)
         height = round(key.width * query.size[0] / query.size[1])
         camera = CameraModel(key.width, height, *(self._camera or (key.fov_deg, key.alone)))  # not set: as the map's
-        return look(query, keypoints_of(record, key), points_of(record), camera, starts)
+        return pose_to_keyframe(query, keypoints_of(record, key), points_of(record), camera, starts)
 
     def _row_at(self, place: int, along_m: float) -> int:
         """The place of the same drive that lies nearest to so many meters further along it."""
@@ -218,7 +218,7 @@ class PlaceVerification:
         along_m *= self.facing(place)
         right_m, ahead_m = pose.right_m - along_m * math.sin(turned / 2), pose.ahead_m - along_m * math.cos(turned / 2)
         cos, sin = math.cos(turned), math.sin(turned)
-        return np.array([[cos * right_m - sin * ahead_m, sin * right_m + cos * ahead_m, pose.turn - turned]])
+        return np.array([[cos * right_m - sin * ahead_m, sin * right_m + cos * ahead_m, pose.turn_rad - turned]])
 
     def _record(self, place: int) -> NDArray[np.void]:
         return self._map_set.keypoints_of(place)
@@ -230,14 +230,16 @@ class PlaceVerification:
 
 
 def _seen(place: int, pose: RelativePose, support: float) -> KeyframeMatch:
-    where = pose.right_m, pose.ahead_m, pose.turn, pose.covariance
-    return KeyframeMatch(place, *where, pose.count, confidence_of(support))
+    where = pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance
+    return KeyframeMatch(place, *where, pose.inliers, confidence_of(support))
 
 
 def _is_on_the_road(pose: RelativePose) -> bool:
-    return abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn) <= MOST_TURN_RAD
+    return (
+        abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn_rad) <= MOST_TURN_RAD
+    )
 
 
 def _support_of(pose: RelativePose) -> float:
     """That a row of the map gives to a pose: its points, each as much as those agree that it is one of."""
-    return pose.count * float(pose.agrees.mean()) ** 2
+    return pose.inliers * float(pose.inlier_mask.mean()) ** 2

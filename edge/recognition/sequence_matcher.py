@@ -30,7 +30,7 @@ from edge.sequence.prior import Prior
 
 if TYPE_CHECKING:
     from edge.keypoints.network import KeypointNetwork
-    from edge.recognition.place_looks import KeyframeMatcher
+    from edge.recognition.keyframe_matcher import KeyframeMatcher
 
 PriorOf: TypeAlias = Callable[[int, float], float]
 """The odds of being at a point along a drive."""
@@ -79,7 +79,7 @@ class SequenceMatcher:
         """None where no map has keypoints, which needs none of their code."""
         if all(header.keypoints_key is None for header in map_set.headers):
             return None
-        from edge.recognition.place_looks import KeyframeMatcher
+        from edge.recognition.keyframe_matcher import KeyframeMatcher
 
         return KeyframeMatcher(map_set, self._drives, self._config, self._keypoints)
 
@@ -164,7 +164,7 @@ class SequenceMatcher:
         some_excluded = self.search.part is not None and self.search.part.excludes
         settings = ConsensusSettings.of(self._config, self._drives, usual, some_excluded=some_excluded)
         self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
-        prior = self._prior(travel.reckoned)
+        prior = self._prior(travel.dead_reckoning)
         belief = self._consensus.update(self._vote(match), odometer_m, step, *(prior or ()))
         belief = max(
             filter(None, (belief, self._belief_of_halves(odometer_m, step, prior))),
@@ -196,7 +196,7 @@ class SequenceMatcher:
         raw: its descriptor (R, D), by which places to try are chosen: what stood before the camera may be gone.
         """
         self._look(image, travel, partial(self.search.nearest, row=self._normalizer.normalized(raw)))
-        believed = self._believed(None, None, self._prior(travel.reckoned))
+        believed = self._believed(None, None, self._prior(travel.dead_reckoning))
         self._follow(believed)
         return believed
 

@@ -87,8 +87,8 @@ class PlaceMatch:
     sharpness: cost of the cheaper of the two lines that end 0.3 windows before and after the place, over this one's,
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
-    means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.reckoned`, None
-    where it is this one; whoever judges what the reckoning rests on, goes by `alone`. half_width_places: half the
+    means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.dead_reckoning`,
+    None where it is this one; whoever judges what the reckoning rests on, goes by `alone`. half_width_places: half the
     number of places around it that are nearly as good. seen: what the frame's keypoints say of where its camera was, of
     the place that is believed; None where they say nothing, or were not asked. has_line: False where no line leads to
     the place, which is believed by looks alone, as of a vehicle that stands; it then is that of `seen`, and slope,
@@ -149,16 +149,16 @@ class MotionPrior:
     """What is known of the vehicle at a frame, beside its picture.
 
     distance_m: the odometer, None where it is not known. missed: places that were passed since the last frame without
-    one. near: where the vehicle may be; only maps too large to be searched whole make use of it. course_rad: that it
-    moves on, clockwise from north, None where not known. Of places whose road leads another way, no line is searched.
-    reckoned: None where GPS never had it, or is doubted; places near it are more probable.
+    one. search_region: where the vehicle may be; only maps too large to be searched whole make use of it. course_rad:
+    that it moves on, clockwise from north, None where not known. Of places whose road leads another way, no line is
+    searched. dead_reckoning: None where GPS never had it, or is doubted; places near it are more probable.
     """
 
     distance_m: float | None = None
     missed: int = 0
-    near: SearchRegion | None = None
+    search_region: SearchRegion | None = None
     course_rad: float | None = None
-    reckoned: DeadReckoningPosition | None = None
+    dead_reckoning: DeadReckoningPosition | None = None
 
 
 NOTHING_KNOWN = MotionPrior()

@@ -177,9 +177,9 @@ class PlaceSearch:
         is_measured: whether that was measured, so that lines are hardly inclined.
         """
         self._measure(is_measured)
-        self._is_position_known = travel.near is not None
-        if not self._is_whole and travel.near is not None:
-            self._look_around(travel.near)
+        self._is_position_known = travel.search_region is not None
+        if not self._is_whole and travel.search_region is not None:
+            self._look_around(travel.search_region)
         self._drive(step, usual)
         if self.part is not None:
             self.part.head(travel.course_rad)

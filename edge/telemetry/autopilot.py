@@ -27,9 +27,9 @@ from edge.localization import (
     PositionEstimator,
 )
 from edge.telemetry import LinkStatus
+from edge.telemetry.aiding_store import AidingStore
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.firmware import GPS_SET
-from edge.telemetry.kept_bound import AidingStore
 from edge.telemetry.kept_wheels import KeptWheels, in_percent
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
@@ -121,7 +121,7 @@ class AutopilotConnection:
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
         disagreed = self._gps_news.verdict.state == "disagrees"
-        is_ignored = self._gps_news.publish(verdict) and self.drive.known.ignores_gps
+        is_ignored = self._gps_news.publish(verdict) and self.drive.state.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
         elif is_ignored and not self.positions.selects_sources:
@@ -140,7 +140,7 @@ class AutopilotConnection:
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self.drive.known.gps.state == "wrong" else ""
+        return "GPS is wrong" if self.drive.state.gps.state == "wrong" else ""
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
@@ -196,7 +196,7 @@ class AutopilotConnection:
         now_ns = self.clock_ns()
         if self._port.open_if_due(now_ns):
             self._update_state()
-            self.vehicle.velocity.has_our_position = self.drive.known.rests_on_fixes
+            self.vehicle.velocity.has_our_position = self.drive.state.rests_on_fixes
             self._receive(now_ns)
             self._update_aid(now_ns)
         self._people.send_heartbeat(now_ns)
@@ -249,7 +249,7 @@ class AutopilotConnection:
 
         Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
         """
-        if self.drive.known.ignores_gps:  # it agreed before, and has been called wrong since
+        if self.drive.state.ignores_gps:  # it agreed before, and has been called wrong since
             return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self.clock_ns()) if self.state == "up" else []
@@ -303,7 +303,7 @@ class AutopilotConnection:
             return
         receiver = vehicle.session.gps.behind(own, now_ns)
         source: PositionSource = "dead_reckoning"
-        sigma_m = self.drive.known.own_sigma_m
+        sigma_m = self.drive.state.own_sigma_m
         if vehicle.velocity.has_our_position:
             source = "place_fixes"
         elif receiver is not None:
@@ -321,7 +321,7 @@ class AutopilotConnection:
 
     def _update_aid(self, now_ns: int) -> None:
         gps, positions = self.vehicle.session.gps.state(now_ns), self.positions
-        is_by_gps = gps == "healthy" and not self.drive.known.ignores_gps
+        is_by_gps = gps == "healthy" and not self.drive.state.ignores_gps
         may_be_fused = self.vehicle.session.gps.may_be_fused(is_selected=positions.sources.in_use == GPS_SET)
         self.vehicle.velocity.aid = self.velocity_aid.update(
             positions.sources.in_use,
@@ -354,7 +354,7 @@ class AutopilotConnection:
         if self.positions.enabled:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()
-        self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.known.is_bounded)
+        self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.state.is_bounded)
         if now_ns >= self._bound.due_ns:
             self._bound.keep(now_ns)
         self._wheels.keep(now_ns)

@@ -116,7 +116,7 @@ def plotted_values(fix: PlaceFix, boot_ms: int) -> list[Message]:
 
 def protection_values(level: ProtectionLevel | None, boot_ms: int) -> list[Message]:
     """NAMED_VALUE_FLOAT of the protection level of a position, in meters; UNBOUNDED_M where it has none."""
-    levels_m = (math.inf, math.inf) if level is None else (level.along_m, level.across_m)
+    levels_m = (math.inf, math.inf) if level is None else (level.along_track_m, level.cross_track_m)
     values = {name: min(level_m, UNBOUNDED_M) for name, level_m in zip(LEVEL_NAMES, levels_m, strict=True)}
     return _named(values, boot_ms)
 

@@ -278,7 +278,7 @@ class PositionSender:
 
         Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
         """
-        known = self._drive.known
+        known = self._drive.state
         if known.ignores_gps:
             if self.selects_sources and self._vehicle.session.firmware.gps_switch:
                 self.sources.wanted = SET_WITHOUT_GPS
@@ -288,12 +288,12 @@ class PositionSender:
 
 def kept(fix: Fix) -> Literal["along", "across"] | UnsetType:
     """The direction in which a position is the autopilot's own, for the journal."""
-    along, across = fix.keeps
+    along, across = fix.held_axes
     return "along" if along else "across" if across else UNSET
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:
     """Meters along and across for people, None where nothing bounds them."""
-    if level is None or not math.isfinite(level.along_m + level.across_m):
+    if level is None or not math.isfinite(level.along_track_m + level.cross_track_m):
         return None, None
-    return round(level.along_m, 2), round(level.across_m, 2)
+    return round(level.along_track_m, 2), round(level.cross_track_m, 2)

@@ -116,7 +116,7 @@ class HomeRequests:
     def is_ready(self) -> bool:
         """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
         own = self._vehicle.position(self._link.clock_ns())
-        is_known = own is not None and self._drive.known.own_sigma_m is not None
+        is_known = own is not None and self._drive.state.own_sigma_m is not None
         return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
 
     def ask(self, reply: Callable[[HomeReply], object]) -> None:
@@ -232,7 +232,7 @@ class HomeRequests:
             raise HomeRequestError(
                 mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0"
             )
-        position, sigma_m = self._vehicle.position(now_ns), self._drive.known.own_sigma_m
+        position, sigma_m = self._vehicle.position(now_ns), self._drive.state.own_sigma_m
         if position is None or sigma_m is None or self.plan is None:
             what = "autopilot reports no position" if position is None else "unknown how far off the position is"
             raise HomeRequestError(

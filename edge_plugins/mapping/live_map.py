@@ -14,9 +14,9 @@ from edge.reference_map.gps_motion import GpsMotion
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place, thumbnail
 from edge_plugins.mapping.drive_store import DriveStore, SearchablePart
+from edge_plugins.mapping.gps_consistency import GpsConsistency
 from edge_plugins.mapping.missed_places import Trail, straight_m
 from edge_plugins.mapping.outage import Outage, why_no_truth
-from edge_plugins.mapping.own_motion import GpsConsistency
 from edge_plugins.mapping.place_log_records import MappedPlace
 from edge_plugins.mapping.status import MappingStatus
 

@@ -28,8 +28,8 @@ from edge.reference_map import PartialMap, RegionsKey
 from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.drive_store import DriveStore
+from edge_plugins.mapping.gps_consistency import GpsFreeDistance, GpsFreeOdometer
 from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.own_motion import GpsFreeDistance, GpsFreeOdometer
 from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
 

@@ -17,7 +17,7 @@ class Motion(Plugin):
     def __init__(self, config: MotionConfig, parts: Parts) -> None:
         self._use, self._parts, link = config.use, parts, parts.autopilot
         link.use_camera_motion(sends=config.use == "send")
-        self._sender = VelocitySender(link, lambda: parts.drive.known.heading_error)
+        self._sender = VelocitySender(link, lambda: parts.drive.state.heading_error)
         self._motion = CameraMotion(parts.config, parts.record, link.vehicle.velocity.turned_rad)
 
     def frame(self, frame: Frame) -> None:

@@ -37,7 +37,7 @@ class Ros2Plugin(Plugin):
         for odometry in ros2.odometry():
             vehicle.velocity.use_odometry(*odometry)
         ros2.publish_state(health.state, health.why, parts.autopilot.status)
-        position = parts.drive.known.position
+        position = parts.drive.state.position
         if position is None or position.stamp_ns == ros2.judged_ns:
             return
         ros2.judged_ns, now_ns = position.stamp_ns, parts.clock_ns()

@@ -144,7 +144,9 @@ class BenchDrive:
         at = moved(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, street * APART_M, along_m)
         near = SearchRegion(*at, RADIUS_M) if self._known else None
         self._place += 1
-        return self._search.push(NormalizedRows(seen[np.newaxis]), lambda: np.stack(self._ring), MotionPrior(near=near))
+        return self._search.push(
+            NormalizedRows(seen[np.newaxis]), lambda: np.stack(self._ring), MotionPrior(search_region=near)
+        )
 
 
 def maps(folder: Path, places: int, rounds: int, model: ModelKey) -> Iterator[Row]:

@@ -32,7 +32,7 @@ from sim.calibration.offset import (
     rig_key,
     sigma_key,
 )
-from sim.calibration.sightings import OffsetSample, sightings
+from sim.calibration.offset_samples import OffsetSample, sightings
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map

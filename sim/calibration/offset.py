@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.config import RigConfig
 from edge.sequence import ORDERS, Alignment, Direction, Order
-from sim.calibration.sightings import OffsetSample
+from sim.calibration.offset_samples import OffsetSample
 
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 OUTLIER = 4.0
@@ -80,7 +80,7 @@ def _measure(seen: Sequence[OffsetSample], plane: Alignment) -> Offset | None:
     ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))
     aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
     aside_m = aside_m[~np.isnan(aside_m)] if not np.isnan(aside_m).all() else np.zeros(1)
-    look_m, look_sigma_m = _by_looks([one for one in placed if not np.isnan(one.look_m)])
+    look_m, look_sigma_m = _by_looks([one for one in placed if not np.isnan(one.pose_m)])
     return Offset(
         *plane,
         used=int(used.sum()),
@@ -101,7 +101,7 @@ def _by_looks(seen: Sequence[OffsetSample]) -> tuple[float, float]:
     """The median offset of single looks, and one standard deviation of that; NaN of fewer than FEWEST."""
     if len(seen) < FEWEST:
         return float("nan"), float("nan")
-    look_m, stretches = np.array([one.look_m for one in seen]), np.unique([one.place_m // STRETCH_M for one in seen])
+    look_m, stretches = np.array([one.pose_m for one in seen]), np.unique([one.place_m // STRETCH_M for one in seen])
     of_median_m = _deviation(look_m) * float(np.sqrt(np.pi / 2 / max(1, stretches.size - 1)))
     return float(np.median(look_m)), max(LEAST_SIGMA_M, of_median_m)
 

@@ -23,7 +23,7 @@ from edge.errors import LookbackError
 from edge.reference_map import COST_ONE, Drives, MapSet, ReferenceMap
 from edge.sequence.consensus import ConsensusSettings, PlaceConsensus, PlaceVote
 from edge.sequence.submap import Submap
-from sim.calibration.sightings import OffsetSample
+from sim.calibration.offset_samples import OffsetSample
 from sim.evaluation.metrics import Answers, precision_recall
 
 DEFAULT = AcceptanceConfig().confidence_from

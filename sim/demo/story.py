@@ -139,7 +139,7 @@ def picture(run: TrialRun) -> Figure:
     lost_m = lost_at_m(run)
     for track, color in ((run.alone, RED), (run.track, GREEN)):
         lost = ~track.gps
-        beside.plot(track.along_m[lost] - lost_m, track.left_m[lost], color=color, lw=1.8)
+        beside.plot(track.along_m[lost] - lost_m, track.cross_track_m[lost], color=color, lw=1.8)
     beside.axhline(0.0, color=GRAY, lw=1)
     beside.set(xlabel="driven without GPS, m", ylabel="left of the lane, m")
     figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
@@ -171,7 +171,7 @@ def pairs_of(run: TrialRun, folder: Path) -> report.ReportSection:
         for index in np.linspace(0, len(places) - 1, PAIRS).round().astype(int) if places else ():
             time_s, place_m = places[index]
             at_m = float(np.interp(time_s, run.track.time_s, run.track.along_m))
-            left_m = float(np.interp(time_s, run.track.time_s, run.track.left_m))
+            left_m = float(np.interp(time_s, run.track.time_s, run.track.cross_track_m))
             here = night.picture(float(draft.way.route_m[int(at_m)]), left_m)
             driven = f"home at night, {at_m - lost_at_m(run):.0f} m after GPS failed"
             there = report.Picture.of(
@@ -184,7 +184,7 @@ def pairs_of(run: TrialRun, folder: Path) -> report.ReportSection:
 def true_track(run: TrialRun, track: TruthTrack) -> NDArray[np.float64]:
     """East and north in meters, (N, 2), of a track of the story."""
     way = laid().way
-    return np.array([way.at(a, left)[:2] for a, left in zip(track.along_m, track.left_m, strict=True)])
+    return np.array([way.at(a, left)[:2] for a, left in zip(track.along_m, track.cross_track_m, strict=True)])
 
 
 def require_good(run: TrialRun) -> None:

@@ -25,8 +25,8 @@ from sim.datasets.alignment import Alignment
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
-from sim.evaluation.look_errors import look_errors
 from sim.evaluation.memoizing_network import MemoizingNetwork
+from sim.evaluation.pose_errors import look_errors
 from sim.evaluation.recognition import Recognition, RecognitionScore, judge, recognize
 from sim.evaluation.replay import as_line
 from sim.first_try.verdict import TryResult, Verdict, verdict

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.feed import Feed
-from sim.evaluation.look_errors import PoseErrors
+from sim.evaluation.pose_errors import PoseErrors
 from sim.evaluation.recognition import Recognition, RecognitionScore
 from sim.traverse import distances_m, driven_m
 

@@ -18,13 +18,13 @@ MOST_SIGMAS, ARRIVED_M, LANE_M = 4.0, 10.0, 5.0
 class TruthTrack:
     """Truth and belief of a drive, ten times a second: arrays (N,).
 
-    along_m, left_m: true place on the way. error_m: of the autopilot's own position. gps: whether its filter fuses GPS.
-    end_off_m: from where the vehicle stops to where it should.
+    along_m, cross_track_m: true place on the way. error_m: of the autopilot's own position. gps: whether its filter
+    fuses GPS. end_off_m: from where the vehicle stops to where it should.
     """
 
     time_s: Array
     along_m: Array
-    left_m: Array
+    cross_track_m: Array
     error_m: Array
     gps: NDArray[np.bool_]
     end_off_m: float = 0.0
@@ -77,7 +77,7 @@ class TrialRun:
 
 def lane_off_m(track: TruthTrack) -> float:
     """95 % of the cross-track error without GPS, m."""
-    return float(np.percentile(np.abs(track.left_m[~track.gps]), 95)) if not track.gps.all() else 0.0
+    return float(np.percentile(np.abs(track.cross_track_m[~track.gps]), 95)) if not track.gps.all() else 0.0
 
 
 def lost_s(run: TrialRun) -> float:

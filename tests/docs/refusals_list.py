@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from edge.localization.refusals import RULES
+from edge.localization.fix_rules import RULES
 from sim.research.trial.table import put_between
 
 PAGE = Path(__file__).parents[2] / "docs/positions.md"

@@ -17,7 +17,7 @@ from edge.config import Lens
 from edge.feed import FeedImages, read_feed
 from edge.feed.writer import FeedWriter
 from edge.keypoints import CameraModel, MapPoints
-from edge.keypoints.pose import look
+from edge.keypoints.pose import pose_to_keyframe
 from tests.photographs import Image, PhotographedStreet, drive, photograph, shipped
 
 FOCAL_PX, BASELINE, MIDDLES_X = 994.978, 1.93001, (311.193, 342.279)
@@ -68,11 +68,11 @@ def test_the_pose_of_a_stereo_pair_is_its_baseline() -> None:
     known = np.isfinite(inverse) & (inverse > 0)
     places = np.column_stack([camera.directions(place.xy), np.where(known, inverse, np.nan)])
     points = MapPoints(places, np.where(known, 0.5 / FOCAL_PX / BASELINE, np.nan))
-    found = look(query, place, points, other)
+    found = pose_to_keyframe(query, place, points, other)
     assert found is not None
     assert found.right_m == pytest.approx(BASELINE, abs=0.1)
     assert found.ahead_m == pytest.approx(0, abs=0.3)
-    assert np.degrees(found.turn) == pytest.approx(0, abs=0.3)
+    assert np.degrees(found.turn_rad) == pytest.approx(0, abs=0.3)
 
 
 def bent(straight: Image) -> Image:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
-from edge.keypoints.pose import FEWEST_POINTS, RelativePose, look, pose_of
+from edge.keypoints.pose import FEWEST_POINTS, RelativePose, pose_to_keyframe, solve_pnp
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
 HOME = (3.5, 1.0, 0.05, 0.02)
@@ -23,17 +23,17 @@ def one_look(
     picture = with_noise(rng, seen(world_m, camera), 1.0)
     picture[rng.random(len(picture)) < wrong] = rng.uniform(-0.8, 0.8, 2)
     known = points.is_known
-    pose = pose_of(points[known], picture[known], CAMERA)
+    pose = solve_pnp(points[known], picture[known], CAMERA)
     if pose is None:
         return None, np.full(3, np.nan)
-    off = np.array([pose.right_m, pose.ahead_m, pose.turn]) - camera[:3]
+    off = np.array([pose.right_m, pose.ahead_m, pose.turn_rad]) - camera[:3]
     return pose, off / np.sqrt(np.diag(pose.covariance))
 
 
 @pytest.mark.parametrize("camera", [HOME, (-0.5, -4.0, 0.0, 0.0), (0.0, 6.0, -0.1, -0.03)])
 def test_one_look_gives_the_pose_to_its_covariance(camera: tuple[float, ...]) -> None:
     looks = [one_look(seed, camera) for seed in range(12)]
-    assert all(pose is not None and pose.count > 50 for pose, _ in looks)
+    assert all(pose is not None and pose.inliers > 50 for pose, _ in looks)
     rms = np.sqrt(np.mean([off**2 for _, off in looks], axis=0))
     assert (rms < 1.6).all(), rms
     sigmas = np.sqrt([np.diag(pose.covariance) for pose, _ in looks if pose])
@@ -53,9 +53,9 @@ def test_where_two_poses_explain_as_many_points_each_is_within_the_other_s_covar
         picture = np.where(np.arange(120)[:, np.newaxis] % 2, *(seen(world_m, tuple(one)) for one in cameras))
         known = points.is_known
         starts = np.array([(3.5, 0.0, 0.0), (0.0, 0.0, 0.0)])
-        pose = pose_of(points[known], with_noise(rng, picture, 0.5)[known], CAMERA, starts)
+        pose = solve_pnp(points[known], with_noise(rng, picture, 0.5)[known], CAMERA, starts)
         assert pose is not None
-        found = [pose.right_m, pose.ahead_m, pose.turn]
+        found = [pose.right_m, pose.ahead_m, pose.turn_rad]
         for off in found - cameras[:, :3]:
             assert off @ np.linalg.solve(pose.covariance, off) < 11.3, "99 of 100"
 
@@ -65,9 +65,9 @@ def test_too_few_points_and_points_of_another_place_give_none() -> None:
     world_m = street(rng, 60)
     points = row_points(rng, world_m, pixels=0.5, turned_deg=0.0)
     few = np.flatnonzero(points.is_known)[: FEWEST_POINTS - 1]
-    assert pose_of(points[few], seen(world_m, HOME)[few], CAMERA) is None
+    assert solve_pnp(points[few], seen(world_m, HOME)[few], CAMERA) is None
     known = points.is_known
-    assert pose_of(points[known], rng.uniform(-0.8, 0.8, (known.sum(), 2)), CAMERA) is None
+    assert solve_pnp(points[known], rng.uniform(-0.8, 0.8, (known.sum(), 2)), CAMERA) is None
 
 
 def test_a_followed_vehicle_needs_one_start() -> None:
@@ -77,7 +77,7 @@ def test_a_followed_vehicle_needs_one_start() -> None:
     known = points.is_known
     picture = seen(world_m, HOME)[known]
     cold, followed = (
-        pose_of(points[known], picture, CAMERA, *starts) for starts in ((), (np.array([(3.0, 0.0, 0.0)]),))
+        solve_pnp(points[known], picture, CAMERA, *starts) for starts in ((), (np.array([(3.0, 0.0, 0.0)]),))
     )
     assert cold is not None
     assert followed is not None
@@ -99,8 +99,8 @@ def test_a_look_matches_descriptors_in_a_picture_of_any_size(scale: int) -> None
         )
 
     query, place = keypoints(HOME, rng.permutation(100), scale), keypoints((0, 0, 0, 0), np.arange(100), 1)
-    pose = look(query, place, points, CAMERA)
+    pose = pose_to_keyframe(query, place, points, CAMERA)
     assert pose is not None
-    assert (pose.right_m, pose.ahead_m, pose.turn) == pytest.approx(HOME[:3], abs=0.2)
+    assert (pose.right_m, pose.ahead_m, pose.turn_rad) == pytest.approx(HOME[:3], abs=0.2)
     other = Keypoints(query.xy, query.scores, np.flip(query.descriptors, axis=1), query.size)
-    assert look(other, place, points, CAMERA) is None
+    assert pose_to_keyframe(other, place, points, CAMERA) is None

@@ -7,7 +7,6 @@ it asks for a position. All are meters north of HOME.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -135,12 +134,12 @@ class Vehicle:
         """What a frame shows here; what is known of GPS then."""
         known = {"motion": self.motion, "without_gps": self.without_gps, "gps": gps}
         self.drive.update(self.t_ns, ImageProcessed(self.t_ns, seen, **{**known, **self.frame}))
-        return self.drive.known.gps
+        return self.drive.state.gps
 
     @property
     def without_gps(self) -> Odometry:
         """Its own motion, by gyros without a bias."""
-        return replace(self.motion, gyros=Gyros(self.t_ns / 1e9))
+        return msgspec.structs.replace(self.motion, gyros=Gyros(self.t_ns / 1e9))
 
     def _sees(self, at_m: float) -> PlaceMatch | None:
         return self.road.match(at_m, self.direction)
@@ -170,13 +169,17 @@ class Vehicle:
     def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Odometry:
         """The displacement once it has moved on by so much."""
         now = self.motion
-        return replace(now, north_m=now.north_m + self.sign * ahead_m, east_m=now.east_m + east_m, **changes)
+        return msgspec.structs.replace(
+            now, north_m=now.north_m + self.sign * ahead_m, east_m=now.east_m + east_m, **changes
+        )
 
     def unheard(self, meters: float, unknown_m: float) -> None:
         """The vehicle moves on while its velocity is unknown, by at most so much."""
         self.north_m += self.sign * meters
         self.t_ns += S
-        self.motion = self.moved(leg=self.motion.leg + 1, unknown_m=self.motion.unknown_m + unknown_m)
+        self.motion = self.moved(
+            odometry_epoch=self.motion.odometry_epoch + 1, unknown_m=self.motion.unknown_m + unknown_m
+        )
 
     def ask(self, later_ns: int = 0, **limits: Any) -> Fix | NoFix:
         return self.drive.fix(self.t_ns + later_ns, FixRequest(**{"oldest_s": 5.0, **limits}))
@@ -189,7 +192,7 @@ class Vehicle:
     @property
     def place(self) -> PlaceFix | None:
         """The position at the newest exposure, whether or not it may be published; None while it is lost."""
-        return self.drive.known.position
+        return self.drive.state.position
 
     def place_at(self, later_ns: int = 0, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> PlaceFix | None:
         """The same at another moment, once the vehicle has moved on."""

@@ -405,7 +405,7 @@ class Bench:
         (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)
         sin, cos = math.sin(heading_rad), math.cos(heading_rad)
         errors_m = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
-        self.result.bounded.append(Bounded(self.driven_m, *errors_m, level.along_m, level.across_m))
+        self.result.bounded.append(Bounded(self.driven_m, *errors_m, level.along_track_m, level.cross_track_m))
 
     def _send(self, now_ns: int, own: VehiclePosition, fix: Fix, off_m: float, now_m: Points) -> None:
         """now_m: where the position puts the vehicle now, by the autopilot's velocity since."""

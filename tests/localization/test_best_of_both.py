@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import AGREE_SIGMAS, AutopilotState, Fix, ProtectionLevel
-from edge.localization.bound import AutopilotCovariance, Drift, PropagatedCovariance
+from edge.localization.autopilot_covariance import AutopilotCovariance, Drift, PropagatedCovariance
 from edge.localization.integrity import BESIDE_M, GROWS, OFF_SIGMAS, FixCandidate, better_of, is_correction
 from tests.localization.events_of import Road, S, Vehicle
 from tests.localization.route_course import HOME, Stretch
@@ -49,7 +49,7 @@ def test_in_each_direction_the_better_of_both_is_sent(
 ) -> None:
     """The road leads east; the autopilot has the vehicle 7 m further along it and 5 m to the left."""
     found = better_of(replace(FIX, by_lane=by_lane), own(7.0, 5.0), axes_m, by_gps=False)
-    assert found is not None and found.keeps == keeps
+    assert found is not None and found.held_axes == keeps
     assert placed(found.place) == pytest.approx(place_m, abs=0.01)
     sigmas_m = found.place.sigma_along_m, found.place.sigma_across_m
     expected_m = [one_m if keep else fix_m for one_m, keep, fix_m in zip(axes_m, keeps, (4.0, 3.0), strict=True)]
@@ -61,7 +61,7 @@ def test_an_autopilot_that_steers_itself_keeps_its_own_across_where_only_the_lan
     far_m = 9.0, 3.0 * BESIDE_M
     for by_lane, drives_itself, keeps in [(True, True, True), (False, True, False), (True, False, False)]:
         found = better_of(replace(FIX, by_lane=by_lane), own(7.0, 5.0, drives_itself=drives_itself), far_m, by_gps=True)
-        assert found is not None and found.keeps == (False, keeps)
+        assert found is not None and found.held_axes == (False, keeps)
 
 
 def test_a_position_that_is_better_in_neither_direction_is_none() -> None:
@@ -77,7 +77,7 @@ def test_nothing_is_kept_of_an_autopilot_that_a_certain_position_contradicts(
 ) -> None:
     """20 m along, as after a GPS that was dragged and then jammed: what bounds it is wrong, in both directions."""
     found = better_of(FIX, own(20.0, 0.0), axes_m, by_gps=True)
-    assert found is not None and found.keeps == (False, is_kept)
+    assert found is not None and found.held_axes == (False, is_kept)
 
 
 @pytest.mark.parametrize("far_m", [0.99, 1.01])
@@ -96,13 +96,13 @@ def test_a_position_bounds_the_autopilot_in_the_directions_that_it_measures(left
     """Whether it was sent, or the autopilot agrees with it: by as much as they differ, and at least its own sigma."""
     bound, reported = AutopilotCovariance(drift=0.05), AutopilotState(driven_m=0.0)
     bound.bind(10.0, reported)
-    bound.bind_by_fix(Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True)), left_m, reported)
+    bound.bind_by_fix(Fix(FIX, ProtectionLevel(math.inf, math.inf), held_axes=(False, True)), left_m, reported)
     assert bound.axes_m(reported, FIX, 0.0) == pytest.approx((along_m, 10.0))
 
 
 def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
     """A hundred positions in a row that keep the autopilot's own across, on the way to the east."""
-    fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), keeps=(False, True))
+    fix = Fix(FIX, ProtectionLevel(math.inf, math.inf), held_axes=(False, True))
     for drift, share in ((Drift(0.0, 0.0, 0.04), 0.04), (Drift(0.01, 0.02, 0.0), 0.02)):
         errors = PropagatedCovariance(9.0 * np.eye(2))
         for _ in range(100):
@@ -130,5 +130,5 @@ def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_se
     one.off_m = 12.0
     one.own()
     answer = one.ask(is_reset=True)
-    assert isinstance(answer, Fix) and answer.keeps == (False, True)
+    assert isinstance(answer, Fix) and answer.held_axes == (False, True)
     assert answer.place.by_lane and answer.place.sigma_across_m > answer.place.sigma_along_m

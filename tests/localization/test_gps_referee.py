@@ -238,7 +238,7 @@ def test_a_false_place_where_the_vehicle_did_not_drive_is_no_evidence_against_gp
 
 
 def test_without_places_nothing_is_said(long_road: Road) -> None:
-    assert Vehicle(long_road).drive.known.gps == GpsVerdict()
+    assert Vehicle(long_road).drive.state.gps == GpsVerdict()
     verdicts = drive(long_road, right, 700.0, sees=lambda at_m: long_road.match(at_m) if at_m < 300.0 else None)
     assert verdicts[-1].state == "cannot say"
 
@@ -333,5 +333,5 @@ def test_a_street_beside_that_is_entered_without_gps_makes_no_gps_wrong(mapped: 
     for frame in range(200):
         one.aside_m = 0.5 if frame < 50 else 0.0
         one.go(2)
-        assert one.drive.known.gps.state != "wrong"
+        assert one.drive.state.gps.state != "wrong"
     assert not any(isinstance(answer, Fix) for answer in one.answers(100))

@@ -19,9 +19,9 @@ from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
 from edge.localization import Discontinuity, Fix, FixRequest, NoFix
+from edge.localization.fix_rules import AGREES, RULES
 from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
-from edge.localization.refusals import AGREES, RULES
 from edge.sequence import PlaceMatch
 from tests.docs.refusals_list import as_list
 from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
@@ -241,7 +241,7 @@ def test_asking_changes_nothing(long_road: Road) -> None:
         FixRequest(unable="it is dark"),
     ):
         one.drive.fix(one.t_ns + 45 * S, limits)
-    assert (one.ask(), one.drive.known) == (other.ask(), other.drive.known)
+    assert (one.ask(), one.drive.state) == (other.ask(), other.drive.state)
     assert one.answers(100) == other.answers(100)
 
 
@@ -339,7 +339,7 @@ def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown
     refused = {UNCONFIRMED, "the newest matches disagree"}
     assert reason(last) in ({None} if 40 < unknown_m < 100 else refused)
     if isinstance(last, Fix):
-        assert last.level.along_m > unknown_m, "the place may be wrong, by as much"
+        assert last.level.along_track_m > unknown_m, "the place may be wrong, by as much"
 
 
 def test_evidence_outlives_first_matches_after_a_silence_that_are_far_off(long_road: Road) -> None:
@@ -396,7 +396,7 @@ def test_stretches_that_agree_make_a_level_of_the_errors_alone(long_road: Road) 
     assert None not in one.go(580)
     newest = one.answers(790)[-1]
     assert isinstance(newest, Fix)
-    along_m, across_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_m, newest.level.across_m))
+    along_m, across_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_track_m, newest.level.cross_track_m))
     assert along_m / newest.place.sigma_along_m == pytest.approx(across_m / newest.place.sigma_across_m)
 
 
@@ -407,7 +407,7 @@ def test_a_level_holds_wherever_a_shifted_stretch_begins(mapped: MakeRoad) -> No
     one.go(2000)
     fixes = [one for one in one.answers(500) if isinstance(one, Fix) and one.place.segment]
     assert len(fixes) > 100
-    assert all(fix.level.along_m > 15.0 for fix in fixes)
+    assert all(fix.level.along_track_m > 15.0 for fix in fixes)
 
 
 def test_what_is_not_published_has_no_protection_level(long_road: Road) -> None:

@@ -8,10 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec import convert, structs, to_builtins
 
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
-from edge.localization import Discontinuity, EstimatorState, Fix, MapUpdate, ScaleFactor
+from edge.localization import (
+    Discontinuity,
+    EstimatorState,
+    Fix,
+    FixFeedback,
+    FixRequest,
+    ImageProcessed,
+    MapUpdate,
+    Odometry,
+    ProtectionLevel,
+    ScaleFactor,
+)
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import LENGTH, Road, S, Vehicle, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
@@ -20,7 +32,7 @@ from tests.localization.route_course import HOME, SPACING_M, Stretch
 def known(one: Vehicle, **own: Any) -> EstimatorState:
     """After what the autopilot reports."""
     one.own(**own)
-    return one.drive.known
+    return one.drive.state
 
 
 def test_uncertainty_grows_with_the_distance_since_it_was_bound(road: Road) -> None:
@@ -38,7 +50,7 @@ def test_it_grows_by_what_the_velocity_was_found_wrong_by(road: Road) -> None:
     one.odometer = 0.9
     one.go(240)
     assert one.place is not None and one.place.velocity_error > 0.07
-    assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, one.place.velocity_error * 216.0), abs=0.01)
+    assert one.drive.state.own_sigma_m == pytest.approx(math.hypot(3.0, one.place.velocity_error * 216.0), abs=0.01)
 
 
 def shown(road: Road, **changes: Any) -> tuple[Vehicle, float]:
@@ -47,7 +59,7 @@ def shown(road: Road, **changes: Any) -> tuple[Vehicle, float]:
     one.go(60, gps=True)
     one.reports = {"scale": ScaleFactor(0.0, 0.02), **changes}
     one.go(100, lambda _: None)
-    own_sigma_m = one.drive.known.own_sigma_m
+    own_sigma_m = one.drive.state.own_sigma_m
     assert own_sigma_m is not None
     return one, own_sigma_m
 
@@ -66,9 +78,9 @@ def test_wheels_are_as_wrong_as_usual_unless_gps_contradicts_that(mean: float, e
 
 def test_a_wheel_that_spins_takes_back_what_was_shown(road: Road) -> None:
     one, _ = shown(road)
-    one.motion = replace(one.motion, doubtful_north_m=1.0)
+    one.motion = structs.replace(one.motion, doubtful_north_m=1.0)
     one.go(2, lambda _: None)
-    assert one.drive.known.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 102.0))
+    assert one.drive.state.own_sigma_m == pytest.approx(math.hypot(3.0, 0.05 * 102.0))
 
 
 @pytest.mark.parametrize(("further_m", "holds"), [(2.0, True), (40.0, False)])
@@ -77,8 +89,8 @@ def test_places_elsewhere_than_expected_take_back_what_was_shown(further_m: floa
     one, _ = shown(road)
     one.go(100, nothing)
     one.go(60, lambda at_m: one.road.match(at_m + further_m))
-    assert one.drive.known.own_sigma_m is not None
-    assert (one.drive.known.own_sigma_m < math.hypot(3.0, 0.05 * 260.0)) == holds
+    assert one.drive.state.own_sigma_m is not None
+    assert (one.drive.state.own_sigma_m < math.hypot(3.0, 0.05 * 260.0)) == holds
 
 
 def test_what_was_shown_outlives_a_time_of_which_no_match_counts(road: Road) -> None:
@@ -104,11 +116,11 @@ def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road
     one.go(100)
     fix = one.ask()
     assert isinstance(fix, Fix)
-    assert not one.drive.known.is_bounded and not one.drive.known.rests_on_fixes
+    assert not one.drive.state.is_bounded and not one.drive.state.rests_on_fixes
     one.use(fix, left_m=40.0)
-    assert one.drive.known.own_sigma_m == 40.0 and one.drive.known.rests_on_fixes
+    assert one.drive.state.own_sigma_m == 40.0 and one.drive.state.rests_on_fixes
     one.use(fix, left_m=0.1)
-    assert one.drive.known.own_sigma_m == pytest.approx(max(fix.place.sigma_along_m, fix.place.sigma_across_m))
+    assert one.drive.state.own_sigma_m == pytest.approx(max(fix.place.sigma_along_m, fix.place.sigma_across_m))
     one.own(is_aided=False)
     one.use(fix, left_m=0.1)
     assert known(one).own_sigma_m is None, "of one that nothing aids, nobody knows"
@@ -118,7 +130,7 @@ def test_after_a_reboot_nothing_bounds_the_autopilot_and_gps_had_the_vehicle_whe
     one = Vehicle(road)
     one.go(100, gps=True)
     one.drive.update(one.t_ns, Discontinuity("reboot"))
-    assert one.drive.known.own_sigma_m is None and not one.drive.known.is_bounded
+    assert one.drive.state.own_sigma_m is None and not one.drive.state.is_bounded
     one.off_m, one.reports = -100.0, {"booted_ns": one.t_ns}  # at its origin
     assert one.go(20)[-1] is None, "a place is confirmed by where GPS had the vehicle, moved on by its velocity"
 
@@ -146,7 +158,7 @@ def test_no_position_rests_on_frames_from_before_a_blindness(kind: Any, road: Ro
     one = Vehicle(road)
     one.go(250, gps=True)
     one.drive.update(one.t_ns, Discontinuity(kind))
-    assert one.place is None and one.drive.known.gps.state == "agrees" and one.drive.known.is_bounded
+    assert one.place is None and one.drive.state.gps.state == "agrees" and one.drive.state.is_bounded
     reasons = one.go(2 * LENGTH + 2)
     assert reasons.index(None) == LENGTH - 1, "a line of new frames"
 
@@ -158,7 +170,7 @@ def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None
     one.drive.update(one.t_ns, MapUpdate(road.maps, has_grown=True))
     assert one.place == place is not None
     one.drive.update(one.t_ns, MapUpdate(road.maps))
-    assert one.place is None and one.drive.known.gps.state == "agrees"
+    assert one.place is None and one.drive.state.gps.state == "agrees"
 
 
 def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(road: Road) -> None:
@@ -166,10 +178,10 @@ def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(road: 
     one, turns_m, states = Vehicle(road), 220.0, []
     one.frame = {}
     one.go(turns_m, gps=True)
-    assert one.drive.known.gps.state == "agrees"
+    assert one.drive.state.gps.state == "agrees"
     for _ in range(40):
         one.go(2, lambda at_m: one.road.match(2 * turns_m - at_m, "reverse"), gps=True)
-        states.append(one.drive.known.gps.state)
+        states.append(one.drive.state.gps.state)
     assert not {"map wrong", "wrong"} & set(states)
 
 
@@ -180,12 +192,12 @@ def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_
     """It is dragged 40 m off; the places have the vehicle where it is, and bound the autopilot where GPS is ignored."""
     one = Vehicle(road, settings(gates=GatesConfig(doubted_gps=acts)))
     one.go(140, gps=True)
-    while one.drive.known.gps.state != "wrong":
+    while one.drive.state.gps.state != "wrong":
         one.off_m += 1.0
         one.go(2, gps=True)
-    verdict, ignores = one.drive.known.gps, acts == "send"
+    verdict, ignores = one.drive.state.gps, acts == "send"
     assert verdict.north_m == pytest.approx(one.off_m, abs=12.0)
-    assert one.drive.known.ignores_gps is ignores
+    assert one.drive.state.ignores_gps is ignores
     answer = one.answers(2, gps=True)[0]
     assert isinstance(answer, Fix) is ignores
 
@@ -206,7 +218,7 @@ def test_after_a_long_way_without_places_a_doubtful_one_waits_for_others(
 
 def reckoned_m(one: Vehicle) -> tuple[float, float] | None:
     """Meters north of HOME that GPS and motion alone have the vehicle, and one standard deviation."""
-    found = one.drive.reckoned(one.motion)
+    found = one.drive.dead_reckoning_position(one.motion)
     return None if found is None else (east_north_of(found.lat_deg, found.lon_deg, HOME)[1], found.sigma_m)
 
 
@@ -244,7 +256,7 @@ def test_the_vehicle_is_reckoned_by_gps_and_its_motion_and_by_no_place(road: Roa
 def test_nothing_is_reckoned_by_a_gps_that_places_speak_against(road: Road) -> None:
     one = Vehicle(road)
     one.go(140, gps=True)
-    while one.drive.known.gps.state not in ("doubtful", "disagrees", "wrong"):
+    while one.drive.state.gps.state not in ("doubtful", "disagrees", "wrong"):
         one.off_m += 1.0
         one.go(2, gps=True)
         assert one.off_m < 60.0
@@ -264,7 +276,7 @@ def test_a_place_that_gps_helped_to_believe_is_no_evidence_and_does_not_vouch_fo
     one = Vehicle(road)
     reasons = one.go(250, lambda at_m: by_gps_alone(road.match(at_m)), gps=True)
     assert one.place is not None, "but the vehicle is followed"
-    assert one.drive.known.gps.state == "cannot say"
+    assert one.drive.state.gps.state == "cannot say"
     reasons = one.go(100, lambda at_m: by_gps_alone(road.match(at_m)))
     assert None not in reasons
     assert None in one.go(100)
@@ -282,4 +294,13 @@ def test_gps_is_judged_by_what_the_votes_alone_say_of_another_place(road: Road) 
     for _ in range(60):
         one.off_m += 1.0
         one.go(2, by_gps, gps=True)
-    assert one.drive.known.gps.state == "wrong"
+    assert one.drive.state.gps.state == "wrong"
+
+
+def test_the_list_of_a_drive_has_the_words_of_earlier_versions() -> None:
+    """So that theirs are read, and ours by them."""
+    assert {"type": "Frame", "undated_s": 0.5}.items() <= to_builtins(ImageProcessed(0, timestamp_sigma_s=0.5)).items()
+    assert to_builtins(Odometry(3, 1.0, 2.0))["leg"] == 3
+    assert to_builtins(ProtectionLevel(1.0, 2.0)) == {"along_m": 1.0, "across_m": 2.0}
+    assert to_builtins(FixFeedback(None, remaining_m=1.0)) == {"type": "Used", "fix": None, "left_m": 1.0}
+    assert convert({"type": "Limits", "at": "now"}, FixRequest).at == "now"

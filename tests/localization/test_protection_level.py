@@ -12,7 +12,7 @@ import pytest
 
 from edge.journal.records import PlaceFix
 from edge.localization import Odometry
-from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
+from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
 from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, FaultProbabilities, protection_level
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
@@ -60,7 +60,7 @@ def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(
 
 def level_of(place: float, reckoned: DeadReckoningOffset | None, bound: float = 0.1) -> tuple[float, float]:
     level = protection_level(FIX, FaultProbabilities(place, 0.0, bound), reckoned, 8.0, 1e-3, 500.0)
-    return level.along_m, level.across_m
+    return level.along_track_m, level.cross_track_m
 
 
 def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notices() -> None:
@@ -73,7 +73,7 @@ def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notic
 def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
     uncertain = msgspec.structs.replace(FIX, sigma_along_m=10.0)
     level = protection_level(uncertain, FaultProbabilities(1e-9, 0.0, 0.1), None, 8.0, 1e-3, 500.0)
-    assert 5 * MODEL_ERROR < level.along_m / 10 < 5.3 * MODEL_ERROR  # 480 errors in an hour
+    assert 5 * MODEL_ERROR < level.along_track_m / 10 < 5.3 * MODEL_ERROR  # 480 errors in an hour
 
 
 def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -> None:
@@ -89,8 +89,8 @@ def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:
     level = protection_level(
         northeast, FaultProbabilities(2e-5, 0.0, 0.1), DeadReckoningOffset(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0
     )
-    assert level.along_m > math.hypot(30.0, 30.0)
-    assert level.across_m < 30.0
+    assert level.along_track_m > math.hypot(30.0, 30.0)
+    assert level.cross_track_m < 30.0
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
     level = protection_level(
         FIX, FaultProbabilities(1e-9, 1e-3, 0.1), DeadReckoningOffset(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0
     )
-    assert level.across_m > 60.0
+    assert level.cross_track_m > 60.0
 
 
 def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:

@@ -87,7 +87,7 @@ def test_it_is_moved_on_by_the_velocity_also_backwards_and_to_the_side(road: Roa
 
 
 def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_road(road: Road) -> None:
-    dated, undated = warm(road), warm(road, undated_s=0.4)
+    dated, undated = warm(road), warm(road, timestamp_sigma_s=0.4)
     known, unknown = placed(dated), placed(undated)
     assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02), "at 10 m/s"
     assert unknown.sigma_across_m == pytest.approx(known.sigma_across_m)
@@ -188,7 +188,7 @@ def test_a_line_at_an_end_of_a_drive_may_have_been_pushed_there(road: Road, ends
 
 def test_without_a_displacement_there_is_no_position(road: Road) -> None:
     one = warm(road)
-    assert one.place_at(S, leg=2) is None, "of another leg"
+    assert one.place_at(S, odometry_epoch=2) is None, "of another leg"
     assert one.place is not None
     one.frame = {"motion": None}
     one.go(2)
@@ -359,7 +359,7 @@ def test_it_is_lost_after_a_silence_and_not_moved_on_further_than_it_may_go_unse
 
 def test_an_odometer_that_counts_anew_begins_a_new_track(road: Road) -> None:
     one = warm(road)
-    one.motion = one.moved(leg=2)
+    one.motion = one.moved(odometry_epoch=2)
     one.go(2)
     assert one.place is None
 

@@ -55,8 +55,8 @@ def test_the_picture_of_a_place_is_not_turned_from_it(mapped: lookback.Map) -> N
     for place in range(6, 18, 3):
         found = mapped.pose(picture(place * SPACING_M, turn_deg=ASIDE_DEG), place)
         assert found is not None
-        assert abs(math.degrees(found.turn)) < 0.3
-        assert abs(found.turn) < 4 * math.sqrt(found.covariance[2, 2]) + math.radians(0.1)
+        assert abs(math.degrees(found.turn_rad)) < 0.3
+        assert abs(found.turn_rad) < 4 * math.sqrt(found.covariance[2, 2]) + math.radians(0.1)
 
 
 def test_a_pose_is_of_the_frame_of_the_places_camera(mapped: lookback.Map) -> None:
@@ -66,4 +66,4 @@ def test_a_pose_is_of_the_frame_of_the_places_camera(mapped: lookback.Map) -> No
         found = mapped.pose(picture(place * SPACING_M + 3.0), place)
         assert found is not None
         assert (found.right_m, found.ahead_m) == pytest.approx((-3 * math.sin(aside), 3 * math.cos(aside)), abs=0.15)
-        assert math.degrees(found.turn) == pytest.approx(-ASIDE_DEG, abs=0.4)
+        assert math.degrees(found.turn_rad) == pytest.approx(-ASIDE_DEG, abs=0.4)

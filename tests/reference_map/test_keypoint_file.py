@@ -15,7 +15,7 @@ import pytest
 from edge.config import SamplingConfig
 from edge.errors import MapError
 from edge.keypoints import CameraModel, Keypoints
-from edge.keypoints.pose import look as pose_by
+from edge.keypoints.pose import pose_to_keyframe as pose_by
 from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of, record_of
@@ -122,7 +122,7 @@ def test_a_camera_with_another_field_of_view_can_look_at_a_map(tmp_path: Path) -
     query = replace(shown, xy=xy, size=(wide.height, wide.width))
     pose = pose_by(query, keypoints_of(made.keypoints[12], KEY), points_of(made.keypoints[12]), wide)
     assert pose is not None
-    assert (pose.right_m, pose.ahead_m, pose.turn) == pytest.approx((0, 0, 0), abs=0.02)
+    assert (pose.right_m, pose.ahead_m, pose.turn_rad) == pytest.approx((0, 0, 0), abs=0.02)
 
 
 def test_only_a_map_with_keypoints_is_of_version_5_and_earlier_ones_read_as_before(tmp_path: Path) -> None:

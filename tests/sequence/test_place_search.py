@@ -86,7 +86,7 @@ class Drive:
     def see(self, place: int, near: SearchRegion | None = None) -> PlaceMatch | None:
         self._ring = [*self._ring, self._look(place)][-LENGTH:]
         change = NormalizedRows(self._ring[-1][np.newaxis])
-        match = self.search.push(change, lambda: np.stack(self._ring), MotionPrior(near=near))
+        match = self.search.push(change, lambda: np.stack(self._ring), MotionPrior(search_region=near))
         self._unique = self._unique + 1 if match and match.uniqueness >= self._uniqueness_min else 0
         self.search.follow(match.place_index if match and self._unique >= self._believed_after else None)
         return match

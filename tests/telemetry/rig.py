@@ -150,7 +150,7 @@ class Rig:
         """What the places say of GPS, after a frame."""
         self.connection.report_own()
         self.drive.judge(verdict)
-        self.connection.judge_gps(self.drive.known.gps)
+        self.connection.judge_gps(self.drive.state.gps)
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
@@ -197,7 +197,7 @@ class Rig:
     def bounded_m(self) -> float | None:
         """One standard deviation of the autopilot's own position, None where nothing bounds it."""
         self.connection.report_own()
-        return self.drive.known.own_sigma_m
+        return self.drive.state.own_sigma_m
 
     @property
     def uncertainty_m(self) -> float:

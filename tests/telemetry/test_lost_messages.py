@@ -264,7 +264,7 @@ def test_heartbeats_that_alone_are_missing_end_nothing_but_the_mode(lost_gps: Ri
     lost_gps.wire.loses = loses("HEARTBEAT")
     lost_gps.run(10.0)
     now = vehicle.motion.displacement(lost_gps.now_ns)
-    assert now is not None and (now.leg, now.unknown_m) == (before.leg, before.unknown_m)
+    assert now is not None and (now.odometry_epoch, now.unknown_m) == (before.odometry_epoch, before.unknown_m)
     assert (lost_gps.connection.state, vehicle.drives_itself) == ("up", None)
     assert lost_gps.send_position(lost_gps.fix())
     lost_gps.wire.loses = None

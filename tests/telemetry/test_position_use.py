@@ -41,7 +41,7 @@ def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follow
     drive.update(2 * S, vehicle.own(2 * S))
     use = PositionUse(vehicle, drive, Publisher(lambda record: None, lambda text: None))
     use.expect(sent(own, north_m), is_reset=False)
-    assert drive.known.own_sigma_m == (pytest.approx(north_m, abs=0.1) if follows else None)
+    assert drive.state.own_sigma_m == (pytest.approx(north_m, abs=0.1) if follows else None)
 
 
 def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> None:
@@ -57,7 +57,7 @@ def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> Non
     vehicle.handle(speaker.fix(3000, 25.0, vn_mps=0.0, ve_mps=0.0), 3 * S)
     drive.update(3 * S, vehicle.own(3 * S))
     use.check(3 * S)
-    assert drive.known.own_sigma_m == pytest.approx(15.0, abs=0.1)
+    assert drive.state.own_sigma_m == pytest.approx(15.0, abs=0.1)
 
 
 BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)

@@ -34,7 +34,7 @@ def run_away(vehicle: Vehicle, speaker: Speaker, *, wheels_mps: float | None = N
 
 def moved_m(vehicle: Vehicle, first_ns: int, last_ns: int) -> tuple[float, float]:
     first, last = vehicle.motion.displacement(first_ns), vehicle.motion.displacement(last_ns)
-    assert first is not None and last is not None and first.leg == last.leg
+    assert first is not None and last is not None and first.odometry_epoch == last.odometry_epoch
     return last.east_m - first.east_m, last.north_m - first.north_m
 
 

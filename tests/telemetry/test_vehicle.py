@@ -221,7 +221,7 @@ def test_the_displacement_is_that_of_the_positions_until_one_of_ours_may_have_mo
             north_m = boot_ms / 100.0 + (jump_m if tenth > count // 2 else 0.0)
             vehicle.handle(speaker.fix(boot_ms, north_m, vn_mps=9.986, ve_mps=0.523), boot_ms * 1_000_000)
         end = vehicle.motion.displacement((first_ms + 100 * count) * 1_000_000)
-        assert begin is not None and end is not None and begin.leg == end.leg
+        assert begin is not None and end is not None and begin.odometry_epoch == end.odometry_epoch
         return end.east_m - begin.east_m, end.north_m - begin.north_m
 
     vehicle.handle(speaker.fix(2000, 20.0, vn_mps=9.986, ve_mps=0.523), 2 * S)

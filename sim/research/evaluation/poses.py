@@ -1,7 +1,7 @@
 """One look at a map with keypoints, on simulated roads, as the tables of docs/keypoints.md: poses, or what is believed.
 
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
-What is believed: see `looks`.
+What is believed: see `keyframes`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from edge.feed import FeedImages, View, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
-from edge.keypoints.pose import RelativePose, look
+from edge.keypoints.pose import RelativePose, pose_to_keyframe
 from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
-from sim.research.evaluation import looks
+from sim.research.evaluation import keyframes
 from sim.world.recording import record_drive
 from sim.world.scenario import LightName, Scenario
 
@@ -39,7 +39,7 @@ DRIVES: dict[str, tuple[View, Scenario]] = {
 }
 """The view of the map's camera, and the drive on it: half a meter beside, and in the lane of the way home."""
 LIGHTS: tuple[LightName, ...] = ("dusk", "night", "snow")
-ALL_LIGHTS = sorted({*LIGHTS, *(light for some in looks.LIGHTS.values() for light in some)})
+ALL_LIGHTS = sorted({*LIGHTS, *(light for some in keyframes.LIGHTS.values() for light in some)})
 AROUND = 2
 DRAWS = 100
 """Between the seeds of two draws of a drive: of its speed, other cars, lit windows and noise."""
@@ -66,24 +66,28 @@ def looks_off_map(args: argparse.Namespace) -> Iterator[str]:
 
 def looks_on_streets(args: argparse.Namespace) -> Iterator[str]:
     """What it believes on straight streets built alike."""
-    yield from looks.on_streets({repeats_m: _tables(args, args.draws, repeats_m) for repeats_m in looks.REPEATS_M})
+    yield from keyframes.on_streets(
+        {repeats_m: _tables(args, args.draws, repeats_m) for repeats_m in keyframes.REPEATS_M}
+    )
 
 
-def _tables(args: argparse.Namespace, draws: int, repeats_m: float = 0) -> looks.Tables:
+def _tables(args: argparse.Namespace, draws: int, repeats_m: float = 0) -> keyframes.Tables:
     """draws: drives of each light on each road."""
     drives = [partial(_long, args.cache, _Mount(*args.mounted), repeats_m, draw) for draw in range(draws)]
-    return looks.Tables(args.seeds, partial(_long_map, args.cache, _Mount(*args.map_mounted), repeats_m), drives)
+    return keyframes.Tables(args.seeds, partial(_long_map, args.cache, _Mount(*args.map_mounted), repeats_m), drives)
 
 
 def _long(folder: Path, mounted: _Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
-    road_of = {"seed": road, "length_m": looks.LENGTH_M, "repeats_m": repeats_m}
+    road_of = {"seed": road, "length_m": keyframes.LENGTH_M, "repeats_m": repeats_m}
     made = mounted.of(replace(DRIVES[drive][1], light=light, **road_of))
-    name = f"{_named(road, repeats_m)}_{looks.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(draw)
-    return _drive(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), looks.SPACING_M)
+    name = f"{_named(road, repeats_m)}_{keyframes.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(
+        draw
+    )
+    return _drive(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), keyframes.SPACING_M)
 
 
 def _long_map(folder: Path, mounted: _Mount, repeats_m: float, road: int, view: View) -> ReferenceMap:
-    return _map(folder, road, view, mounted, looks.LENGTH_M, repeats_m)
+    return _map(folder, road, view, mounted, keyframes.LENGTH_M, repeats_m)
 
 
 def _named(road: int, repeats_m: float) -> str:
@@ -170,11 +174,11 @@ def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], 
         tried = range(max(0, nearest - AROUND), min(len(places), nearest + AROUND + 1))
         poses = [(pose, place) for place in tried if (pose := _pose(reference, place, keypoints)) is not None]
         if poses:
-            pose, place = max(poses, key=lambda one: one[0].count)
+            pose, place = max(poses, key=lambda one: one[0].inliers)
             heading = np.radians(places["heading_deg"][place]) + looks_back
             right, ahead = _turned(here - at[place], heading)
             turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
-            off = np.array([pose.right_m - right, pose.ahead_m - ahead, pose.turn - turn])
+            off = np.array([pose.right_m - right, pose.ahead_m - ahead, pose.turn_rad - turn])
             found.append((off, np.sqrt(np.diag(pose.covariance))))
     images.close()
     return np.array(found), len(feed.rows)
@@ -184,7 +188,7 @@ def _pose(reference: ReferenceMap, place: int, keypoints: Keypoints) -> Relative
     key, records = reference.header.keypoints_key, reference.keypoints
     assert key is not None
     assert records is not None
-    return look(keypoints, keypoints_of(records[place], key), points_of(records[place]), camera_of(key))
+    return pose_to_keyframe(keypoints, keypoints_of(records[place], key), points_of(records[place]), camera_of(key))
 
 
 def _turned(moved_m: NDArray[np.float64], heading: float) -> tuple[float, float]:

@@ -175,7 +175,7 @@ def driven(
         travel = MotionPrior(
             None if odometer_scale is None else driven_m * odometer_scale,
             course_rad=turn_around.course_rad,
-            reckoned=reckoned[frame] if reckoned else None,
+            dead_reckoning=reckoned[frame] if reckoned else None,
         )
         yield matcher, matcher.push(raw, travel)
 

@@ -20,8 +20,8 @@ from edge.errors import FeedError
 from edge.localization import NO_PLACES, Fix, PositionEstimator, position_of
 from edge.localization.drive_file import read_drive
 from edge.localization.events import ImageProcessed
+from edge.localization.fix_rules import RULES, NoFix, Rule
 from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
-from edge.localization.refusals import RULES, NoFix, Rule
 from sim.research.trial import recorded_drive
 from sim.research.trial.flight_score import off_truth
 from sim.research.trial.recorded_drive import LINK, RecordedDrive
@@ -32,21 +32,21 @@ STREAM_S = 0.2
 """Between two positions of a stream, and the least between two of which the drive had none: frames come seldom."""
 SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
-    "bound.SETTLED_NS": 0,
+    "autopilot_covariance.SETTLED_NS": 0,
     "filter.WANDER": 0.0,
-    "gps_judge.BESIDE_SIGMAS": math.inf,
-    "gps_judge.FIRM": 0.0,
-    "gps_judge.LONGEST_GAP_M": math.inf,
-    "gps_judge.MOST_PLACES": math.inf,
+    "gps_monitor.BESIDE_SIGMAS": math.inf,
+    "gps_monitor.FIRM": 0.0,
+    "gps_monitor.LONGEST_GAP_M": math.inf,
+    "gps_monitor.MOST_PLACES": math.inf,
     "integrity.BESIDE_M": math.inf,
     "integrity.BOUND": 1.0,
     "integrity.GROWS": 1.0,
     "integrity.MAP_SHIFTED": 0.0,
     "integrity.ONE_MORE": 1.0,
-    "look.SHARED_M": 0.0,
+    "pose_measurement.SHARED_M": 0.0,
     "place_fix.PUSHED": -math.inf,
     "place_fix.heads_along": lambda road_rad, heading_rad: True,
-    "sighting.SHARP": 1e-9,
+    "sequence_match.SHARP": 1e-9,
     "tracker.BY_CHANCE": math.inf,
     "tracker.CALL": math.inf,
     "tracker.DISAGREE": math.inf,
@@ -165,19 +165,19 @@ def _replayed(runs: Sequence[Run], truth: RecordedDrive, without: Sequence[str])
         streams = {name: _Stream(answers.positions) for name, answers in found.items()}
         for t_ns, entry in entries:
             if isinstance(entry, FixResult):
-                period_s = STREAM_S if entry.limits.at == "now" else config.gates.min_interval_s
+                period_s = STREAM_S if entry.request.at == "now" else config.gates.min_interval_s
                 due = [name for name, stream in streams.items() if stream.is_due(t_ns, period_s)]
-                answer = estimator.fix(t_ns, entry.limits) if due else None
+                answer = estimator.fix(t_ns, entry.request) if due else None
                 for name in due:
                     withheld = isinstance(answer, NoFix) and answer.reason == name
-                    one = estimator.fix(t_ns, entry.limits, _without(name)) if withheld else answer
+                    one = estimator.fix(t_ns, entry.request, _without(name)) if withheld else answer
                     streams[name].add(t_ns, one, truth)
             elif isinstance(entry, SnapshotRestore):
                 estimator.restore(t_ns, entry.kept)
             else:
                 estimator.update(t_ns, entry)
-                if isinstance(entry, ImageProcessed) and estimator.known.gps.state != verdict:
-                    verdict = estimator.known.gps.state
+                if isinstance(entry, ImageProcessed) and estimator.state.gps.state != verdict:
+                    verdict = estimator.state.gps.state
                     for answers in found.values():
                         answers.verdicts.append(verdict)
     return found
@@ -210,7 +210,12 @@ def _off(fix: Fix, truth: RecordedDrive) -> Off:
     place = fix.place
     here_m = east_north_m(place.lat_deg or 0.0, place.lon_deg or 0.0)
     error_m, along_m, across_m = off_truth(truth, here_m, place.stamp_ns / 1e9)
-    return error_m, error_m / place.sigma_m, abs(along_m) / fix.level.along_m, abs(across_m) / fix.level.across_m
+    return (
+        error_m,
+        error_m / place.sigma_m,
+        abs(along_m) / fix.level.along_track_m,
+        abs(across_m) / fix.level.cross_track_m,
+    )
 
 
 def table(drives: Sequence[dict[str, AblationAnswers]]) -> str:

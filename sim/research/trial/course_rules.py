@@ -119,7 +119,7 @@ def not_worse(run: CourseRun) -> str:
     """Position and cross-track are no worse than without Lookback, but for a meter and a tenth."""
     for name, ours, alone in (
         ("error", run.track.error_m, run.alone.error_m),
-        ("cross-track", np.abs(run.track.left_m), np.abs(run.alone.left_m)),
+        ("cross-track", np.abs(run.track.cross_track_m), np.abs(run.alone.cross_track_m)),
     ):
         with_m, without_m = np.percentile(ours, 95), np.percentile(alone, 95)
         if with_m > 1.1 * without_m + 1.0:
@@ -181,7 +181,7 @@ def close(run: CourseRun) -> str:
     if not len(run.after_m) and not run.sent.confirms.any():
         return "no position used"
     after_m = np.percentile(run.after_m, [50, 95]) if len(run.after_m) else (0.0, 0.0)
-    found = *after_m, np.percentile(np.abs(run.track.left_m), 95)
+    found = *after_m, np.percentile(np.abs(run.track.cross_track_m), 95)
     names = ("median after", "95 % after", "cross-track")
     return next((f"{n} {v:.1f} m" for n, v, most in zip(names, found, (3, 6, 5), strict=True) if v > most), "")
 

@@ -71,7 +71,7 @@ class ListedDrive:
         driven_m = float(np.interp(at_s, *self._driven_m.T) - self._driven_m[0, 1]) if len(self._driven_m) else 0.0
         error_m, along_m, across_m = (round(one, 3) for one in self._off_m(fix.place))
         of_place = error_m, along_m, across_m, fix.place.sigma_m
-        keeps = "along" if fix.keeps[0] else "across" if fix.keeps[1] else None
+        keeps = "along" if fix.held_axes[0] else "across" if fix.held_axes[1] else None
         at = round(since_s, 3), driven_m, EXTERNAL_POSITION_ESTIMATE
         return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m, keeps)
 

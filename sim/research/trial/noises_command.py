@@ -19,7 +19,7 @@ from edge.localization import PositionEstimator
 from edge.localization.drive_file import read_drive
 from edge.localization.events import ImageProcessed, MapUpdate
 from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
-from edge.localization.sighting import Georeferencer
+from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
 from sim.research.trial import recorded_drive
 from sim.research.trial.ablate_command import add_lists, listed
@@ -131,7 +131,7 @@ class _Drive:
         if at_s <= self._truth.gps_lost_s:
             return
         at_m = self._truth.driven_m(at_s)
-        self._use_leg(frame, at_s, at_m, moved_m, motion.leg)
+        self._use_leg(frame, at_s, at_m, moved_m, motion.odometry_epoch)
         self._use_match(self.sightings, frame, at_s, at_m)
         self._use_estimate(frame, at_s, at_m)
 
@@ -169,23 +169,23 @@ class _Drive:
             return
         seen = self._truth.seen(at_s, "front")
         where = f"{seen.light}, {'home' if seen.direction == 'reverse' else 'again'}"
-        looked, line = sightings.looked(match, 0.0), sightings.of(match, 0.0)
-        if looked is not None and looked.look is not None:
+        looked, line = sightings.pose_measurement(match, 0.0), sightings.of(match, 0.0)
+        if looked is not None and looked.pose is not None:
             map_m = math.hypot(looked.errors.map_m, math.sqrt(float(np.trace(looked.errors.whole)) / 2))
-            spread = looked.look.covariance + map_m**2 * np.eye(2)
-            off_m = self._off(sightings, looked.look.position_m, at_s)
+            spread = looked.pose.covariance + map_m**2 * np.eye(2)
+            off_m = self._off(sightings, looked.pose.position_m, at_s)
             for axis, name in enumerate(("along", "across")):
                 self._of(f"looks {name}, {where}, m").add(off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2))
         if line is not None:
-            middle_s = at_s - float(line.passed.since_m[4])
-            along_m = self._off(sightings, line.passed.place_m, middle_s)[0]
+            middle_s = at_s - float(line.midpoint.since_m[4])
+            along_m = self._off(sightings, line.midpoint.place_m, middle_s)[0]
             errors = line.errors
-            sigma_m = math.hypot(errors.stays_m, line.faint * errors.changes_m, errors.map_m)
+            sigma_m = math.hypot(errors.stays_m, line.sigma_factor * errors.changes_m, errors.map_m)
             self._of(f"lines along, {where}, m").add(along_m, at_m, sigma_m)
 
     def _use_estimate(self, frame: ImageProcessed, at_s: float, at_m: float) -> None:
         """What the filter says of where the vehicle is."""
-        place = self.estimator.known.position
+        place = self.estimator.state.position
         if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
             return
         _, along_m, across_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)

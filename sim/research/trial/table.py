@@ -125,7 +125,7 @@ class CourseScore:
             "error, median / 95 % / largest": _spread(np.concatenate([run.sent.error_m for run in runs])),
             "in sigmas, rms / largest": f"{_rms(sigmas):.1f} / {sigmas.max():.1f}" if len(sigmas) else "-",
             "autopilot's error 95 %, alone": _beside([(run.track.error_m, run.alone.error_m) for run in runs]),
-            "cross-track 95 %, alone": _beside([(run.track.left_m, run.alone.left_m) for run in runs]),
+            "cross-track 95 %, alone": _beside([(run.track.cross_track_m, run.alone.cross_track_m) for run in runs]),
             "share sent": _mean([run.share_sent for run in runs if run.expected.any()]),
             "why not": "; ".join(self.failures),
             "from the taught lane: along": _halves(lane_m[:, 0]),

@@ -30,8 +30,8 @@ from edge_plugins.layers.stored import delete_oldest, stored_maps
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.drive_store import DriveStore
+from edge_plugins.mapping.gps_consistency import GpsFreeDistance
 from edge_plugins.mapping.live_map import LiveMap
-from edge_plugins.mapping.own_motion import GpsFreeDistance
 from edge_plugins.mapping.place_log import OpenLog, logs_in
 from edge_plugins.mapping.place_log_records import LogHeader
 from tests.files_written import full_disk

@@ -15,7 +15,7 @@ from edge.reference_map import read_header
 from edge.telemetry.position_history import ExposureQueue, PositionHistory
 from edge.telemetry.vehicle import Vehicle
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.mapping.own_motion import GpsConsistency, GpsFreeDistance, GpsFreeOdometer
+from edge_plugins.mapping.gps_consistency import GpsConsistency, GpsFreeDistance, GpsFreeOdometer
 from tests.plugins.mapping.test_live_map import IMAGE, START_S, live, raw_of
 from tests.plugins.mapping.test_outage import at
 from tests.reference_map.test_gps_motion import STEP_M

@@ -32,7 +32,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
-from edge.localization.gps_judge import GpsVerdictState
+from edge.localization.gps_monitor import GpsVerdictState
 from edge.sequence import Correspondences
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView

@@ -10,7 +10,7 @@ import pytest
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge_plugins.mapping.builder import Place
 from sim.calibration.offset import measure_offsets, rig_config
-from sim.calibration.sightings import MapDrives, OffsetSample
+from sim.calibration.offset_samples import MapDrives, OffsetSample
 from tests.map_of import map_of
 
 METER_NORTH_DEG, METER_EAST_DEG = 1 / 110_773, 1 / 99_255  # at 27 degrees south
@@ -50,7 +50,7 @@ def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:
     rng = np.random.default_rng(4)
     looks_m = [*rng.normal(6.0, 0.3, 200), *[float("nan")] * 50, *rng.normal(30.0, 1.0, 20)]
     home = [
-        OffsetSample("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, look_m=look_m)
+        OffsetSample("reverse", "same", 7.9, 1.2, True, place_m=2.0 * at, pose_m=look_m)
         for at, look_m in enumerate(looks_m)
     ]
     rig = rig_config(measure_offsets(home))

@@ -17,7 +17,7 @@ from edge_plugins.mapping.builder import Place
 from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
-from sim.calibration.sightings import MapDrives, OffsetSample
+from sim.calibration.offset_samples import MapDrives, OffsetSample
 from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
 from tests.map_of import map_of
 

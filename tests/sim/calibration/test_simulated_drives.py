@@ -23,7 +23,7 @@ from edge.feed.writer import FeedWriter
 from edge.geodesy import east_north_of
 from edge.localization import Odometry
 from edge.localization.events import AutopilotState, ImageProcessed
-from edge.localization.sighting import Georeferencer
+from edge.localization.sequence_match import Georeferencer
 from edge.localization.tracker import Tracker
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map.map_set import MapSet

@@ -164,7 +164,7 @@ def with_levels(along_m: float, across_m: float) -> CourseRun:
         ),
         (
             course_rules.not_worse,
-            run_of(track=replace(straight(), left_m=np.full(600, -2.0))),
+            run_of(track=replace(straight(), cross_track_m=np.full(600, -2.0))),
             "cross-track 2.0 m, alone 0.0",
         ),
         (course_rules.close, run_of(error_m=3.5), "median after 3.5 m"),
@@ -177,7 +177,11 @@ def with_levels(along_m: float, across_m: float) -> CourseRun:
         (course_rules.arrives, run_of(), ""),
         (course_rules.arrives, run_of(track=replace(straight(), end_off_m=12.0)), "12 m off"),
         (course_rules.on_its_lane, run_of(), ""),
-        (course_rules.on_its_lane, run_of(track=replace(straight(), left_m=np.full(600, -6.0))), "cross-track 6.0 m"),
+        (
+            course_rules.on_its_lane,
+            run_of(track=replace(straight(), cross_track_m=np.full(600, -6.0))),
+            "cross-track 6.0 m",
+        ),
         (course_rules.never_sent, run_of(), "50 sent"),
         (course_rules.not_with_gps, run_of(), ""),
         (course_rules.not_with_gps, run_of(track=replace(straight(), gps=straight().time_s > 40)), "17 sent with GPS"),

@@ -15,8 +15,8 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import WANDER, DriveErrors
-from edge.localization.look import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_seen
 from edge.localization.place_fix import OdometryWindow, heads_along, line_middle, map_error_m, position_on_route
+from edge.localization.pose_measurement import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_pose
 from edge.reference_map import Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -59,23 +59,23 @@ class RoutePoint(NamedTuple):
 class SequenceMatch:
     """A match in local meters.
 
-    checked_m: see `Drive`. passed: where the vehicle was at the middle of its line. along_m: of the
-    vehicle now, along the drive. faint: times by which it may be wrong by more than a match whose line is sharp.
-    undated_m: one standard deviation along the road by that of the time of exposure. look: what one picture says, in
-    place of a line; `passed` is then where the vehicle is.
+    checked_m: see `Drive`. midpoint: where the vehicle was at the middle of its line. along_m: of the
+    vehicle now, along the drive. sigma_factor: times by which it may be wrong by more than a match whose line is sharp.
+    timestamp_sigma_m: one standard deviation along the road by that of the time of exposure. pose: what one picture
+    says, in place of a line; `midpoint` is then where the vehicle is.
     """
 
     match: PlaceMatch
     segment: int
     recording: str
     checked_m: float
-    passed: LocalMidpoint
+    midpoint: LocalMidpoint
     along_m: float
     sigma_m: float
     errors: DriveErrors
-    faint: float
-    undated_m: float
-    look: PoseMeasurement | None = None
+    sigma_factor: float
+    timestamp_sigma_m: float
+    pose: PoseMeasurement | None = None
 
     @property
     def drive(self) -> tuple[int, Direction]:
@@ -84,7 +84,7 @@ class SequenceMatch:
 
     def on_course(self, course: tuple[float, float] | None) -> SequenceMatch:
         """With the course of then, see `PoseMeasurement`."""
-        return self if self.look is None else replace(self, look=replace(self.look, course=course))
+        return self if self.pose is None else replace(self, pose=replace(self.pose, course=course))
 
 
 class Georeferencer:
@@ -119,10 +119,10 @@ class Georeferencer:
         offset_m = along_m - self.route.route_m(match.place_index)
         return position_on_route(self.route, match.place_index, offset_m, match.direction)
 
-    def of(self, match: PlaceMatch, undated_m: float) -> SequenceMatch | None:
+    def of(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
         """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
-        undated_m: see `SequenceMatch`.
+        timestamp_sigma_m: see `SequenceMatch`.
         """
         line = line_middle(match, self.route, self.length)
         if line is None or len(self._readings) < self.length:
@@ -141,15 +141,15 @@ class Georeferencer:
             segment=line.segment,
             recording=line.recording,
             checked_m=drive.checked_m,
-            passed=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
+            midpoint=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
-            errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, undated_m),
-            faint=faint,
-            undated_m=undated_m,
+            errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, timestamp_sigma_m),
+            sigma_factor=faint,
+            timestamp_sigma_m=timestamp_sigma_m,
         )
 
-    def looked(self, match: PlaceMatch, undated_m: float) -> SequenceMatch | None:
+    def pose_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
         """What one picture says, of its own drive; None where it is nothing, or the map has no heading of the row."""
         seen = match.seen
         if seen is None:
@@ -162,7 +162,7 @@ class Georeferencer:
             return None
         row_rad = math.radians(row.heading_deg)
         looks_rad = row_rad + math.pi * route.looks_back(seen.place_index)
-        position_m, pose = camera_seen(seen, self.local(row), looks_rad, self._heading_sigma_rad)
+        position_m, pose = camera_pose(seen, self.local(row), looks_rad, self._heading_sigma_rad)
         heading_rad = looks_rad + seen.turn_rad + math.pi * self._looks_back
         heads = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         position_m = position_m - rig.look_ahead_m(match.direction) * heads
@@ -176,22 +176,22 @@ class Georeferencer:
         whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
         look = PoseMeasurement(
             position_m=position_m,
-            pose=pose,
+            pose_covariance=pose,
             heading_rad=heading_rad,
-            points=seen.points,
+            inliers=seen.points,
         )
         return SequenceMatch(
             match=match,
             segment=drive.segment,
             recording=drive.recording,
             checked_m=drive.checked_m,
-            passed=LocalMidpoint(position_m, along, np.zeros(4)),
+            midpoint=LocalMidpoint(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
             sigma_m=math.sqrt(float(along @ look.covariance @ along)),
-            errors=self._errors(match, whole_m, along, map_error_m(row), undated_m),
-            faint=1.0,
-            undated_m=undated_m,
-            look=look,
+            errors=self._errors(match, whole_m, along, map_error_m(row), timestamp_sigma_m),
+            sigma_factor=1.0,
+            timestamp_sigma_m=timestamp_sigma_m,
+            pose=look,
         )
 
     def course(self, displacement_m: Vector) -> tuple[float, float] | None:
@@ -211,9 +211,9 @@ class Georeferencer:
         return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
     def _errors(
-        self, match: PlaceMatch, whole_m: tuple[float, float], along: Vector, map_m: float, undated_m: float
+        self, match: PlaceMatch, whole_m: tuple[float, float], along: Vector, map_m: float, timestamp_sigma_m: float
     ) -> DriveErrors:
-        whole_m = math.hypot(whole_m[0], undated_m), whole_m[1]
+        whole_m = math.hypot(whole_m[0], timestamp_sigma_m), whole_m[1]
         ways, line_m = (along, left_of(along)), self.rig.sigma_m(match.direction, match.order)
         if _is_opposed(match):
             line_m = max(line_m, OPPOSED_M)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import BOUND_WRONG, AutopilotState, Fix
+from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
 from edge.sequence import DeadReckoningPosition
 
 PERIOD_NS = 1_000_000_000  # between two that are kept
@@ -34,11 +34,11 @@ log = logging.getLogger(__name__)
 class PositionAiding:
     """GPS or a position of ours bounded the autopilot's.
 
-    errors: of that now. wrong: probability that what bounded it was wrong. by_gps: whether GPS did.
+    covariance: of that now. fault_probability: probability that what bounded it was wrong. by_gps: whether GPS did.
     """
 
-    errors: PropagatedCovariance
-    wrong: float
+    covariance: PropagatedCovariance
+    fault_probability: float
     by_gps: bool
 
 
@@ -84,7 +84,7 @@ class PropagatedCovariance:
         place = fix.place
         assert place.heading_deg is not None
         axes = _axes(place.heading_deg)
-        keeps, sigmas_m = np.array(fix.keeps), np.maximum([place.sigma_along_m, place.sigma_across_m], left_m)
+        keeps, sigmas_m = np.array(fix.held_axes), np.maximum([place.sigma_along_m, place.sigma_across_m], left_m)
         kept, set_by = axes[keeps].T @ axes[keeps], axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
         by_way = axes[keeps].T @ np.diag(np.linalg.norm(axes[keeps] @ self.by_way, axis=1)) @ axes[keeps]
         return PropagatedCovariance(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
@@ -157,7 +157,7 @@ class AutopilotCovariance:
         self.drift = Drift(0.0, 0.0, drift)
         """By what is known of it now."""
         self._at: AutopilotState | None = None
-        self.bound: PositionAiding | None = None
+        self.aiding: PositionAiding | None = None
         """What bounded it since its boot, None where nothing did."""
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self.by_gps: OdometryDatum | None = None
@@ -174,7 +174,7 @@ class AutopilotCovariance:
 
     def restart(self) -> None:
         """The autopilot has rebooted. What GPS showed of the vehicle holds on, see `Odometry.unknown_m`."""
-        self.bound, self._sent_ns = None, None
+        self.aiding, self._sent_ns = None, None
 
     def sent(self, t_ns: int) -> None:
         """A position was sent: nobody knows yet whether the autopilot uses it."""
@@ -183,30 +183,30 @@ class AutopilotCovariance:
     def bind(self, sigma_m: float, own: AutopilotState, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            self.bound, self._has_run_away = (
+            self.aiding, self._has_run_away = (
                 PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps),
                 False,
             )
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: AutopilotState) -> None:
         """It has used a position or agrees with it, and is so far from it now."""
-        before, place = self.bound, fix.place
+        before, place = self.aiding, fix.place
         self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
-        if self.bound is not None and own.driven_m is not None and place.heading_deg is not None:
-            self.bound = replace(self.bound, errors=(before or self.bound).errors.bound_by(fix, left_m))
+        if self.aiding is not None and own.driven_m is not None and place.heading_deg is not None:
+            self.aiding = replace(self.aiding, covariance=(before or self.aiding).covariance.bound_by(fix, left_m))
 
     def move(self, own: AutopilotState) -> None:
         """The vehicle has moved on. One whose velocity nothing measures runs away, until it is bound anew."""
         self._has_run_away |= not own.is_aided
         before, self._at = self._at, own
-        if before is None or before.driven_m is None or own.driven_m is None or self.bound is None:
+        if before is None or before.driven_m is None or own.driven_m is None or self.aiding is None:
             return
         motions = before.motion, own.motion
         moved_m, unknown_m = (0.0, 0.0), 0.0
         if motions[0] is not None and motions[1] is not None:
             moved_m, unknown_m = motions[1].since(motions[0]), motions[1].unknown_sigma_since(motions[0])
-        errors = self.bound.errors.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
-        self.bound = replace(self.bound, errors=errors)
+        errors = self.aiding.covariance.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
+        self.aiding = replace(self.aiding, covariance=errors)
 
     def keep(self, t_ns: int, own: AutopilotState, *, is_by_gps: bool) -> float | None:
         """Keep what bounds it, once a second; what was kept where nothing does, as far as that still holds.
@@ -268,7 +268,7 @@ class AutopilotCovariance:
         """The vehicle was moved without its wheels: what was reckoned says nothing of where it is now."""
         self._trusted = None
 
-    def reckoning(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
+    def dead_reckoning_position(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
         if self._trusted is None or motion is None or own.driven_m is None:
             return None
@@ -280,9 +280,9 @@ class AutopilotCovariance:
         )
 
     def _errors(self, own: AutopilotState) -> PropagatedCovariance | None:
-        if self.bound is None or self._has_run_away or not own.is_aided or own.driven_m is None:
+        if self.aiding is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
-        return self.bound.errors
+        return self.aiding.covariance
 
     def sigma_m(self, own: AutopilotState, least_m: float = 0.0) -> float | None:
         """One standard deviation, None where nothing bounds it."""
@@ -297,7 +297,9 @@ class AutopilotCovariance:
         axes_m = errors.along_and_across_m(fix.heading_deg, self.drift)
         return max(axes_m[0], least_m), max(axes_m[1], least_m)
 
-    def reckoned(self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState) -> DeadReckoningOffset | None:
+    def dead_reckoning_offset(
+        self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState
+    ) -> DeadReckoningOffset | None:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None

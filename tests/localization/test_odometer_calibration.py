@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from edge.geodesy import moved
-from edge.localization.odometer import CHANGES, LATE_S, DriveScale, OdometerCalibration, ScaleFactor, learned
+from edge.localization.odometer_calibration import (
+    CHANGES,
+    LATE_S,
+    DriveScale,
+    OdometerCalibration,
+    ScaleFactor,
+    learned,
+)
 from tests.localization.route_course import HOME
 
 S = 1_000_000_000

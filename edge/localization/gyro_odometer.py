@@ -8,7 +8,8 @@ integral of rates alone. How it lies to the north, and the bias of the gyros, ar
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from edge.localization.dead_reckoning import DeadReckoning, Gyros, Integral, Odometry
 
@@ -78,4 +79,6 @@ class GyroOdometer:
             return None
         _, variance, *by_bias_m = turned
         elapsed_s = (stamp_ns - self._began_ns) / 1e9
-        return replace(moved, leg=self._legs, gyros=Gyros(elapsed_s, self._compass_rad, variance, *by_bias_m))
+        return replace(
+            moved, odometry_epoch=self._legs, gyros=Gyros(elapsed_s, self._compass_rad, variance, *by_bias_m)
+        )

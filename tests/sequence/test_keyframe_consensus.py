@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.config import AcceptanceConfig
 from edge.sequence import Direction
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import (
+from edge.sequence.keyframe_consensus import (
     ALONE,
     ENOUGH,
     MOST_ODDS,

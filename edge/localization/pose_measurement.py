@@ -31,24 +31,23 @@ hand, of which the rows of the map show theirs, and the heading of the vehicle t
 
 @dataclass(frozen=True)
 class PoseMeasurement:
-    """A vehicle by one picture.
+    """A pose measurement of the vehicle by one picture.
 
-    position_m: meters east and north (2,). pose: covariance (3, 3) of these and of how the camera is turned, clockwise,
-    without the map's error.  heading_rad: of the vehicle, clockwise from north.
-    points: that agree on it. course: in which the vehicle reckons to go there, likewise, and the variance; None where
-    that is not known.
+    position_m: meters east and north (2,). pose_covariance: (3, 3) of these and of how the camera is turned,
+    clockwise, without the map's error.  heading_rad: of the vehicle, clockwise from north. inliers: that agree on it.
+    course: in which the vehicle reckons to go there, likewise, and the variance; None where that is not known.
     """
 
     position_m: Vector
-    pose: NDArray[np.float64]
+    pose_covariance: NDArray[np.float64]
     heading_rad: float
-    points: int
+    inliers: int
     course: tuple[float, float] | None = None
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2), of the position."""
-        return self.pose[:2, :2]
+        return self.pose_covariance[:2, :2]
 
     @property
     def goes_back(self) -> bool:
@@ -56,7 +55,7 @@ class PoseMeasurement:
         return self.course is not None and math.cos(self.heading_rad - self.course[0]) < 0
 
 
-def camera_seen(
+def camera_pose(
     seen: KeyframeMatch, row_m: Vector, row_rad: float, row_sigma_rad: float
 ) -> tuple[Vector, NDArray[np.float64]]:
     """Meters east and north (2,) of the camera of a frame, and the covariance (3, 3) of these and of its turn.

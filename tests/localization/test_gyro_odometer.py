@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from edge.localization.own_motion import RATES_APART_NS, GyroOdometer
+from edge.localization.gyro_odometer import RATES_APART_NS, GyroOdometer
 
 S = 1_000_000_000
 SPEED_MPS = 4.0
@@ -49,7 +49,7 @@ def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> No
     for step in range(10):
         own.turn(10 * S + step * S // 10, 0.0, 0.0, (SPEED_MPS, 0.0))
     after = own.displacement(11 * S)
-    assert before is not None and after is not None and after.leg != before.leg
+    assert before is not None and after is not None and after.odometry_epoch != before.odometry_epoch
 
 
 def test_the_heading_is_the_less_certain_the_fewer_rates_come() -> None:

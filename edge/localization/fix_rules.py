@@ -22,16 +22,16 @@ from edge.localization.events import UNBOUNDED, AutopilotState, Fix, FixRequest,
 class GateInputs:
     """The row that the rules check; what has no value was not known.
 
-    own, is_blurred: see `StateEstimate`. place: the position. age_s: since its moment. distance_m: from the autopilot's
-    own. move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere origin.
-    is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another place,
-    infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a reset,
+    autopilot, is_blurred: see `StateEstimate`. place: the position. age_s: since its moment. distance_m: from the
+    autopilot's own. move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere
+    origin. is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another
+    place, infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a reset,
     whether the autopilot is beyond doubt off by it.
     """
 
     gates: GatesConfig
-    limits: FixRequest
-    own: AutopilotState
+    request: FixRequest
+    autopilot: AutopilotState
     is_blurred: bool
     place: PlaceFix | None = None
     age_s: float = math.inf
@@ -70,21 +70,21 @@ RULES = (
         TWO_AUTOPILOTS,
         "messages with its ids come by another clock",
         "test_two_autopilots_with_the_same_ids_get_no_position",
-        lambda now: now.own.is_doubled,
+        lambda now: now.autopilot.is_doubled,
     ),
     Rule(
         "the autopilot's clock is not known",
         # After one position with the stamp of the old clock, the next hundred would count as half a second old.
         "it sent nothing for 0.3 s, or its newest stamp is of another clock: it may have rebooted",
         "test_nothing_is_sent_to_an_autopilot_whose_clock_is_not_known",
-        lambda now: now.limits.moves_autopilot and not now.own.is_clock_known,
+        lambda now: now.request.moves_autopilot and not now.autopilot.is_clock_known,
     ),
     Rule(
         "nothing is recognized now",
         "the pictures are dark, frozen or of an unknown time, or the vehicle is off the map",
         "test_situations_in_which_nothing_is_published",
-        lambda now: bool(now.limits.unable),
-        lambda now: now.limits.unable,
+        lambda now: bool(now.request.unable),
+        lambda now: now.request.unable,
     ),
     Rule(
         "recognized, but not exactly",
@@ -103,32 +103,32 @@ RULES = (
         "too old",
         "its exposure is older than the message allows, or lies ahead",
         "test_situations_in_which_nothing_is_published",
-        lambda now: not 0 <= now.age_s <= now.limits.oldest_s,
+        lambda now: not 0 <= now.age_s <= now.request.oldest_s,
     ),
     Rule(
         GPS_HEALTHY,
         "GPS works, and `with_gps` is not set",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.own.gps == "healthy" and now.limits.moves_autopilot and not now.gates.with_gps,
+        lambda now: now.autopilot.gps == "healthy" and now.request.moves_autopilot and not now.gates.with_gps,
     ),
     Rule(
         "GPS is unknown",
         "a receiver is silent or unsteady, or the filter does not use it",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.own.gps == "unknown" and now.limits.moves_autopilot and not now.gates.with_gps,
-        lambda now: now.own.gps_why,
+        lambda now: now.autopilot.gps == "unknown" and now.request.moves_autopilot and not now.gates.with_gps,
+        lambda now: now.autopilot.gps_why,
     ),
     Rule(
         "the speed is not known",
         "no speed has come for a second",
         "test_situations_in_which_nothing_is_published",
-        lambda now: now.own.speed_mps is None or not math.isfinite(now.own.speed_mps),
+        lambda now: now.autopilot.speed_mps is None or not math.isfinite(now.autopilot.speed_mps),
     ),
     Rule(
         STANDING,  # One error would be sent again and again, and the filter believe it more each time.
         "slower than `min_speed_mps`",
         "test_situations_in_which_nothing_is_published",
-        lambda now: (now.own.speed_mps or 0.0) < now.gates.min_speed_mps,
+        lambda now: (now.autopilot.speed_mps or 0.0) < now.gates.min_speed_mps,
     ),
     Rule(
         "the newest matches disagree",

@@ -80,8 +80,8 @@ class GpsVerdict:
         return f"{math.hypot(self.east_m, self.north_m):.0f} m to the {point}"
 
 
-class GpsJudge:
-    """GPS against the places of one map. GPS that was called wrong counts as wrong until it agrees again."""
+class GpsMonitor:
+    """Fault detection of GPS against the places of one map. A faulty GPS stays so until it agrees again."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._acts = gates.doubted_gps != "report"

@@ -40,7 +40,7 @@ class OffsetSample:
     ahead_m: meters along the map's drive, in the direction of travel, from the vehicle to the refined end of the line;
     NaN where the vehicle was not on that drive. left_m: how far left of the map's drive the vehicle drove, seen in its
     own direction of travel; NaN like ahead_m. line_sigma_m: standard deviation of the line's end without the rig's; NaN
-    where the daemon would not use the line. place_m: of the place along the map's drive. look_m: meters that the camera
+    where the daemon would not use the line. place_m: of the place along the map's drive. pose_m: meters that the camera
     is ahead of the vehicle by the pose of this frame alone, NaN where it has none.
     """
 
@@ -52,7 +52,7 @@ class OffsetSample:
     left_m: float = float("nan")
     line_sigma_m: float = 0.0
     place_m: float = 0.0
-    look_m: float = float("nan")
+    pose_m: float = float("nan")
 
 
 def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[OffsetSample]:

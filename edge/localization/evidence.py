@@ -15,9 +15,9 @@ from typing import TypeAlias
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.anchor import DeadReckoningOffset, OdometryDatum
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.filter import CORRELATION_M
+from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
 
 STRETCH_WRONG = 5e-3
 """Probability that all of a stretch is wrong: it was mapped wrongly, or its road resembles another."""
@@ -103,15 +103,15 @@ class EvidenceHistory:
         All stretches are wrong; or those after a silence are, in which the vehicle may have gone to where they say.
         """
         observations = claim.observations
-        wrong = STRETCH_WRONG ** len(self.stretches(observations))
+        wrong = STRETCH_WRONG ** len(self.independent_segments(observations))
         for at in range(1, len(observations)):
             if _is_after_silence(observations[at - 1], observations[at].displacement):
                 unknown_m = observations[at].displacement.unknown_since(observations[at - 1].displacement)
                 by_chance = min(1.0, 2 * unknown_m / SPREAD_M)
-                wrong += STRETCH_WRONG ** len(self.stretches(observations[at:])) * by_chance
+                wrong += STRETCH_WRONG ** len(self.independent_segments(observations[at:])) * by_chance
         return min(wrong, 1.0)
 
-    def stretches(self, observations: list[Observation]) -> list[IndependentSegment]:
+    def independent_segments(self, observations: list[Observation]) -> list[IndependentSegment]:
         """The independent stretches of observations, oldest first."""
         stretches: list[IndependentSegment] = []
         for one in observations:

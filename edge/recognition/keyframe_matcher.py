@@ -17,7 +17,17 @@ from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
 from edge.sequence import LEAST_SHARPNESS, Correspondences, KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
-from edge.sequence.looks import ALONE, APART_M, KEPT, REACH_M, KeyframeConsensus, KeyframeVote, PriorOf, joined, sign_of
+from edge.sequence.keyframe_consensus import (
+    ALONE,
+    APART_M,
+    KEPT,
+    REACH_M,
+    KeyframeConsensus,
+    KeyframeVote,
+    PriorOf,
+    joined,
+    sign_of,
+)
 from edge.sequence.place_search import NearestOf
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10

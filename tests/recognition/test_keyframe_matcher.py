@@ -21,7 +21,7 @@ from edge.feed import Feed, FeedImages, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
-from edge.recognition.place_looks import KeyframeMatcher
+from edge.recognition.keyframe_matcher import KeyframeMatcher
 from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.store import KEYPOINTS

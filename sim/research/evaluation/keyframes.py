@@ -128,7 +128,7 @@ class Bench:
             driven_m += SPACING_M * SCALE * (number > 0 and not stands)
             stamp_ns += STANDS_NS if stands else STEP_NS
             course_rad = turned.course_rad if knows_course else None
-            travel = MotionPrior(driven_m, course_rad=course_rad, reckoned=reckoned[number] if reckoned else None)
+            travel = MotionPrior(driven_m, course_rad=course_rad, dead_reckoning=reckoned[number] if reckoned else None)
             if not stands:
                 yield recognizer.observe(image, stamp_ns, travel)
             elif recognizer.may_look_again(stamp_ns, driven_m):

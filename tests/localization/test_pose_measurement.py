@@ -15,10 +15,10 @@ from edge.config import CameraConfig, Config, DescriptorConfig, RigConfig, Sampl
 from edge.geodesy import east_north_of
 from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.network import KeypointNetwork
-from edge.keypoints.pose import look
+from edge.keypoints.pose import pose_to_keyframe
 from edge.keypoints.view_geometry import CameraModel
 from edge.localization.drive_file import PlaceTable
-from edge.localization.sighting import Georeferencer
+from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
 from edge.reference_map.place_records import PLACE
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
@@ -98,16 +98,16 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     heading = np.radians([pose.heading_deg for pose in rows.poses])
     looks_back = mapped == "rear"
     ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
-    pose = look(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
+    pose = pose_to_keyframe(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
-    found = KeyframeMatch(ROW, pose.right_m, pose.ahead_m, pose.turn, pose.covariance, pose.count, 0.9)
-    sighting = sightings.looked(match(ROW, direction, order="same", seen=found), 0.0)
+    found = KeyframeMatch(ROW, pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance, pose.inliers, 0.9)
+    sighting = sightings.pose_measurement(match(ROW, direction, order="same", seen=found), 0.0)
 
-    assert sighting is not None and sighting.look is not None and sightings.origin is not None
+    assert sighting is not None and sighting.pose is not None and sightings.origin is not None
     origin_m = east_north_of(*sightings.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
-    off_m = sighting.look.position_m + origin_m - [truth.east_m, truth.north_m]
+    off_m = sighting.pose.position_m + origin_m - [truth.east_m, truth.north_m]
     assert np.hypot(*off_m) < 0.5
-    heading_deg = math.degrees(sighting.look.heading_rad)
+    heading_deg = math.degrees(sighting.pose.heading_rad)
     assert math.remainder(heading_deg - truth.heading_deg, 360.0) == pytest.approx(0.0, abs=1.5)
 
 
@@ -290,7 +290,7 @@ def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
 
 
 def _heading_error(one: Vehicle) -> tuple[float, float]:
-    found = one.drive.known.heading_error
+    found = one.drive.state.heading_error
     assert found is not None
     return math.degrees(found[0]), math.degrees(found[1])
 
@@ -307,7 +307,7 @@ def test_looks_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera
     found_deg, sigma_deg = _heading_error(one)
     assert found_deg == pytest.approx(-3.0, abs=0.5) and sigma_deg < 1.0
     one.go(80.0, lambda at_m: road.match(at_m, "reverse"))
-    assert one.drive.known.heading_error is None, "looks are far behind"
+    assert one.drive.state.heading_error is None, "looks are far behind"
 
 
 def test_a_vehicle_that_flies_to_the_side_has_no_heading_error_by_that(road: Road) -> None:

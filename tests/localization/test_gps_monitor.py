@@ -11,7 +11,7 @@ import pytest
 
 from edge.config import RigConfig
 from edge.localization import Discontinuity, GpsFix
-from edge.localization.gps_judge import FIRM, UNSEEN_M
+from edge.localization.gps_monitor import FIRM, UNSEEN_M
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, Vehicle, gps_at, match, settings
 from tests.localization.route_course import SPACING_M, Stretch
@@ -121,10 +121,10 @@ def ahead(by_m: float, at_m: float) -> GpsFix:
 
 def test_where_gps_was_doubtful_less_must_be_unrecognized(road: Road) -> None:
     one, off_m = recognized(road, 160.0), 0.0
-    while one.drive.known.gps.state != "doubtful":
+    while one.drive.state.gps.state != "doubtful":
         off_m += 0.5
         drive(one, [seen(one.north_m + SPACING_M)], partial(ahead, off_m))
-    doubt = one.drive.known.gps.doubt
+    doubt = one.drive.state.gps.doubt
     assert doubt is not None and 0.4 < doubt < 1.0
     assert warned_m(one) == pytest.approx((1 - doubt / 2) * UNSEEN_M - off_m, abs=off_m + SPACING_M)
 
@@ -142,8 +142,8 @@ def test_what_begins_anew_is_not_unrecognized(road: Road, happens: str) -> None:
 def test_gps_that_was_called_wrong_stays_wrong_where_nothing_is_recognized(road: Road) -> None:
     one = recognized(road)
     drive(one, [seen(at_m) for at_m in places(FROM_M, 240.0)], lambda at_m: gps_at(at_m, 200.0))
-    assert one.drive.known.gps.state == "wrong"
-    assert warned_m(one) is None and one.drive.known.gps.state == "wrong"
+    assert one.drive.state.gps.state == "wrong"
+    assert warned_m(one) is None and one.drive.state.gps.state == "wrong"
 
 
 def honest(north_m: float) -> GpsFix:
@@ -189,13 +189,15 @@ def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says
     assert called_m is None or called_m < 35.0
 
 
-@pytest.mark.parametrize(("undated_s", "state"), [(0.0, "wrong"), (1.5, "cannot say")])
-def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(road: Road, undated_s: float, state: str) -> None:
+@pytest.mark.parametrize(("timestamp_sigma_s", "state"), [(0.0, "wrong"), (1.5, "cannot say")])
+def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(
+    road: Road, timestamp_sigma_s: float, state: str
+) -> None:
     """Pictures that are 3 s late put a vehicle at 10 m/s 30 m behind where GPS has it."""
     one = Vehicle(road, settings(RigConfig(sigma_along_m=3.0)))
-    one.frame = {"undated_s": undated_s}
+    one.frame = {"timestamp_sigma_s": timestamp_sigma_s}
     one.own()
     for at_m in places(0.0, 300.0):
         one.move()
         one.show(seen(at_m), gps_at(at_m if at_m < 160.0 else at_m + 30.0))
-    assert one.drive.known.gps.state == state
+    assert one.drive.state.gps.state == state
