@@ -32,6 +32,9 @@ Images are (H, W, 3) uint8 in the order blue, green, red, as `cv2.imread` gives 
 from lookback import own_packages  # noqa: F401  # before anything of them is imported
 
 # isort: split
+import warnings
+from typing import Any
+
 from edge import __version__
 from edge.errors import LookbackError as Error
 from edge.keypoints import InlierMatches, Keypoints
@@ -74,3 +77,11 @@ __all__ = [
 def __dir__() -> list[str]:
     """What is for users, without the modules that it is made of."""
     return [*__all__]
+
+
+def __getattr__(name: str) -> Any:
+    """The name that version 0.3 had for `InlierMatches`, until the next version."""
+    if name == "Verified":
+        warnings.warn("lookback.Verified is now lookback.InlierMatches", DeprecationWarning, stacklevel=2)
+        return InlierMatches
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

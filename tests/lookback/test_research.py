@@ -225,3 +225,10 @@ def test_a_map_with_keypoints_is_asked_for_poses_and_one_without_says_what_to_do
         without.pose(street(3, 1.0, 3), 3)
     with_them = lookback.Map.build(folders[0], tmp_path / "with", fov_deg=80)
     assert with_them.pose(street(3, 1.0, 3), 3) is None, "nobody knows how far these pictures are apart"
+
+
+def test_the_name_of_earlier_versions_still_works_and_says_so() -> None:
+    with pytest.warns(DeprecationWarning, match="InlierMatches"):
+        assert getattr(lookback, "Verified") is lookback.InlierMatches  # noqa: B009  # mypy knows only the new name
+    with pytest.raises(AttributeError, match="verified"):
+        getattr(lookback, "verified")  # noqa: B009
