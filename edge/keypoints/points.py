@@ -33,7 +33,7 @@ WIDER = (3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class MapPoints:
-    """Keypoints (K,) of a row as points in the row's own frame: its camera, as if it looked level along the road.
+    """Map points (K,): keypoints of a row in its own frame, that of its camera as if it looked level along the road.
 
     places: (K, 3) direction (x / z, y / z), and 1 / z in 1/m, NaN where the distance is not known. sigma: (K,) of
     1 / z.

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PositionAiding:
-    """GPS or a position of ours bounded the autopilot's.
+    """The last position aiding of the autopilot: by GPS, or by a position of ours.
 
     covariance: of that now. fault_probability: probability that what bounded it was wrong. by_gps: whether GPS did.
     """

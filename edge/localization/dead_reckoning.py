@@ -171,7 +171,7 @@ class _Slip:
 
 
 class DeadReckoning:
-    """Distance driven by the best source of speed that still reports, and displacement by velocity."""
+    """Dead reckoning: distance driven by the best source of speed that reports, and displacement by velocity."""
 
     def __init__(self) -> None:
         self._distance = Integral(SPEED_VALID_NS, LONGEST_GAP_OF_SPEED_NS)

@@ -59,7 +59,7 @@ class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_
 
 
 class AutopilotState(Struct, frozen=True, tag="Own"):
-    """What the autopilot reports of itself; None: not known.
+    """The autopilot state, as it reports it; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
     velocity at the position's moment; without_gps: see `ImageProcessed`. scale: what GPS has shown of the odometer by

@@ -19,7 +19,7 @@ eleven recorded drives have them, the heading is uncertain by 2 to 4 degrees aft
 
 
 class GyroOdometer:
-    """Integrates rates and speeds: `DeadReckoning`, in the heading by gyros."""
+    """Gyrodometry: `DeadReckoning` in the heading by gyros, by rates and speeds."""
 
     def __init__(self) -> None:
         self._moved = DeadReckoning()

@@ -2,10 +2,10 @@
 
     right          all is as it seems
     burst          right, but multipath displaces GPS for a while
-    gps dragged    GPS moves away at a speed that nobody knows
+    gps dragged    GPS moves away at a speed that nobody knows, as by spoofing
     gps elsewhere  GPS is somewhere else, and stays so
     map elsewhere  the drive of the map that is matched is somewhere else
-    lost           the vehicle is somewhere else: it was carried, or followed a false place
+    lost           the vehicle is somewhere else: it was carried (kidnapped), or followed a false place
     beside         the vehicle is where a second solution of looks has it
     slips          the scale of the velocity is another one
 
@@ -45,7 +45,7 @@ SLIP = 0.15
 
 
 class FilterBank:
-    """The right filter, and those of the other hypotheses."""
+    """The filter bank: the right filter, and those of the other hypotheses."""
 
     def __init__(self, right: Filter) -> None:
         self.begin(right)

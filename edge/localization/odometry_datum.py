@@ -26,7 +26,7 @@ class DeadReckoningOffset:
 
 @dataclass(frozen=True)
 class OdometryDatum:
-    """Where the vehicle was, by GPS or by an observation, to one standard deviation, at a displacement."""
+    """The datum of odometry: where the vehicle was by GPS or an observation, to one standard deviation."""
 
     lat_deg: float
     lon_deg: float

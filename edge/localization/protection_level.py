@@ -41,8 +41,8 @@ NEVER = 1e-300
 
 @dataclass(frozen=True)
 class FaultProbabilities:
-    """Probabilities: that all places of a fix are other ones, that its map is shifted as a whole, and that what bounded
-    the position last without places was wrong.
+    """Fault probabilities: that all places of a fix are other ones, that its map is shifted as a whole, and that what
+    bounded the position last without places was wrong.
     """
 
     place: float

@@ -57,7 +57,7 @@ class RoutePoint(NamedTuple):
 
 @dataclass(frozen=True)
 class SequenceMatch:
-    """A match in local meters.
+    """A sequence match in local meters, measured at its midpoint.
 
     checked_m: see `Drive`. midpoint: where the vehicle was at the middle of its line. along_m: of the
     vehicle now, along the drive. sigma_factor: times by which it may be wrong by more than a match whose line is sharp.

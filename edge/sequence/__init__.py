@@ -40,7 +40,7 @@ with wheels 0.3 % wrong, 3.6 m off alone (95 %), are 12 to 13 m off with 0.02, o
 
 @dataclass(frozen=True, eq=False)
 class KeyframeMatch:
-    """One look: the keypoints of the frame agree with those of one place of the map, so its camera was near that one's.
+    """A keyframe match: the keypoints of the frame agree with those of one place, so its camera was near that one's.
 
     place_index: of that place, counted through all maps that are open. points: matches of known distance that agree on
     the pose. right_m, ahead_m, turn_rad: of the frame's camera from the place's, in that one's frame, turned clockwise;
@@ -75,7 +75,7 @@ class Correspondences(NamedTuple):
 
 @dataclass(frozen=True)
 class PlaceMatch:
-    """A line through the last frames: which place of the map the newest frame shows, believed or not.
+    """Place recognition by a line through the last frames: the place that the newest one shows, believed or not.
 
     place_index: of the place where the line ends, counted through all maps that are open.
     map, place: name of the map that it lies in, None where there is only one, and its row there.

@@ -1,7 +1,8 @@
 """What speaks for a line: trajectory uniqueness (section IV-B) with its window in meters, sharpness, and width.
 
 The lowest cost alone is a poor confidence, since a vehicle off the map has a lowest cost as well. What matters is how
-much worse the best line elsewhere is. Elsewhere is in meters: neighbors of a place are as good as the place itself.
+much worse the best line elsewhere is (perceptual aliasing makes it as good). Elsewhere is in meters: neighbors of a
+place are as good as the place itself.
 """
 
 from __future__ import annotations
