@@ -50,17 +50,14 @@ def figures() -> dict[str, tuple[str, str]]:
 
 def stale() -> list[str]:
     """Pictures that are of another text than the pages have."""
-    return [
-        name
-        for name, (_, head) in figures().items()
-        if not (DOCS / name).exists() or not (DOCS / name).read_text(encoding="utf-8").startswith(head)
-    ]
+    drawn = "".join(picture.read_text(encoding="utf-8") for picture in (DOCS / "pictures").glob("*.svg"))
+    return [name for name, (_, head) in figures().items() if head not in drawn]
 
 
 def draw(names: list[str]) -> None:
     with TemporaryDirectory() as folder, browser(1200, 900) as chromium:
-        subprocess.run(["npm", "pack", "--silent", MERMAID], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-        subprocess.run("tar xzf *.tgz package/dist/mermaid.min.js", cwd=folder, check=True, shell=True)
+        bring = f"npm pack --silent {MERMAID} && tar xzf *.tgz package/dist/mermaid.min.js"
+        subprocess.run(bring, cwd=folder, check=True, shell=True)
         (page := Path(folder) / "page.html").write_text("<script src='package/dist/mermaid.min.js'></script>")
         chromium.get(page.as_uri())
         for name in names:

@@ -53,9 +53,7 @@ def test_the_folders_of_the_method_are_there() -> None:
     ] == []
 
 
-def test_the_architecture_is_the_list_of_the_front_door() -> None:
-    assert architecture() in METHOD.read_text(encoding="utf-8"), "draw it anew: python -m tests.docs.figures"
-
-
-def test_each_picture_is_drawn_of_the_text_that_its_page_has() -> None:
-    assert stale() == [], "draw them anew: python -m tests.docs.figures"
+def test_the_architecture_is_the_list_of_the_front_door_and_each_picture_is_drawn_of_its_text() -> None:
+    again = "draw it anew: python -m tests.docs.figures"
+    assert architecture() in METHOD.read_text(encoding="utf-8"), again
+    assert stale() == [], again
