@@ -77,7 +77,7 @@ class GpsVerdict:
         if self.east_m is None or self.north_m is None:
             return ""
         point = COMPASS[round(math.degrees(math.atan2(self.east_m, self.north_m)) / 45) % 8]
-        return f"{math.hypot(self.east_m, self.north_m):.0f} m to the {point}"
+        return f"{math.hypot(self.east_m, self.north_m):.0f} m off to the {point}"
 
 
 class GpsMonitor:

@@ -134,13 +134,13 @@ class AutopilotConnection:
     def why_no_position(self) -> str:
         """Why no position is sent, for people; "" while one is, and without a link."""
         why = self.positions.why_none(self.clock_ns()) if self.state == "up" else ""
-        # By its receivers it is healthy, and "GPS is wrong" is said beside it.
+        # By its receivers it is healthy, and "GPS faulty" is said beside it.
         return "the autopilot uses it" if self.gps_fault and why == GPS_HEALTHY else why
 
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS is wrong" if self.drive.state.gps.state == "wrong" else ""
+        return "GPS faulty" if self.drive.state.gps.state == "wrong" else ""
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""

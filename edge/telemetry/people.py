@@ -26,10 +26,10 @@ QUEUE_LINES = 8
 PEER_SILENT_NS = 5_000_000_000
 VALUES_NS = 1_000_000_000
 GPS_TEXTS = {
-    "wrong": "Lookback: GPS is wrong by {}",
-    "agrees": "Lookback: GPS agrees with the map again",
-    "disagrees": "Lookback: GPS and places disagree, {}",
-    "map wrong": "Lookback: the map is wrong here, GPS {}",
+    "wrong": "Lookback: GPS faulty: {}",
+    "agrees": "Lookback: GPS consistent with the map again",
+    "disagrees": "Lookback: GPS inconsistent: {}",
+    "map wrong": "Lookback: map faulty here, GPS {}",
     "not recognized": "Lookback: not recognized where GPS says we are",
 }
 

@@ -144,7 +144,7 @@ def test_where_they_have_never_agreed_neither_is_called_wrong(long_road: Road, o
     assert called_at_m(verdicts, "wrong", "map wrong") == math.inf
     assert verdicts[-1].state == "disagrees"
     assert verdicts[-1].north_m == pytest.approx(40.0, abs=15.0)
-    assert " m to the N" in verdicts[-1].where
+    assert " m off to the N" in verdicts[-1].where
 
 
 @pytest.mark.parametrize(("odometer", "last"), [(0.97, "wrong"), (None, "disagrees")])

@@ -42,15 +42,15 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
     for _ in range(10):
         rig.judge_gps(WRONG)
         rig.run(1.0)
-    assert texts(rig).count("Lookback: GPS is wrong by 60 m to the E") == 1
+    assert texts(rig).count("Lookback: GPS faulty: 60 m off to the E") == 1
     assert values(rig, "gps_doubt")[-5:] == [1.0] * 5
     assert values(rig, "gps_off")[-5:] == pytest.approx([60.0] * 5)
     assert rig.journalled(GpsJudged) == [GpsJudged("agrees", 0.5, 0.5, 0.0), GpsJudged("wrong", 60.0, 0.0, 1.0)]
-    assert rig.connection.gps_fault == "GPS is wrong", "without meters, which change with every frame"
+    assert rig.connection.gps_fault == "GPS faulty", "without meters, which change with every frame"
     assert rig.connection.status().gps_verdict == "wrong"
     rig.judge_gps(AGREES)
     rig.run(1.0)
-    assert texts(rig)[-1] == "Lookback: GPS agrees with the map again"
+    assert texts(rig)[-1] == "Lookback: GPS consistent with the map again"
     assert rig.connection.gps_fault == ""
 
 

@@ -23,7 +23,7 @@ FAILSAFE_S = 6.0
 WARNING, WARNED_S = 4, 30.0
 CALLED_M, USUAL_M = 50.0, 10.0
 UNRECOGNIZED = "not recognized where GPS"
-TOLD = "GPS is wrong", "GPS and places disagree", "the map is wrong", UNRECOGNIZED
+TOLD = "GPS faulty", "GPS inconsistent", "map faulty", UNRECOGNIZED
 TOLD_M = 60.0
 """Within which the pilot must read of a difference, after the LINE_M that recognizing a place takes."""
 
@@ -299,5 +299,5 @@ def back_to_usual(run: CourseRun) -> str:
     return f"error {error_m:.0f} m after the call" if error_m > USUAL_M else ""
 
 
-def _called_s(run: CourseRun, text: str = "GPS is wrong") -> float:
+def _called_s(run: CourseRun, text: str = "GPS faulty") -> float:
     return min((time_s for time_s, severity, one in run.texts if text in one and severity <= WARNING), default=math.inf)

@@ -180,11 +180,11 @@ def test_a_link_on_which_nobody_asked_for_streams_has_the_autopilots_motion(
 
 
 def test_the_page_has_both_rows_and_what_the_pilot_read(drive: RecordedDrive) -> None:
-    text = mavlink.MAVLink_statustext_message(4, b"Lookback: GPS is wrong")
+    text = mavlink.MAVLink_statustext_message(4, b"Lookback: GPS faulty")
     now = score(drive, [(drive.gps_lost_s + 1.5, text)], [], drive.used)
     found = page([Flight("night", "ArduPilot, night", score(drive, [], [], []), now, [], [1.0, 2.0, 3.0], [], 1234.0)])
     assert "| night, then | 0 |" in found and "\n| now | 0 |" in found
-    assert "1.5 s  Lookback: GPS is wrong" in found
+    assert "1.5 s  Lookback: GPS faulty" in found
     assert "All 1 drives together, 1.2 km since GPS was lost:" in found
 
 

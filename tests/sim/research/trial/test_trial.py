@@ -131,7 +131,7 @@ def run_of(error_m: float = 2.0, sigma_m: float = 3.0, **changes: object) -> Cou
     return replace(run, **changes)  # type: ignore[arg-type]  # fields by name
 
 
-CALLED = ((30.0, 4, "Lookback: GPS is wrong by 45 m to the E"),)
+CALLED = ((30.0, 4, "Lookback: GPS faulty: 45 m off to the E"),)
 """After 240 m."""
 WARNED = ((30.0, 4, "Lookback: not recognized where GPS says we are"),)
 DRAGGED = replace(straight(), error_m=np.where(straight().time_s < 20.0, 2.0, 45.0))
