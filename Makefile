@@ -9,9 +9,9 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-benchmark flights test test-long test-core test-python test-kernels soak: export OMP_NUM_THREADS := 1
-benchmark flights test test-long test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-benchmark flights test test-long test-core test-python test-kernels soak: export OPENCV_FOR_THREADS_NUM := 1
+benchmark flights smoke test test-long test-core test-python test-kernels soak: export OMP_NUM_THREADS := 1
+benchmark flights smoke test test-long test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+benchmark flights smoke test test-long test-core test-python test-kernels soak: export OPENCV_FOR_THREADS_NUM := 1
 # Two more than processors, since some tests wait: 311 s instead of 324 on two. GNU's nproc counts one where OMP_NUM_THREADS is 1.
 # CHANGED=1: only the tests of what this branch has changed; CHANGED=COMMIT: of what has changed since then.
 CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(filter-out 1,$(CHANGED))),$(error CHANGED=$(CHANGED): no such commit)))
@@ -20,9 +20,10 @@ SIDE_BY_SIDE := -n $(shell expr $$(env -u OMP_NUM_THREADS nproc) + 2) --dist wor
 SOCKETS := encoders.py host_lookup.py link.py links.py signing.py
 WHOLE := config.py daemon.py extras.py files.py geodesy.py import_rule.py main.py plugin.py
 NOT_CORE := sim docs faults firmware_config hardware systemd
-# Drives that are computed alike on every Python: over a quarter of the time that test-python would take.
-ALIKE := commands/test_real_feeds.py plugins/mapping/test_mapping_plugin.py plugins/mapping/test_own_motion.py \
-	plugins/mapping/test_outage.py plugins/motion
+# Alike on every Python: drives that are computed, over a quarter of the time that test-python would take, and what the doctor
+# finds, which it waits for.
+ALIKE := commands/test_real_feeds.py plugins/doctor/test_doctor.py plugins/mapping/test_mapping_plugin.py \
+	plugins/mapping/test_own_motion.py plugins/mapping/test_outage.py plugins/motion
 
 .PHONY: demo flights test test-long test-core test-python test-kernels test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
 .PHONY: benchmark clean docs notebook published

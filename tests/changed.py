@@ -12,7 +12,8 @@ import subprocess
 import sys
 from pathlib import PurePath
 
-from tests.imported import ROOT, imports
+from tests.common import ROOT
+from tests.imported import imports
 
 ALWAYS = ("tests/test_import_rule.py",)
 

@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from functools import partial
 from hashlib import blake2b
 from pathlib import Path
@@ -28,6 +29,7 @@ from sim import geodetic
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.maps.command import build_map
 from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
+from sim.vehicle.pty_link import PtyLink, open_pty
 from tests.guard import sitecustomize
 from tests.tlog import frames_of
 
@@ -271,6 +273,13 @@ def map_along(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return make
+
+
+@pytest.fixture
+def cable() -> Iterator[PtyLink]:
+    """The autopilot's end of a serial cable."""
+    with closing(open_pty()) as link:
+        yield link
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,10 +23,10 @@ from sim import Pose
 from sim.journal import R, records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE, SimulatedAutopilot
 from sim.vehicle.command import VehicleStart, straight_line
-from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import PtyLink
+from tests.common import PATIENCE_S
 
 FRAMES, PERIOD_MS = 80, 150
-PATIENCE_S = 120.0
 OLDEST_S = 5.0
 """What ArduPilot takes; on a machine with time to spare it is a tenth of a second."""
 
@@ -34,13 +34,6 @@ OLDEST_S = 5.0
 @pytest.fixture(scope="module")
 def street(make_street: Callable[..., Path]) -> Path:
     return make_street(range(FRAMES), period_ms=PERIOD_MS)
-
-
-@pytest.fixture
-def cable() -> Iterator[PtyLink]:
-    link = open_pty()
-    yield link
-    link.close()
 
 
 def start(street: Path, folder: Path, connection: str) -> subprocess.Popen[str]:

@@ -21,8 +21,8 @@ from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
+from tests.common import PATIENCE_S
 
-PATIENCE_S = 90.0
 LAT_DEG, LON_DEG = -27.0, 153.0  # where the drive of the map begins
 DRIVEN_M = 120.0
 

@@ -18,13 +18,13 @@ from sim import geodetic
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
-from tests.plugins.mapping.test_mapping_plugin import SPACING_M, STEP_NS, Camera, PlacedNetwork, World, mapping_to
+from tests.plugins.mapping.test_mapping_plugin import SPACING_M, STEP_NS, Camera, ToldNetwork, Trip, mapping_to
 
 
 def test_the_way_out_is_the_way_home(tmp_path: Path) -> None:
-    network = PlacedNetwork.load()
-    assert isinstance(network, PlacedNetwork)
-    world, mapping = World(network, home=False), mapping_to(tmp_path / "maps", second_camera=True)
+    network = ToldNetwork.load()
+    assert isinstance(network, ToldNetwork)
+    world, mapping = Trip(network, home=False), mapping_to(tmp_path / "maps", second_camera=True)
     with ExitStack() as parts:
         link = parts.enter_context(closing(open_pty()))
         config = Config(

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.journal import records_of
 from sim.maps.tiles import split_map
 from sim.vehicle.autopilot import SimulatedAutopilot
-from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import PtyLink
 from tests.faults.simulated_daemon import ScriptedFrames
 from tests.map_of import map_of
 from tests.udp_port import free_port
@@ -47,13 +47,6 @@ PLACES, APART_M = 300, 40.0
 @pytest.fixture(scope="module")
 def street(make_street: Callable[..., Path]) -> Path:
     return make_street(range(FRAMES), period_ms=PERIOD_MS)
-
-
-@pytest.fixture
-def cable() -> Iterator[PtyLink]:
-    link = open_pty()
-    yield link
-    link.close()
 
 
 def start(folder: Path, feed: Path, path: Path, connection: str, **of_map: Any) -> subprocess.Popen[str]:

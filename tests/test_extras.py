@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from edge.extras import DISTRIBUTION, install_command
-
-ROOT = Path(__file__).parents[1]
+from tests.common import ROOT
 
 
 def test_a_clone_is_installed_again_from_its_folder() -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.imported import ROOT, imports, is_module
+from tests.common import ROOT
+from tests.imported import imports, is_module
 
 STAGES = (
     "feed",

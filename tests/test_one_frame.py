@@ -57,7 +57,7 @@ MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 18
 """How many classes may have more attributes than that; records are not counted."""
 
 
-class Drive:
+class Feeding:
     """A daemon on a map of 80 places, and its autopilot on the network; the test moves all time.
 
     A datagram has arrived when it is sent, so that which turn reads it does not depend on the load.
@@ -154,7 +154,7 @@ def visited(make_street: Callable[..., Path], network: Network, tmp_path_factory
     street = make_street(range(FRAMES), period_ms=PERIOD_NS // 1_000_000)
     images = FeedImages(read_feed(street / "feed"))
     with ExitStack() as parts:
-        drive = Drive(street, tmp_path_factory.mktemp("drive"), network, parts)
+        drive = Feeding(street, tmp_path_factory.mktemp("drive"), network, parts)
         for _ in range(15):
             drive.wait()  # until the autopilot's speed is known
         while READS not in profiled(drive.turn).turn:

@@ -14,8 +14,8 @@ from edge.camera.newest import NewestFrame
 from edge.camera.recorded import RecordedCamera
 from edge.errors import CameraLost, ConfigError, FrameError
 from edge.feed import read_feed
+from tests.common import PATIENCE_S
 
-PATIENCE_S = 10.0
 NEXT_STAMP_NS = count(1_000)
 
 
@@ -70,6 +70,13 @@ def opener(*results: Camera | Exception) -> Callable[[], Camera]:
     return open_next
 
 
+def taken(newest: NewestFrame) -> Frame:
+    """The newest frame, which must come."""
+    frame = newest.take(PATIENCE_S)
+    assert frame is not None
+    return frame
+
+
 @pytest.fixture
 def let_go() -> threading.Event:
     return threading.Event()
@@ -82,9 +89,7 @@ def test_only_the_newest_frame_is_kept_and_what_it_replaced_is_counted(let_go: t
     health = newest.health
     assert (health.state, health.delivered, health.overwritten, health.bad) == ("running", 3, 2, 0)
     assert health.differences == camera.differences
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.index == 2
+    assert taken(newest).index == 2
     assert newest.take(0.0) is None
     assert not newest.ended
     let_go.set()
@@ -97,9 +102,7 @@ def test_the_end_of_a_feed_is_visible_after_its_last_frame() -> None:
     assert camera.closed.wait(PATIENCE_S)
     assert newest.health.state == "ended"
     assert not newest.ended
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.index == 1
+    assert taken(newest).index == 1
     assert newest.ended
     assert newest.take(PATIENCE_S) is None
     newest.close()
@@ -129,8 +132,7 @@ def test_a_bad_frame_is_counted_and_the_camera_goes_on(
     newest = NewestFrame(opener(camera))
     assert camera.closed.wait(PATIENCE_S)
     assert (newest.health.delivered, newest.health.bad) == (2, len(steps) - 2)
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None and newest_ns in (None, frame.stamp_ns)
+    assert newest_ns in (None, taken(newest).stamp_ns)
     newest.close()
 
 
@@ -142,9 +144,7 @@ def test_a_lost_camera_is_closed_and_opened_again_and_its_indices_never_go_back(
     assert before.closed.is_set()
     health = newest.health
     assert (health.state, health.reason, health.reopened) == ("running", "", 1)
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.index == 3
+    assert taken(newest).index == 3
     let_go.set()
     newest.close()
 
@@ -242,9 +242,7 @@ def test_a_frame_of_another_size_or_from_the_future_is_a_bad_frame() -> None:
     newest = NewestFrame(opener(camera), clock_ns=lambda: 100)
     assert camera.closed.wait(PATIENCE_S)
     assert (newest.health.delivered, newest.health.bad) == (2, 2)
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.index == 3
+    assert taken(newest).index == 3
     newest.close()
 
 
@@ -258,9 +256,7 @@ def test_a_camera_that_gives_only_bad_frames_is_opened_again_and_its_clock_may_b
     assert anew.drained.wait(PATIENCE_S)
     assert stuck.closed.is_set()
     assert newest.health.reopened == 1
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
-    assert frame.stamp_ns == 5
+    assert taken(newest).stamp_ns == 5
     let_go.set()
     newest.close()
 
@@ -338,8 +334,7 @@ def test_a_clock_that_is_ahead_is_found_out_and_corrected(caplog: pytest.LogCapt
 
     newest = NewestFrame(opener(Reading()), clock_ns=lambda: times_ns[max(0, min(clock["read"], 6))])
     assert camera.closed.wait(PATIENCE_S)
-    frame = newest.take(PATIENCE_S)
-    assert frame is not None
+    frame = taken(newest)
     assert frame.index == 6
     assert frame.stamp_ns == times_ns[6] + ahead_ns[6] - max(ahead_ns[:5])
     assert (newest.health.delivered, newest.health.bad) == (3, 4)

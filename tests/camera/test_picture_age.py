@@ -18,8 +18,9 @@ from edge.camera.picture_age import SIGMA_NS, UNDATED, Age, PictureAge
 from edge.camera.picture_check import FROZEN
 from edge.feed import Frame
 from edge.geodesy import VehiclePosition
+from tests.common import S
 
-SECOND, FRAME_S = 1_000_000_000, 0.1
+FRAME_S = 0.1
 NOISE = 5.0
 PLATE = np.random.default_rng(3).normal(0.0, NOISE, (480, 640)).astype(np.float32)
 
@@ -63,15 +64,15 @@ def turned(
     found = found or PictureAge()
     for number, at_s in enumerate(np.arange(from_s, until_s, FRAME_S).tolist()):
         heading_s = at_s - at_s % 0.3
-        heading = round(heading_s * SECOND), heading_deg(heading_s) % 360
-        found.add(ahead(at_s - age_s, number, faces_deg), round(at_s * SECOND), heading)
+        heading = round(heading_s * S), heading_deg(heading_s) % 360
+        found.add(ahead(at_s - age_s, number, faces_deg), round(at_s * S), heading)
     return found
 
 
 def late_frames(age_s: float, until_s: float) -> Iterator[tuple[Frame, VehiclePosition]]:
     """Pictures that are so old, and where the vehicle was when they arrived."""
     for number, at_s in enumerate(np.arange(0.0, until_s, FRAME_S).tolist()):
-        frame = Frame(ahead(at_s - age_s, number), round(at_s * SECOND), number)
+        frame = Frame(ahead(at_s - age_s, number), round(at_s * S), number)
         yield frame, VehiclePosition(frame.stamp_ns, 0.0, 0.0, 0.0, heading_deg(at_s) % 360, 0.0, 0.0, 8.0)
 
 
@@ -120,7 +121,7 @@ def test_an_age_that_contradicts_the_known_one_must_be_seen_twice() -> None:
 def test_stamps_stay_corrected_while_an_age_that_was_seen_once_contradicts_them() -> None:
     check, corrected = open_picture_check(None, "stream", 0.3), []
     for number, at_s in enumerate(np.arange(0.0, 72.0, FRAME_S).tolist()):
-        frame = Frame(ahead(at_s - (0.7 if at_s < 30.0 else 3.0), number), round(at_s * SECOND), number)
+        frame = Frame(ahead(at_s - (0.7 if at_s < 30.0 else 3.0), number), round(at_s * S), number)
         own = VehiclePosition(frame.stamp_ns, 0.0, 0.0, 0.0, heading_deg(at_s) % 360, 0.0, 0.0, 8.0)
         corrected.append(round((frame.stamp_ns - check.dated(frame, 8.0, own).stamp_ns) / 1e9, 1))
         check.is_usable(frame, 8.0)
@@ -143,7 +144,7 @@ def test_no_position_rests_on_a_stream_before_its_age_is_known() -> None:
         stream.is_usable(stream.dated(frame, 8.0, own), 8.0)
     assert stream.why_no_position == ""
     for number in range(30):
-        stream.is_usable(Frame(frame.image, frame.stamp_ns + number * SECOND, number), 8.0)
+        stream.is_usable(Frame(frame.image, frame.stamp_ns + number * S, number), 8.0)
     assert (stream.why_no_position, stream.why_undated) == (FROZEN, "")
 
 
@@ -170,6 +171,6 @@ def test_of_a_stream_that_was_opened_again_the_age_is_not_known() -> None:
     device.reopen("its host is another one")
     while device.health.reopened == 0:
         device.take(1.0)
-    check.dated(Frame(ahead(31.0, 0), 31 * SECOND, 0), 8.0)
+    check.dated(Frame(ahead(31.0, 0), 31 * S, 0), 8.0)
     assert check.why_no_position == UNDATED
     device.close()

@@ -17,8 +17,7 @@ from edge.camera.picture_check import (
     PictureFault,
 )
 from edge.feed import FeedImages, read_feed
-
-SECOND = 1_000_000_000
+from tests.common import S
 
 
 def noisy(seed: int, level: float = 100.0) -> NDArray[np.uint8]:
@@ -29,7 +28,7 @@ def watch(
     watch: FrozenPictureDetector, images: list[NDArray[np.uint8]], moves: bool | None = True, from_s: float = 0.0
 ) -> list[PictureFault | None]:
     """What is said of pictures that come five a second."""
-    return [watch.check(image, round((from_s + index / 5) * SECOND), moves) for index, image in enumerate(images)]
+    return [watch.check(image, round((from_s + index / 5) * S), moves) for index, image in enumerate(images)]
 
 
 def test_pictures_that_differ_only_by_noise_are_sound() -> None:
@@ -106,7 +105,7 @@ def test_random_pictures_get_the_answers_that_every_fourth_pixel_gives() -> None
         if rng.random() < 0.1:  # a change of one pixel: seen where it is a fourth one
             image = image.copy()
             image[tuple(rng.integers(0, side) for side in image.shape[:2])] ^= 255
-        fault = eyes.check(image, index * SECOND, True)
+        fault = eyes.check(image, index * S, True)
         answers.append("" if fault is None else fault.what)
         assert answers[-1] == plainly.check(image), index
     assert set(answers) == {"", BLANK, FROZEN}

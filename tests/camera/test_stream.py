@@ -30,11 +30,11 @@ from edge_plugins.cameras import stream
 from edge_plugins.cameras.command_output import CommandOutput
 from edge_plugins.cameras.stream import BEHIND_NS, StreamCamera, StreamClock, open_source, size_difference
 from tests.camera.conftest import index_of
+from tests.common import PATIENCE_S
 
 pytest.importorskip("av")
 pytestmark = pytest.mark.usefixtures("busy")
 
-PATIENCE_S = 60.0
 PERIOD_S = 0.02
 WIDTH, HEIGHT = 64, 48
 WRITER = Path(__file__).with_name("write_stream.py")

@@ -18,12 +18,12 @@ from edge.camera.newest import NewestFrame
 from edge.config import CameraConfig
 from edge.errors import CameraLost
 from edge_plugins.cameras.stream import StreamCamera
+from tests.common import PATIENCE_S
 
 pytest.importorskip("av")
 pytestmark = pytest.mark.usefixtures("busy")
 
 HERE = Path(__file__).parent
-PATIENCE_S = 60.0
 SYSTEM_PYTHON = "/usr/bin/python3"
 TEST_IMAGES = "videotestsrc is-live=true ! video/x-raw,format=I420,width=320,height=240,framerate=25/1"
 H264 = f"( {TEST_IMAGES} ! x264enc tune=zerolatency key-int-max=10 ! rtph264pay name=pay0 pt=96 )"

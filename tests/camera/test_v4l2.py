@@ -21,8 +21,7 @@ from edge.camera.v4l2 import (
 )
 from edge.config import CameraConfig
 from edge.errors import CameraLost, ConfigError
-
-S = 1_000_000_000
+from tests.common import S
 
 
 def test_a_device_that_is_not_there_is_lost_until_it_is_plugged_in() -> None:

@@ -25,7 +25,7 @@ from edge_plugins.page.snapshot import map_view
 from sim.evaluation.replay import replay, with_options
 from sim.journal import records_of
 from sim.traverse import config_as_mapped
-from tests.faults.simulated_daemon import Bench, ScriptedFrames
+from tests.faults.simulated_daemon import DaemonRig, ScriptedFrames
 
 FRAMES, BORDER, PERIOD_MS = 80, 64, 120
 """A daemon misses frames that come faster where the computer is busy with something else."""
@@ -132,7 +132,7 @@ def test_the_daemon_goes_on_without_a_damaged_tile(
 ) -> None:
     images = FeedImages(read_feed(street / "again"))
     with ExitStack() as parts:
-        bench = Bench(write_config(damaged.parent, street / "again", damaged), parts, grid, 10.0, ScriptedFrames)
+        bench = DaemonRig(write_config(damaged.parent, street / "again", damaged), parts, grid, 10.0, ScriptedFrames)
         for number in range(FRAMES):
             bench.step(images.read(number), number)
         bench.daemon.last_words()

@@ -38,10 +38,10 @@ from sim.maps.command import build_map
 from sim.world.camera import open_renderer
 from sim.world.recording import times_by_distance
 from sim.world.scenario import Scenario
+from tests.common import ROOT
 from tests.descriptor.processor_answers import SPACING_M, by_grid, matched
 from tests.udp_port import free_port
 
-ROOT = Path(__file__).parents[2]
 PROGRAM = Path(__file__).with_name("processor_answers.py")
 TOLERANCE = 1e-5
 """Of the grid's values between processors, as a share of the largest: ten times what a Cortex-A76 differed by (9.6e-7,

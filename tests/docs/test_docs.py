@@ -41,6 +41,7 @@ from edge_plugins.motion.camera_motion import MotionMeasured
 from edge_plugins.motion.velocity_sender import VelocityChanged
 from sim.journal import JournalLine
 from sim.world.scenario import Scenario
+from tests.common import ROOT
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -50,7 +51,6 @@ else:
 pytest.importorskip("panda3d")
 pytest.importorskip("gpxpy")
 
-ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [README, *DOCS]

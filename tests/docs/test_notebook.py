@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.common import ROOT
+
 NOTEBOOK = ROOT / "docs/notebook.ipynb"
 RUN = (
     "import nbformat, nbclient, sys; book = nbformat.read(sys.argv[1], 4);"

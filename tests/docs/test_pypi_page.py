@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from tests.chromium import NEEDS_CHROMIUM, browser
+from tests.common import ROOT
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 GITHUB = "https://github.com/Us/lookback"

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 
 from tests.chromium import NEEDS_CHROMIUM, browser
+from tests.common import ROOT
 
 pytest.importorskip("mike")
 pytest.importorskip("mkdocstrings")
 
 pytestmark = pytest.mark.long
-ROOT = Path(__file__).parents[2]
 PARTS = ("README.md", "mkdocs.yml", "setup.py", "docs", "edge", "lookback")
 PHONE = 390
 WIDE = ("index", "troubleshooting", "mapping", "fleet", "evaluation", "api", "method")

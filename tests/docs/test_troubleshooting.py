@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 import re
 from functools import cache
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.common import ROOT
+
 PAGE = (ROOT / "docs/troubleshooting.md").read_text(encoding="utf-8")
 VARIES = re.compile(r"%[-0-9.]*[sdfg]|\{\}|\.\.\.")
 

@@ -23,7 +23,7 @@ import tomli_w
 from edge_plugins.mapping.builder import Place
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from tests.faults.daemon_process import Process
-from tests.faults.simulated_daemon import Bench, ScriptedFrames
+from tests.faults.simulated_daemon import DaemonRig, ScriptedFrames
 from tests.map_of import map_of
 
 FIGURE = "fault bench"
@@ -157,8 +157,8 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Pr
 
 
 @pytest.fixture
-def make_bench(network: MemoizingNetwork) -> Iterator[Callable[..., Bench]]:
+def make_bench(network: MemoizingNetwork) -> Iterator[Callable[..., DaemonRig]]:
     with ExitStack() as parts:
-        yield lambda config, network=network, speed_mps=10.0, frames=ScriptedFrames: Bench(
+        yield lambda config, network=network, speed_mps=10.0, frames=ScriptedFrames: DaemonRig(
             config, parts, network, speed_mps, frames
         )

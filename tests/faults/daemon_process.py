@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-PATIENCE_S = 120.0
+from tests.common import PATIENCE_S
 
 
 class Process:

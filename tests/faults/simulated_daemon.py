@@ -37,7 +37,7 @@ class ScriptedFrames:
         self.ended = True
 
 
-class Bench:
+class DaemonRig:
     """A daemon in this process, with its autopilot, on a clock that the test moves: 5 frames a second."""
 
     def __init__(self, config: Path, parts: ExitStack, network: Any, speed_mps: float, frames: Any) -> None:

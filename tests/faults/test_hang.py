@@ -18,10 +18,10 @@ import pytest
 from edge.camera.newest import GRACE_S
 from edge.camera.recorded import RecordedCamera
 from edge.feed import read_feed
+from tests.common import PATIENCE_S
 
 UNIT = Path(__file__).parents[2] / "systemd/lookback.service"
 (WATCHDOG_S,) = (float(word) for word in re.findall(r"^WatchdogSec=(\d+)$", UNIT.read_text(), re.MULTILINE))
-PATIENCE_S = 120.0
 SILENCE_S = 2.0
 """Fed ten times a second, so this much silence is no accident; systemd waits for WatchdogSec."""
 

@@ -27,8 +27,8 @@ from sim.datasets import open_dataset
 from sim.datasets.found import find_kind
 from sim.maps.keys import make_key, sign_map
 from sim.model_tools.import_command import write
+from tests.common import ROOT
 
-ROOT = Path(__file__).parents[2]
 OUT = ["../secret", "/etc/passwd", "frames/../../secret", "./../secret", "a\0b", "frames/..", "..", ""]
 
 

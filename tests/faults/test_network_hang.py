@@ -15,8 +15,7 @@ from edge.config import load_config
 from edge.daemon import Daemon
 from edge.descriptor.network import Network
 from edge.opened_parts import OpenedParts
-
-PATIENCE_S = 120.0
+from tests.common import PATIENCE_S
 
 
 class HangingNetwork:

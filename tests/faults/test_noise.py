@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -14,17 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import TelemetryConfig
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
-from sim.vehicle.pty_link import PtyLink, open_pty
+from sim.vehicle.pty_link import PtyLink
 
 MB = 1_000_000
 TURN_BYTES = 2048  # at 921600 baud, 20 ms
-
-
-@pytest.fixture
-def cable() -> Iterator[PtyLink]:
-    link = open_pty()
-    yield link
-    link.close()
 
 
 @pytest.mark.parametrize("megabytes", [20, pytest.param(100, marks=pytest.mark.soak)])

@@ -27,11 +27,11 @@ from edge.journal.records import StateChanged
 from edge.telemetry import encoders
 from sim.journal import records_of
 from sim.vehicle.autopilot import EXTERNAL_POSITION_ESTIMATE
+from tests.common import PATIENCE_S
 
 LENGTH = 10
 FAULT_FROM, FAULT_TO = 35, 51
 FRAMES = 80
-PATIENCE_S = 60.0
 Image = NDArray[np.uint8]
 Fault = Callable[[int, Image, int, int], "Frame | Exception"]
 
@@ -301,7 +301,7 @@ def test_an_autopilot_that_falls_silent(
     assert 99 <= silent[-1] <= 100 + 5 * 2
 
 
-class SlowNetwork:
+class LateNetwork:
     """The shipped network; for some frames the bench's clock goes on by more than a second in it."""
 
     def __init__(self, network: Network) -> None:
@@ -321,7 +321,7 @@ def test_a_frame_that_takes_too_long(
     make_witness: Callable[[Any], Witness],
     network: Network,
 ) -> None:
-    slow = SlowNetwork(network)
+    slow = LateNetwork(network)
     bench = make_bench(write_config(), network=slow)
     witness = make_witness(bench)
 

@@ -23,10 +23,10 @@ from sim import Pose
 from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
+from tests.common import PATIENCE_S
 
 KEY = bytes(range(32))
 DRIVING = Pose(0.0, 0.0, 0.0, 5.0, 0.0)
-PATIENCE_S = 120.0
 PIECE = 40
 """Frames that fit into a terminal's buffer at once."""
 

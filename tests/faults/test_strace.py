@@ -14,6 +14,7 @@ import pytest
 
 from edge.journal.records import PlaceFix
 from sim.journal import records_of
+from tests.common import PATIENCE_S
 
 CALLS = (
     "connect,sendto,sendmsg,bind,openat,open,creat,mkdir,mkdirat,rename,renameat,renameat2,"
@@ -22,7 +23,6 @@ CALLS = (
 WRITES = re.compile(r"O_WRONLY|O_RDWR|O_CREAT|O_TRUNC|O_APPEND")
 QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"')
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
-PATIENCE_S = 120.0
 DEVICES = ("/dev/null", "/dev/tty", "/dev/pts/", "/dev/shm/")
 
 

@@ -25,7 +25,7 @@ STILL = Pose(0.0, 0.0, 0.0, 0.0, 0.0)
 UNPLUGGED_S = (0.3, 1.0, 3.0, 20.0, 300.0)
 
 
-class Cable:
+class Plug:
     """A serial port with a name that stays, /dev/serial/by-id for the kernel's ones, and what is plugged into it."""
 
     def __init__(self, by_id: Path, clock_ns: Callable[[], int]) -> None:
@@ -58,7 +58,7 @@ class Cable:
 def test_unplugged_and_back(times: int, tmp_path: Path, proc: Any, figures: Callable[[str], None]) -> None:
     now_ns = 10**12
     by_id = tmp_path / "usb-autopilot"
-    cable = Cable(by_id, lambda: now_ns)
+    cable = Plug(by_id, lambda: now_ns)
     records: list[msgspec.Struct] = []
     connection = AutopilotConnection(
         TelemetryConfig(connection=f"serial:{by_id}:921600"), lambda: now_ns, records.append

@@ -21,9 +21,9 @@ from edge.config import CameraConfig, Config, DescriptorConfig, LinkConfig, MapC
 from edge.errors import EXIT_SETUP
 from edge.extras import install_command
 from edge_plugins.recording import RecordingConfig
+from tests.common import PATIENCE_S
 
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set=-all", "--inh-caps=-all", "--no-new-privs"]
-PATIENCE_S = 60.0
 LINK = {"connection": "udp:127.0.0.1:9"}
 
 

@@ -28,7 +28,7 @@ LISTS = {
 BAUD = int(TelemetryConfig().connection.rpartition(":")[2])
 
 
-class ParameterDefinition(msgspec.Struct, forbid_unknown_fields=True):
+class Listed(msgspec.Struct, forbid_unknown_fields=True):
     """What a firmware says of a parameter: nothing, or one of values, range (null is no limit) and bits."""
 
     type: int | None = None  # MAV_PARAM_TYPE: 6 int32, 9 float
@@ -49,7 +49,7 @@ class ParameterDefinition(msgspec.Struct, forbid_unknown_fields=True):
 
 class Listing(msgspec.Struct, forbid_unknown_fields=True):
     source: list[str]
-    parameters: dict[str, ParameterDefinition]
+    parameters: dict[str, Listed]
 
 
 def listings_of(file: Path) -> list[Listing]:

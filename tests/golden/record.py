@@ -36,7 +36,7 @@ AWAY_M = 3000.0
 
 
 @dataclass(frozen=True)
-class Recording:
+class Taken:
     """A drive, the stretches [start, end) of it in meters driven that are kept, and a shift of its positions."""
 
     scenario: Scenario
@@ -61,12 +61,12 @@ AUTOPILOTS: dict[str, dict[str, Any]] = {
 DRIFT_PERCENT = 3.0
 
 # The stretch from 130 to 170 m is on no map; short and long gaps in the queries are frames that never came.
-RECORDED: dict[str, Recording] = {
-    "out_first": Recording(OUT, ((0.0, 130.0),)),
-    "out_second": Recording(OUT, ((170.0, LENGTH_M),)),
-    "elsewhere": Recording(_scenario(seed=5, view="rear", drive_seed=4), ((40.0, 120.0),), AWAY_M),
-    "home_night": Recording(HOME, ((0.0, 100.0), (107.0, 225.0), (244.0, LENGTH_M))),
-    "again_dusk": Recording(AGAIN, ((0.0, 60.0), (63.0, LENGTH_M))),
+RECORDED: dict[str, Taken] = {
+    "out_first": Taken(OUT, ((0.0, 130.0),)),
+    "out_second": Taken(OUT, ((170.0, LENGTH_M),)),
+    "elsewhere": Taken(_scenario(seed=5, view="rear", drive_seed=4), ((40.0, 120.0),), AWAY_M),
+    "home_night": Taken(HOME, ((0.0, 100.0), (107.0, 225.0), (244.0, LENGTH_M))),
+    "again_dusk": Taken(AGAIN, ((0.0, 60.0), (63.0, LENGTH_M))),
 }
 
 
@@ -83,7 +83,7 @@ def frame_times_s(drive: WorldDrive) -> Iterator[float]:
             yield time_s
 
 
-def record(name: str, recording: Recording) -> None:
+def record(name: str, recording: Taken) -> None:
     """Render one recording into its folder, which is replaced."""
     scenario, drive = recording.scenario, recording.scenario.drive()
     shutil.rmtree(RECORDINGS / name, ignore_errors=True)

@@ -268,7 +268,7 @@ def test_the_journal_rounds_what_rules_decide_by_as_it_is(path: Path) -> None:
     assert written == PlaceFix(9, 4, -27.123456789, None, 90.0, 2.0, 1.5, "forward", "same", 1.2346)
 
 
-class Measured(Record, frozen=True, tag="guest_measured"):
+class Guest(Record, frozen=True, tag="guest_measured"):
     """Of a plug-in that says nothing of digits."""
 
     share: Annotated[float, msgspec.Meta(ge=0)]
@@ -277,10 +277,10 @@ class Measured(Record, frozen=True, tag="guest_measured"):
 
 def test_a_number_without_digits_is_written_as_it_is(path: Path) -> None:
     journal = Journal(path)
-    journal.write(Measured(1 / 3))
+    journal.write(Guest(1 / 3))
     journal.close()
-    (line,) = [line.record for line in read_journal(path, Measured) if isinstance(line.record, Measured)]
-    assert line == Measured(1 / 3)
+    (line,) = [line.record for line in read_journal(path, Guest) if isinstance(line.record, Guest)]
+    assert line == Guest(1 / 3)
 
 
 def test_what_is_not_known_is_passed_on_as_it_is(path: Path) -> None:

@@ -33,10 +33,11 @@ from edge.localization import (
 )
 from edge.localization.events import ImageProcessed
 from edge.sequence import PlaceMatch
+from tests.common import S
 from tests.localization.route_course import HOME, SPACING_M, Stretch, build_maps
 
-S = 1_000_000_000
 LENGTH, FRAME_NS, SPEED_MPS = 20, S // 5, 10.0
+LINE_M = LENGTH * SPACING_M
 Direction: TypeAlias = Literal["forward", "reverse"]
 Sees: TypeAlias = Callable[[float], PlaceMatch | None]
 """What a frame shows at so many meters."""
@@ -199,6 +200,23 @@ class Vehicle:
         self.drive.update(self.t_ns + later_ns, OdometryUpdate(self.moved(ahead_m, east_m, **changes)))
         answer = self.ask(later_ns, at="now")
         return answer.place if isinstance(answer, Fix) else answer.fix
+
+
+def warm(
+    road: Road,
+    config: Config | None = None,
+    north_m: float = 120.0,
+    direction: Direction = "forward",
+    sees: Sees | None = None,
+    meters: float = 60.0,
+    **frame: Any,
+) -> Vehicle:
+    """A vehicle that has passed as many frames as a line has, and then so many meters of places."""
+    one = Vehicle(road, config, north_m, direction)
+    one.frame = frame
+    one.go(LINE_M, nothing)
+    one.go(meters, sees)
+    return one
 
 
 def north_m(place: PlaceFix | None) -> float:

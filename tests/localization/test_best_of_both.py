@@ -14,7 +14,8 @@ from edge.journal.records import PlaceFix
 from edge.localization import AGREE_SIGMAS, AutopilotState, Fix, ProtectionLevel
 from edge.localization.autopilot_covariance import AutopilotCovariance, Drift, PropagatedCovariance
 from edge.localization.integrity import BESIDE_M, GROWS, OFF_SIGMAS, FixCandidate, better_of, is_correction
-from tests.localization.events_of import Road, S, Vehicle
+from tests.common import S
+from tests.localization.events_of import Road, Vehicle
 from tests.localization.route_course import HOME, Stretch
 
 FIX = PlaceFix(

@@ -9,8 +9,8 @@ import pytest
 
 from edge.localization import DeadReckoning
 from edge.localization.dead_reckoning import DOUBTED_M, TURN_FRAMES, Odometry, TurnAround
+from tests.common import S
 
-S = 1_000_000_000
 GOOD, POOR = 0, 2
 
 

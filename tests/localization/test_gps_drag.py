@@ -23,7 +23,7 @@ DISAGREE = 6.9
 SETTINGS = settings(RigConfig(look_sigma_m=0.01))
 
 
-class Said(NamedTuple):
+class Called(NamedTuple):
     """The verdict on GPS after a frame, and how far GPS is off by then."""
 
     state: str
@@ -44,7 +44,7 @@ def drive(
     odometer: float | None = 0.97,
     twin_m: float = 0.0,
     blind_s: float = 0.0,
-) -> list[Said]:
+) -> list[Called]:
     """Home on the map of a rear camera. odometer: what it measures of a meter, None if it is not known.
 
     twin_m: from the middle on, looks have the vehicle that far beside where it is, as on a street that looks the same.
@@ -70,7 +70,7 @@ def drive(
             is_look=frame % EVERY == 0 and time_s[frame] % 30 >= blind_s,
         )
         gps = None if np.isnan(off_m[0]) else gps_at(one.north_m + off_m[1], off_m[0])
-        said.append(Said(one.show(shown, gps).state, float(np.hypot(*off_m))))
+        said.append(Called(one.show(shown, gps).state, float(np.hypot(*off_m))))
     return said
 
 
@@ -83,7 +83,7 @@ def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> Plac
     return match(place + 2, "reverse", order="same", seen=seen)
 
 
-def called_m(said: list[Said], state: str = "wrong") -> float:
+def called_m(said: list[Called], state: str = "wrong") -> float:
     """How far GPS was off when it was called."""
     return next((one.off_m for one in said if one.state == state), math.inf)
 
@@ -109,7 +109,7 @@ def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long
         aside_m += one.aside_m
         one.move()
         shown = looked(one.north_m, -aside_m, 0.0, is_look=frame % EVERY == 0 and aside_m < 7.0)
-        found.append(Said(one.show(shown, gps_at(one.north_m)).state, aside_m))
+        found.append(Called(one.show(shown, gps_at(one.north_m)).state, aside_m))
     assert called_m(found) < 14.0
     assert found[-1].state == "wrong", "no line speaks for GPS soon after looks did not"
 

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from edge.localization.gyro_odometer import RATES_APART_NS, GyroOdometer
+from tests.common import S
 
-S = 1_000_000_000
 SPEED_MPS = 4.0
 
 

@@ -23,8 +23,9 @@ from edge.localization.fix_rules import AGREES, RULES
 from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
 from edge.sequence import PlaceMatch
+from tests.common import S
 from tests.docs.refusals_list import as_list
-from tests.localization.events_of import Road, S, Vehicle, gps_at, nothing, settings
+from tests.localization.events_of import Road, Vehicle, gps_at, nothing, settings
 from tests.localization.route_course import Stretch
 
 MakeRoad = Callable[..., Road]
@@ -430,24 +431,20 @@ def test_the_autopilots_position_is_moved_back_to_the_exposure() -> None:
     assert distance_from(own, place) == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_street_beside_that_looks_the_same_is_contradicted_by_the_vehicles_own_motion(long_road: Road) -> None:
-    """Its pictures match for 500 m; the vehicle is known to have gone 25 m to the side."""
+@pytest.mark.parametrize("seen_before", [True, False])
+def test_a_street_beside_that_looks_the_same_is_contradicted_by_own_motion_since_gps(
+    seen_before: bool, long_road: Road
+) -> None:
+    """Its pictures match for 500 m; the vehicle is known to have gone 25 m to the side.
+
+    seen_before: whether a place was recognized without GPS before it left the mapped road.
+    """
     one = Vehicle(long_road)
-    one.go(200, gps=True)
-    assert None in one.go(150)
+    one.go(200, None if seen_before else nothing, gps=True)
+    assert not seen_before or None in one.go(150)
     one.aside_m = 1.0
-    one.go(50)
+    one.go(50, None if seen_before else nothing)
     one.aside_m = 0.0
     assert None not in one.go(500)
     one.go(30, gps=True)
     assert None in one.go(10)
-
-
-def test_a_street_beside_that_looks_the_same_is_contradicted_by_own_motion_since_gps(long_road: Road) -> None:
-    """It left the mapped road before anything was recognized without GPS."""
-    one = Vehicle(long_road)
-    one.go(200, nothing, gps=True)
-    one.aside_m = 1.0
-    one.go(50, nothing)
-    one.aside_m = 0.0
-    assert None not in one.go(500)

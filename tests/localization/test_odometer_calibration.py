@@ -17,9 +17,9 @@ from edge.localization.odometer_calibration import (
     ScaleFactor,
     learned,
 )
+from tests.common import S
 from tests.localization.route_course import HOME
 
-S = 1_000_000_000
 SPEED_MPS = 8.0
 
 

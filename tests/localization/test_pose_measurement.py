@@ -27,11 +27,11 @@ from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, Pose
 from sim.research.trial.course_map import place_at
 from sim.world.camera import open_renderer
 from sim.world.scenario import Scenario, View
+from tests.common import S
 from tests.localization.events_of import (
-    LENGTH,
+    LINE_M,
     Direction,
     Road,
-    S,
     Sees,
     Vehicle,
     left_m,
@@ -39,10 +39,10 @@ from tests.localization.events_of import (
     north_m,
     nothing,
     settings,
+    warm,
 )
 from tests.localization.route_course import SPACING_M, Stretch
 
-LINE_M = LENGTH * SPACING_M
 MEASURED = settings(RigConfig(look_sigma_m=0.01))
 SIGMAS = 0.2, 0.2, math.radians(0.5)
 ROAD = Scenario(seed=9801, length_m=200.0)
@@ -69,12 +69,9 @@ def looks(road: Road, west_m: float = 0.0, direction: Direction = "reverse", **c
     return sees
 
 
-def warm(road: Road, config: Config = MEASURED, sees: Sees | None = None, meters: float = 40.0) -> Vehicle:
+def homeward(road: Road, config: Config = MEASURED, sees: Sees | None = None, meters: float = 40.0) -> Vehicle:
     """A vehicle that goes home, to the south."""
-    one = Vehicle(road, config, 300.0, "reverse")
-    one.go(LINE_M, nothing)
-    one.go(meters, sees or looks(road, 1.5))
-    return one
+    return warm(road, config, 300.0, "reverse", sees or looks(road, 1.5), meters)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +156,7 @@ def test_looks_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(ro
 
 def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> None:
     """It is followed where the vehicle turns between two looks."""
-    one = warm(road, sees=looks(road, turn_deg=4.0))
+    one = homeward(road, sees=looks(road, turn_deg=4.0))
     assert one.place is not None and one.place.heading_deg == pytest.approx(184.0, abs=0.2)
     one.aside_m = -SPACING_M * math.tan(math.radians(5.0))
     one.go(6, lambda at_m: road.match(at_m, "reverse"))
@@ -172,9 +169,9 @@ def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> Non
 
 
 def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_known(road: Road) -> None:
-    measured = warm(road, settings(RigConfig(look_ahead_reverse_m=1.2, look_sigma_m=0.1)))
+    measured = homeward(road, settings(RigConfig(look_ahead_reverse_m=1.2, look_sigma_m=0.1)))
     assert north_m(measured.place) == pytest.approx(measured.north_m + 1.2, abs=0.05)
-    unknown = warm(road, settings()).place
+    unknown = homeward(road, settings()).place
     assert unknown is not None and unknown.sigma_along_m >= 3.0 and unknown.sigma_across_m < 1.1
 
 
@@ -194,7 +191,7 @@ def test_looks_close_together_share_what_they_say(road: Road) -> None:
         return found and replace(found, has_line=False)
 
     for meters, times in ((4, 0), (22, 0), (4, 50)):
-        one = warm(road, loose, sees, meters)
+        one = homeward(road, loose, sees, meters)
         for _ in range(times):
             one.t_ns += 200_000_000
             one.show(sees(one.north_m))
@@ -207,14 +204,14 @@ def test_looks_close_together_share_what_they_say(road: Road) -> None:
 
 
 def test_a_single_look_waits_for_one_that_agrees(road: Road) -> None:
-    one = warm(road, sees=looks(road, -1.0), meters=2.0)
+    one = homeward(road, sees=looks(road, -1.0), meters=2.0)
     assert one.place is None or one.place.points is UNSET
     one.go(4, looks(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
 
 
 def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
-    one = warm(road)
+    one = homeward(road)
     for _ in range(5):
         one.go(2, looks(road, -1.0))
         assert left_m(one.place) == pytest.approx(1.5, abs=0.05)
@@ -223,7 +220,7 @@ def test_a_second_solution_now_and_then_moves_nothing(road: Road) -> None:
 
 
 def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -> None:
-    one = warm(road, sees=looks(road, -1.0), meters=4.0)
+    one = homeward(road, sees=looks(road, -1.0), meters=4.0)
     assert left_m(one.place) == pytest.approx(-1.0, abs=0.1)
     one.go(6, looks(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.1)
@@ -231,7 +228,7 @@ def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -
 
 def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> None:
     """What follows is disputed, and what was known before is back with the first looks that agree with it."""
-    one = warm(road, meters=80.0)
+    one = homeward(road, meters=80.0)
     for _ in range(10):
         one.go(2, looks(road, 1.5, ahead_m=30.0))
         assert one.place is not None
@@ -261,7 +258,7 @@ def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
 
 def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_as_that(road: Road) -> None:
     """It is off in one way from the first meter to the last, however many frames lie between; a look ends that."""
-    one = warm(road)
+    one = homeward(road)
     before = one.place_at()
     assert before is not None
     for frame in range(1, 8):
@@ -281,7 +278,7 @@ def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_a
 
 
 def test_a_line_moves_nothing_that_looks_have_measured(road: Road) -> None:
-    one = warm(road)
+    one = homeward(road)
     soon, later = one.place_at(S // 2, 4.0), one.place_at(2 * S, 16.0)
     assert soon is not None and later is not None and (soon.points, later.points) == (40, UNSET)
     one.go(30, lambda at_m: road.match(at_m + 4.0, "reverse"))

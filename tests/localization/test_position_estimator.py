@@ -25,7 +25,8 @@ from edge.localization import (
     ScaleFactor,
 )
 from edge.sequence import PlaceMatch
-from tests.localization.events_of import LENGTH, Road, S, Vehicle, nothing, settings
+from tests.common import S
+from tests.localization.events_of import LENGTH, Road, Vehicle, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 

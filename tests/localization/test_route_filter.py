@@ -10,47 +10,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from edge.config import Config, RigConfig
+from edge.config import RigConfig
 from edge.journal.records import PlaceFix
 from edge.localization import MapUpdate
 from edge.sequence import PlaceMatch
+from tests.common import S
 from tests.localization.events_of import (
     LENGTH,
+    LINE_M,
     Direction,
     Road,
-    S,
     Sees,
     Vehicle,
     left_m,
     north_m,
     nothing,
     settings,
+    warm,
 )
 from tests.localization.route_course import SPACING_M
-
-LINE_M = LENGTH * SPACING_M
 
 
 def shown(road: Road, further_m: float = 0.0, direction: Direction = "forward", **changes: Any) -> Sees:
     """Frames that show the place so many meters further, with something else of the match."""
     return lambda at_m: road.match(at_m + further_m, direction, **changes)
-
-
-def warm(
-    road: Road,
-    config: Config | None = None,
-    north_m: float = 120.0,
-    direction: Direction = "forward",
-    sees: Sees | None = None,
-    meters: float = 60.0,
-    **frame: Any,
-) -> Vehicle:
-    """A vehicle that has passed as many frames as a line has, and then so many meters of places."""
-    one = Vehicle(road, config, north_m, direction)
-    one.frame = frame
-    one.go(LINE_M, nothing)
-    one.go(meters, sees)
-    return one
 
 
 def placed(one: Vehicle) -> PlaceFix:

@@ -29,9 +29,9 @@ from edge.sequence import MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
+from tests.common import S
 
 RECORDINGS = Path(__file__).parents[1] / "golden/recordings"
-SECOND_NS = 1_000_000_000
 TWICE_DEG = 0.01
 BESIDE_M = 9.0
 """Of the place, in another lane, of which a picture may be 8 m ahead or behind where the next one is not mapped."""
@@ -59,7 +59,7 @@ def _build_map(grid: Network, feeds: list[Feed], folder: Path, name: str = "map"
     )
 
 
-class Drive:
+class Film:
     """Frames of a recording from one on."""
 
     def __init__(self, name: str, first: int = 0) -> None:
@@ -86,7 +86,7 @@ def opened(path: Path, grid: Network, *, keypoints: bool = True) -> PlaceRecogni
 
 
 def driven(
-    recognizer: PlaceRecognizer, drive: Drive, frames: int, *, backwards: bool = False
+    recognizer: PlaceRecognizer, drive: Film, frames: int, *, backwards: bool = False
 ) -> list[PlaceMatch | None]:
     """The answers to frames; the course is that of the vehicle, or the opposite one."""
     answers = []
@@ -95,14 +95,14 @@ def driven(
         assert heading_deg is not None
         course_rad = math.radians(heading_deg) + math.pi * backwards
         travel = MotionPrior(distance_m, course_rad=course_rad)
-        answers.append(recognizer.observe(drive.images[number], number * SECOND_NS, travel))
+        answers.append(recognizer.observe(drive.images[number], number * S, travel))
     return answers
 
 
 def test_on_the_way_home_a_place_is_believed_after_meters_and_seen_from_where_the_vehicle_is(
     maps: Path, grid: Network
 ) -> None:
-    drive = Drive("home_night", 100)
+    drive = Film("home_night", 100)
     recognizer = opened(maps / "street", grid)
     believed = [(n, one) for n, one in enumerate(driven(recognizer, drive, 14)) if one is not None and one.accepted]
     assert believed and believed[0][0] <= 10
@@ -118,15 +118,15 @@ def test_on_the_way_home_a_place_is_believed_after_meters_and_seen_from_where_th
 
 
 def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, grid: Network) -> None:
-    drive, standing = Drive("home_night"), []
+    drive, standing = Film("home_night"), []
     for first in range(20, 140, 10):
         recognizer = opened(maps / "street", grid)
         at_m, image = MotionPrior(7.0), drive.images[first]
         assert recognizer.observe(image, 0, at_m) is None, "one look is not enough"
-        assert not recognizer.may_look_again(SECOND_NS // 2, 7.0), "nothing new yet"
-        assert not recognizer.may_look_again(SECOND_NS, 9.0), "it drives"
-        assert recognizer.may_look_again(SECOND_NS, 7.0)
-        match = recognizer.look_again(image, SECOND_NS, at_m)
+        assert not recognizer.may_look_again(S // 2, 7.0), "nothing new yet"
+        assert not recognizer.may_look_again(S, 9.0), "it drives"
+        assert recognizer.may_look_again(S, 7.0)
+        match = recognizer.look_again(image, S, at_m)
         if match is not None:
             standing.append(drive.off_m(first, match, recognizer.map_set))
             assert match.accepted and match.event and recognizer.state == "on the map"
@@ -134,7 +134,7 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
             assert agreeing is not None and seen is not None
             assert (agreeing.place_index, len(agreeing.shares)) == (seen.place_index, seen.points)
             assert 0.0 <= agreeing.shares.min() < agreeing.shares.max() <= 1.0
-            assert not recognizer.may_look_again(3 * SECOND_NS, 7.0), "it is known"
+            assert not recognizer.may_look_again(3 * S, 7.0), "it is known"
     assert len(standing) >= 10
     assert max(standing) < BESIDE_M
 
@@ -150,19 +150,19 @@ def twice(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Pa
 
 
 def test_a_street_that_the_map_has_twice_is_known_by_no_look(maps: Path, twice: Path, grid: Network) -> None:
-    drive, known = Drive("home_night"), {"once": 0, "twice": 0}
+    drive, known = Film("home_night"), {"once": 0, "twice": 0}
     for first in range(45, 80, 8):
         for name, path in {"once": maps / "street", "twice": twice}.items():
             recognizer = opened(path, grid)
             assert recognizer.observe(drive.images[first], 0, MotionPrior(7.0)) is None
-            match = recognizer.look_again(drive.images[first], SECOND_NS, MotionPrior(7.0))
+            match = recognizer.look_again(drive.images[first], S, MotionPrior(7.0))
             known[name] += match is not None
     assert known["once"] >= 3
     assert known["twice"] == 0
 
 
 def test_looks_that_cannot_tell_two_places_speak_against_a_line_to_either(maps: Path, twice: Path) -> None:
-    drive, config = Drive("home_night", 53), Config(descriptor=DescriptorConfig(model="grid"))
+    drive, config = Film("home_night", 53), Config(descriptor=DescriptorConfig(model="grid"))
     for path, stays in ((maps / "street", True), (twice, False)):
         map_set = MapSet.of(open_map(path))
         drives, row = Drives(map_set, 2.0), drive.rows[0]
@@ -193,7 +193,7 @@ def test_past_the_end_of_the_map_and_in_a_gap_no_place_stays_believed(
     rows = tuple(row for row in once.rows if row not in once.rows[missing])
     build = partial(_build_map, grid, [dataclasses.replace(once, rows=rows)])
     recognizer = opened(make_once(f"street_without_{missing.start}_to_{missing.stop}", build) / "map", grid)
-    drive, believed = Drive("home_night", first), 0
+    drive, believed = Film("home_night", first), 0
     answers = driven(recognizer, drive, 50)
     for number, match in enumerate(answers):
         if match is not None and match.accepted:
@@ -218,7 +218,7 @@ class _Counted(KeypointNetwork):
 
 def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid: Network) -> None:
     """Where it stays, three further pictures are looked at, however they differ by noise."""
-    drive, other, noise = Drive("home_night"), Drive("elsewhere").images[10], np.random.default_rng(0)
+    drive, other, noise = Film("home_night"), Film("elsewhere").images[10], np.random.default_rng(0)
     known = 0
     for first in (20, 40, 60, 80, 100, 120):
         recognizer, network = opened(maps / "street", grid), _Counted()
@@ -229,8 +229,8 @@ def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid:
             if second == 0:
                 assert recognizer.observe(image, 0, MotionPrior(7.0)) is None
                 continue
-            assert recognizer.may_look_again(second * SECOND_NS, 7.0)
-            match = recognizer.look_again(image, second * SECOND_NS, MotionPrior(7.0))
+            assert recognizer.may_look_again(second * S, 7.0)
+            match = recognizer.look_again(image, second * S, MotionPrior(7.0))
             if match is not None:
                 assert second >= 6 and drive.off_m(first, match, recognizer.map_set) < BESIDE_M
                 known += 1
@@ -240,7 +240,7 @@ def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid:
 
 
 def test_another_road_is_never_believed_by_looks(maps: Path, grid: Network) -> None:
-    answers = driven(opened(maps / "elsewhere", grid), Drive("home_night"), 40)
+    answers = driven(opened(maps / "elsewhere", grid), Film("home_night"), 40)
     assert not [one for one in answers if one is not None and (one.accepted or one.seen is not None)]
 
 
@@ -251,7 +251,7 @@ def test_opposite_views_never_load_the_network(maps: Path, grid: Network, monkey
         raise AssertionError("loaded")
 
     monkeypatch.setattr(KeypointNetwork, "__init__", opened_network)
-    drive = Drive("again_dusk", 20)
+    drive = Film("again_dusk", 20)
     driven(opened(maps / "street", grid), drive, 12)
     with pytest.raises(AssertionError, match="loaded"):
         driven(opened(maps / "street", grid), drive, 12, backwards=True)
@@ -268,13 +268,13 @@ def test_keypoints_of_another_network_are_not_used(maps: Path, grid: Network) ->
         map_set=MapSet.of(dataclasses.replace(reference, header=other)),
     )
     assert not recognizer.matcher.may_look
-    drive = Drive("home_night", 100)
+    drive = Film("home_night", 100)
     assert not [one for one in driven(recognizer, drive, 12) if one is not None and one.accepted]
 
 
 def test_a_file_of_keypoints_that_was_cut_off_is_named(maps: Path, grid: Network, tmp_path: Path) -> None:
     shutil.copytree(maps / "street", tmp_path / "map")
-    recognizer, drive = opened(tmp_path / "map", grid), Drive("home_night", 100)
+    recognizer, drive = opened(tmp_path / "map", grid), Film("home_night", 100)
     driven(recognizer, drive, 1)
     with (tmp_path / "map" / KEYPOINTS).open("r+b") as file:
         file.truncate(100)

@@ -22,7 +22,7 @@ PLACES, DIMENSIONS, SPACING_M = 200, 256, 2.0
 Floats = NDArray[np.float32]
 
 
-class Road:
+class Views:
     """A road that was mapped, and what a drive back along it shows; each place resembles the next."""
 
     def __init__(self, seed: int) -> None:
@@ -38,12 +38,12 @@ class Road:
 
 
 @pytest.fixture
-def road() -> Road:
-    return Road(1)
+def road() -> Views:
+    return Views(1)
 
 
 @pytest.fixture
-def maps(road: Road) -> Iterator[MapSet]:
+def maps(road: Views) -> Iterator[MapSet]:
     places = [Place(row, route_m=SPACING_M * row) for row in range(PLACES)]
     drive = MappedDrive(road.map, places, "rear")
     with temporary_map([drive], ModelKey("made", "0" * 64, "fc6", DIMENSIONS)) as found:
@@ -52,7 +52,7 @@ def maps(road: Road) -> Iterator[MapSet]:
 
 @pytest.mark.parametrize(("by", "missed"), [("distance", 25), ("frames", 0)])
 def test_a_hole_of_over_half_a_sequence_begins_a_new_one(
-    road: Road, maps: MapSet, by: Literal["distance", "frames"], missed: int
+    road: Views, maps: MapSet, by: Literal["distance", "frames"], missed: int
 ) -> None:
     """Whether the camera or the odometer noticed it."""
     matcher, driven_m = SequenceMatcher(maps, Config(sampling=SamplingConfig(by=by))), 0.0
@@ -63,7 +63,7 @@ def test_a_hole_of_over_half_a_sequence_begins_a_new_one(
         assert (match is None) == (frame < 15 or hole or frame > 50)
 
 
-def test_frames_before_the_odometer_is_known_are_in_no_line(road: Road, maps: MapSet) -> None:
+def test_frames_before_the_odometer_is_known_are_in_no_line(road: Views, maps: MapSet) -> None:
     """Nobody knows how far apart they are."""
     seen = [road.seen(place, signal=0.5) for place in road.places]
 

@@ -27,7 +27,7 @@ from edge.sequence.submap import SLICE_SHARE, GlobalSearch
 from edge_plugins.mapping.builder import Place
 from sim.maps.tiles import split_map
 from tests.map_of import map_of
-from tests.sequence.test_place_search import Drive, look_at
+from tests.sequence.test_place_search import Seeker, look_at
 
 PLACES_OF_ALL, LENGTH, LIMIT, SPACING_M, APART_M = 6000, 10, 800, 2.0, 1000.0
 DEGREES_A_METRE = 1 / 110_800
@@ -81,8 +81,8 @@ def is_unique(match: PlaceMatch) -> bool:
     return match.uniqueness >= CONFIG.acceptance.uniqueness_min
 
 
-def drive_on(maps: MapSet, look: Look, config: Config = CONFIG) -> Drive:
-    return Drive(maps, look, config)
+def drive_on(maps: MapSet, look: Look, config: Config = CONFIG) -> Seeker:
+    return Seeker(maps, look, config)
 
 
 def close_to(place: int, radius_m: float = 60.0, east_m: float = 0.0) -> SearchRegion:

@@ -30,10 +30,10 @@ CONFIG = Config(
 )
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["positions", "no positions"])
-def long_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
+@pytest.fixture(scope="module")
+def long_map(tmp_path_factory: pytest.TempPathFactory) -> ReferenceMap:
     """12 km of places 2 m apart going north in two segments, each neighbor a little alike."""
-    return build(tmp_path_factory.mktemp("maps") / "long.map", raw_descriptors(), has_positions=request.param)
+    return build(tmp_path_factory.mktemp("maps") / "long.map", raw_descriptors(), has_positions=True)
 
 
 def raw_descriptors() -> np.ndarray:
@@ -66,7 +66,7 @@ def is_unique(match: PlaceMatch) -> bool:
     return match.uniqueness >= CONFIG.acceptance.uniqueness_min
 
 
-class Drive:
+class Seeker:
     """Feeds a search with one place after another, as the recognizer does, and counts what each frame matched."""
 
     def __init__(
@@ -104,10 +104,8 @@ def close_to(place: int, off_m: float = 0.0, radius_m: float = 60.0) -> SearchRe
 def test_around_a_position_the_answers_are_those_of_the_whole_map(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
-    if math.isnan(long_map.places["lat_deg"][0]):
-        pytest.skip("needs positions")
-    part = Drive(MapSet.of(long_map), look)
-    whole = Drive(MapSet.of(long_map), look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
+    part = Seeker(MapSet.of(long_map), look)
+    whole = Seeker(MapSet.of(long_map), look, msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES)))
     drive = range(1400, 2000)  # longer than a part reaches, so that it moves several times
     parts_used: dict[int, object] = {}
     for place in drive:
@@ -128,18 +126,19 @@ def test_around_a_position_the_answers_are_those_of_the_whole_map(
 def test_a_place_is_searched_wherever_a_position_may_be_wrong(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray], off_m: float
 ) -> None:
-    if math.isnan(long_map.places["lat_deg"][0]):
-        pytest.skip("needs positions")
     drive = range(1400, 2000)
-    matches = Drive(MapSet.of(long_map), look).go(drive, lambda place: close_to(place, off_m, 200.0))
+    matches = Seeker(MapSet.of(long_map), look).go(drive, lambda place: close_to(place, off_m, 200.0))
     found = zip(matches[LENGTH:], drive[LENGTH:], strict=True)
     assert all(match is not None and abs(match.place - place) <= 1 for match, place in found)
 
 
+@pytest.mark.parametrize("has_positions", [True, False])
 def test_without_a_position_the_map_is_gone_through_and_then_followed(
-    long_map: ReferenceMap, look: Callable[[int], np.ndarray]
+    long_map: ReferenceMap, look: Callable[[int], np.ndarray], has_positions: bool, tmp_path: Path
 ) -> None:
-    drive = Drive(MapSet.of(long_map), look)
+    """Also on a map that has none either."""
+    maps = long_map if has_positions else build(tmp_path / "long.map", raw_descriptors(), has_positions=False)
+    drive = Seeker(MapSet.of(maps), look)
     start = 4100
     slices = math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     first = drive.go(range(start, start + LENGTH - 1 + slices))
@@ -165,7 +164,7 @@ def test_of_two_stretches_that_look_alike_neither_is_found_wherever_the_slices_a
     raw = raw_descriptors()
     raw[4000:4300] = raw[1000:1300]
     twice = build(tmp_path / "twice.map", raw, has_positions=False)
-    drive = Drive(MapSet.of(twice), look_at(twice))
+    drive = Seeker(MapSet.of(twice), look_at(twice))
     assert set(drive.go(range(1050, 1050 + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))))) == {None}
     assert drive.search.part is None
 
@@ -175,9 +174,7 @@ def test_a_wrong_position_is_found_out(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray], radius_m: float
 ) -> None:
     """What a scan has found goes on to be searched, beside the position or, if that may be anywhere, in its place."""
-    if math.isnan(long_map.places["lat_deg"][0]):
-        pytest.skip("needs positions")
-    drive = Drive(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), look)
     frames = 2 * LENGTH + LENGTH + 2 * math.ceil(PLACES / (LIMIT // SLICE_SHARE))
     drive.go(range(500, 500 + frames), lambda place: close_to(place, 6000.0, radius_m))
     places = range(500 + frames, 900)
@@ -194,14 +191,14 @@ def test_what_was_found_is_followed_before_it_can_be_believed(
     """The map has been gone through in ten frames, and what a second time would find is as old as that."""
     config = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES * SLICE_SHARE // 10))
     drive = range(1000, 1050)
-    matches = Drive(MapSet.of(long_map), look, config, believed_after=15).go(drive)
+    matches = Seeker(MapSet.of(long_map), look, config, believed_after=15).go(drive)
     found = [(place, match) for place, match in zip(drive, matches, strict=True) if match is not None]
     assert len(found) == len(drive) - (LENGTH - 1) - 9
     assert all(abs(match.place - place) <= 1 for place, match in found[1:])
 
 
 def test_lost_again_after_the_end_of_what_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Drive(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), look)
     drive.go(range(2500, 2700))
     # A jump, as if the vehicle were carried: after a while the whole map is gone through again.
     after = drive.go(range(5000, 5100))
@@ -219,7 +216,7 @@ def test_a_frame_that_says_nothing_is_as_good_as_none(
         return np.full((2, 48), broken, dtype=np.float32) if place in (1020, 1021) else look(place)
 
     whole = msgspec.structs.replace(CONFIG, map=MapConfig(places_per_frame=PLACES))
-    matches = Drive(MapSet.of(long_map), look_or_fail, whole).go(range(1000, 1060))
+    matches = Seeker(MapSet.of(long_map), look_or_fail, whole).go(range(1000, 1060))
     assert all(
         match is not None and is_unique(match) and abs(match.place - place) <= 1
         for match, place in zip(matches[LENGTH:], range(1000 + LENGTH, 1060), strict=True)
@@ -227,7 +224,7 @@ def test_a_frame_that_says_nothing_is_as_good_as_none(
 
 
 def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[int], np.ndarray]) -> None:
-    drive = Drive(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), look)
     drive.go(range(2500, 2600))
     assert drive.search.part is not None
     drive.search.clear()
@@ -238,7 +235,7 @@ def test_after_a_gap_a_place_that_is_believed_by_looks_is_searched_around(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
     """Also where the last one was near it."""
-    drive = Drive(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), look)
     drive.go(range(2500, 2600))
     drive.search.clear()
     drive.search.follow(2600)
@@ -249,9 +246,7 @@ def test_after_a_gap_a_place_that_is_believed_by_looks_is_searched_around(
 def test_after_a_gap_the_position_is_searched_around_again(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
-    if math.isnan(long_map.places["lat_deg"][0]):
-        pytest.skip("needs positions")
-    drive = Drive(MapSet.of(long_map), look)
+    drive = Seeker(MapSet.of(long_map), look)
     drive.go(range(2500, 2530), close_to)
     drive.search.clear()
     drive._ring.clear()

@@ -24,12 +24,12 @@ from edge.feed.writer import FeedWriter
 from edge.journal.records import Stopped
 from sim.journal import read_journal
 from sim.maps.command import build_map
+from tests.common import PATIENCE_S
 
 UNIT = (Path(__file__).parents[2] / "systemd" / "lookback.service").read_text()
 WATCHDOG_S, STOP_S = (
     float(re.findall(rf"^{key}=(\d+)$", UNIT, re.MULTILINE)[0]) for key in ("WatchdogSec", "TimeoutStopSec")
 )
-PATIENCE_S = 60.0
 FRAMES, PERIOD_NS = 600, 50_000_000  # plays for half a minute, longer than any test here
 
 

@@ -17,8 +17,8 @@ from packaging.requirements import Requirement
 
 from edge.descriptor.model_file import FC6_PACKAGE, GRID
 from edge.extras import DISTRIBUTION
+from tests.common import ROOT
 
-ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
 PARSE = """
 import json, sys

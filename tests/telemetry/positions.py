@@ -9,7 +9,6 @@ from edge.localization import GpsVerdict
 from sim.vehicle.gps import GpsReport
 from tests.telemetry.rig import OpenRig, Rig
 
-OFTEN = GatesConfig(with_gps=True, min_interval_s=0.1, risk=1.0, min_move_m=0.0)
 OFF_M = 60.0
 AGREES, WRONG = GpsVerdict("agrees", 0.5, 0.5, 0.0), GpsVerdict("wrong", OFF_M, 0.0, 1.0)
 

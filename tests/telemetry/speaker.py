@@ -8,8 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.vehicle import Vehicle
-
-S = 1_000_000_000
+from tests.common import S
 
 
 class Speaker:

@@ -16,11 +16,9 @@ from edge.telemetry import open_link
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SILENT
-from tests.telemetry.rig import Rig
+from tests.telemetry.rig import SPEED_MPS, START_NS, Rig
 from tests.udp_port import free_port
 
-SPEED_MPS = 8.0
-START_NS = 1_000_000_000_000
 STREAMS = {33, 32, 74, 9000, 24, 124, 1, 2, 230, 193, 27, 30}
 
 external = pytest.mark.parametrize("rig", [{"emit": "external_position", "gps": False}], indirect=True)

@@ -13,8 +13,9 @@ from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
+from tests.common import S
 from tests.telemetry.rig import Rig
-from tests.telemetry.speaker import S, Speaker, connect
+from tests.telemetry.speaker import Speaker, connect
 
 
 def drive(vehicle: Vehicle, forged: Any, ticks: int = 100) -> None:

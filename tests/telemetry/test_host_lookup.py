@@ -10,8 +10,7 @@ from collections.abc import Callable
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.link import parse_connection
 from edge.telemetry.port import Port, look_up
-
-PATIENCE_S = 60.0
+from tests.common import PATIENCE_S
 
 
 def open_port(name: str, look_up: Callable[[str], str]) -> Port:

@@ -7,7 +7,6 @@ import re
 import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
@@ -20,8 +19,8 @@ from edge.journal.records import FixAnswered, LinkChanged
 from edge.telemetry.codec import MavlinkCodec
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
+from tests.common import ROOT
 
-ROOT = Path(__file__).parents[2]
 OpenRig: TypeAlias = Callable[..., Any]
 
 

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.localization import Odometry
 from edge.telemetry.vehicle import Vehicle
-from tests.telemetry.speaker import S, Speaker
+from tests.common import S
+from tests.telemetry.speaker import Speaker
 
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4
 RATE_RADPS, SPEED_MPS = 0.05, 4.0
@@ -26,7 +27,7 @@ def odometry(
     )
 
 
-class Driven:
+class Circle:
     """A vehicle in a circle; its autopilot turns its heading away from it, as EKF3 behind a GPS that is dragged."""
 
     def __init__(self, autopilot: int, odometry_from: tuple[int, ...] = ()) -> None:
@@ -74,7 +75,7 @@ CHORD_M = 2 * SPEED_MPS / RATE_RADPS * math.sin(20.0 * RATE_RADPS / 2)
 
 
 def test_wheels_go_by_the_gyros_of_ardupilot_whatever_its_filter_makes_of_them() -> None:
-    one = Driven(ARDUPILOT)
+    one = Circle(ARDUPILOT)
     one.drive()
     assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
     east_m, north_m = one.displacement.since(Odometry(1, 0.0, 0.0)) if one.displacement else (0.0, 0.0)
@@ -84,18 +85,18 @@ def test_wheels_go_by_the_gyros_of_ardupilot_whatever_its_filter_makes_of_them()
 @pytest.mark.parametrize(("autopilot", "is_known"), [(ARDUPILOT, False), (PX4, True)])
 def test_without_raw_rates_only_px4_has_a_witness(autopilot: int, is_known: bool) -> None:
     """Its bias was seen not to follow a GPS that is dragged; that of EKF3 was seen to."""
-    one = Driven(autopilot)
+    one = Circle(autopilot)
     one.drive(raw=False)
     assert (one.displacement is not None) == is_known
 
 
 @pytest.mark.parametrize("component", [(1, 197), (255, 190)])
 def test_odometry_of_another_program_is_a_speed_without_gps(component: tuple[int, int]) -> None:
-    one = Driven(PX4, component)
+    one = Circle(PX4, component)
     one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS))
     assert one.moved_m == pytest.approx(CHORD_M, abs=1.5)
     ahead_m = one.moved_m
-    one = Driven(PX4, component)
+    one = Circle(PX4, component)
     one.drive(beside=Speaker(*component), sent=odometry(SPEED_MPS * 0.6, SPEED_MPS * 0.8))
     assert one.moved_m == pytest.approx(ahead_m, rel=0.01), "also to the side"
 
@@ -114,7 +115,7 @@ def test_odometry_of_another_program_is_a_speed_without_gps(component: tuple[int
     ],
 )
 def test_other_odometry_is_none(component: tuple[int, int], sent: Any) -> None:
-    one = Driven(PX4, (1, 197))
+    one = Circle(PX4, (1, 197))
     one.drive(beside=Speaker(*component), sent=sent)
     assert one.displacement is None
 

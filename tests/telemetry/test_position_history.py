@@ -12,9 +12,9 @@ from edge.geodesy import VehiclePosition, east_north_of
 from edge.telemetry.position_history import ExposureQueue, PositionHistory
 from sim.vehicle.command import straight_line
 from sim.vehicle.gps import GpsReport
+from tests.common import S
 from tests.telemetry.rig import Rig
 
-S = 1_000_000_000
 SPEED_MPS = 8.0
 
 

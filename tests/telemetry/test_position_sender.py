@@ -20,8 +20,8 @@ from edge.localization import distance_from
 from edge.telemetry.encoders import UNBOUNDED_M
 from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
-from tests.telemetry.positions import OFTEN, fixes_received, offer_for
-from tests.telemetry.rig import OpenRig, Rig
+from tests.telemetry.positions import fixes_received, offer_for
+from tests.telemetry.rig import LENIENT, OpenRig, Rig
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_auto_picks_what_the_firmware_takes_and_says_so(open_rig: OpenRig, firmw
 
 @pytest.mark.parametrize(("firmware", "answer"), [("ardupilot", "FAILED"), ("px4-1.16", "TEMPORARILY_REJECTED")])
 def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, firmware: str, answer: str) -> None:
-    rig = open_rig(emit="external_position", gates=OFTEN, firmware=firmware, gps=True)
+    rig = open_rig(emit="external_position", gates=LENIENT, firmware=firmware, gps=True)
     rig.run(4.0)
     offer_for(rig, 30.0)
     assert len(fixes_received(rig)) == 5, "pauses of 1, 2, 4, 8 and 16 s"
@@ -71,7 +71,7 @@ def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: 
 
 
 def test_px4_1_15_never_answers_and_gets_positions_nevertheless(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="auto", gates=OFTEN, firmware="px4-1.15", gps=False, drift_percent=3.0)
+    rig = open_rig(emit="auto", gates=LENIENT, firmware="px4-1.15", gps=False, drift_percent=3.0)
     rig.run(10.0)
     offer_for(rig, 10.0)
     assert len(rig.autopilot.resets) >= 6
@@ -89,7 +89,7 @@ def test_accepted_and_moved(open_rig: OpenRig) -> None:
 
 
 def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=OFTEN, firmware="ardupilot-plain", drift_percent=20.0)
+    rig = open_rig(emit="external_position", gates=LENIENT, firmware="ardupilot-plain", drift_percent=20.0)
     rig.run(4.0)
     rig.autopilot.gps = False
     rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
@@ -325,7 +325,7 @@ def test_in_progress_is_no_answer_yet(open_rig: OpenRig) -> None:
 
 
 def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
-    rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
+    rig = open_rig(emit="external_position", gates=LENIENT, gps=False)
     rig.run(4.0)
     fix = rig.fix()
     assert rig.send_position(fix)
@@ -341,7 +341,7 @@ def test_an_exposure_is_published_once(open_rig: OpenRig) -> None:
 @pytest.mark.parametrize("age_s", [1.9, 2.1])
 def test_a_reset_is_of_a_picture_of_the_last_two_seconds(open_rig: OpenRig, age_s: float) -> None:
     """The autopilot goes on by its present velocity over a position's age, also in a bend."""
-    rig = open_rig(emit="external_position", gates=OFTEN, gps=False)
+    rig = open_rig(emit="external_position", gates=LENIENT, gps=False)
     rig.run(10.0)
     assert rig.send_position(rig.fix(age_s=age_s)) == (age_s < 2)
     assert [one.reason for one in rig.journalled(FixWithheld)] == (["too old"] if age_s > 2 else [])

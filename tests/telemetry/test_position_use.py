@@ -16,7 +16,8 @@ from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
-from tests.telemetry.speaker import S, Speaker, connect
+from tests.common import S
+from tests.telemetry.speaker import Speaker, connect
 
 
 def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTransmission:

@@ -28,6 +28,13 @@ def codec(folder: Path, name: str, key: bytes = KEY, now_s: float = NOW_S) -> Ma
     return MavlinkCodec(1, 1 if name == "theirs" else 191, Signer(key, folder / name, 0, lambda: now_s))
 
 
+def keyed(folder: Path) -> dict[str, str]:
+    """What a config says of signing with this key."""
+    (folder / "key").write_bytes(KEY)
+    (folder / "key").chmod(0o600)
+    return {"signing_key": str(folder / "key"), "signing_clock": str(folder / "clock")}
+
+
 def stamp_of(frame: bytes) -> int:
     return int.from_bytes(frame[-12:-6], "little")
 
@@ -42,19 +49,19 @@ def test_a_key_is_32_bytes_or_their_digits(tmp_path: Path, text: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("text", "mode", "reason"),
-    [(KEY, 0o640, "other users can read this key; chmod 600"), (b"short", 0o600, "not a key of 32 bytes")],
+    [
+        (KEY, 0o640, "other users can read this key; chmod 600"),
+        (b"short", 0o600, "not a key of 32 bytes"),
+        (None, 0, "cannot read this key: No such file"),
+    ],
 )
-def test_a_key_that_is_refused(tmp_path: Path, text: bytes, mode: int, reason: str) -> None:
+def test_a_key_that_is_refused(tmp_path: Path, text: bytes | None, mode: int, reason: str) -> None:
     file = tmp_path / "key"
-    file.write_bytes(text)
-    file.chmod(mode)
+    if text is not None:
+        file.write_bytes(text)
+        file.chmod(mode)
     with pytest.raises(ConfigError, match=rf"^\[telemetry\] signing_key: {file}: {reason}"):
         load_key(str(file))
-
-
-def test_a_key_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot read this key: No such file"):
-        load_key(str(tmp_path / "key"))
 
 
 def test_a_credential_of_systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,9 +178,7 @@ def test_a_damaged_file_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFix
 
 @pytest.mark.parametrize(("key", "up"), [(KEY, True), (OTHER, False)])
 def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes, up: bool) -> None:
-    (tmp_path / "key").write_bytes(KEY)
-    (tmp_path / "key").chmod(0o600)
-    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    config = keyed(tmp_path)
     theirs = codec(tmp_path, "theirs", key, now_s=time.time())
     rig = open_rig(emit="external_position", gps=False, config=config, codec=theirs)
     assert rig.run(0.8) is False
@@ -191,9 +196,7 @@ def test_a_signed_link(tmp_path: Path, open_rig: Callable[..., Any], key: bytes,
 
 def test_the_peer_is_heard_before_anything_is_signed(tmp_path: Path, open_rig: Callable[..., Any]) -> None:
     """Its clock may be ahead of ours, and it would drop what is older than what it knows."""
-    (tmp_path / "key").write_bytes(KEY)
-    (tmp_path / "key").chmod(0o600)
-    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    config = keyed(tmp_path)
     rigs: list[Any] = []
     ahead = Signer(KEY, tmp_path / "theirs", 0, lambda: 4_000_000_000.0 + (rigs[0].now_ns / 1e9 if rigs else 0.0))
     rigs.append(rig := open_rig(config=config, codec=MavlinkCodec(1, 1, ahead)))
@@ -233,9 +236,7 @@ def test_a_recording_of_years_ahead_moves_nothing(tmp_path: Path, open_rig: Call
     """Of a drive whose GPS had a wrong date. Such frames are followed: an autopilot whose GPS is spoofed would not be
     heard otherwise, and each boot of ArduPilot adds a minute. But it hears our date in turn, and goes on after them.
     """
-    (tmp_path / "key").write_bytes(KEY)
-    (tmp_path / "key").chmod(0o600)
-    config = {"signing_key": str(tmp_path / "key"), "signing_clock": str(tmp_path / "clock")}
+    config = keyed(tmp_path)
     theirs = codec(tmp_path, "theirs", now_s=time.time())
     rig = open_rig(emit="external_position", gps=False, config=config, codec=theirs)
     rig.run(6.0)

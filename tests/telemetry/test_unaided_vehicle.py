@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import Aid
-from tests.telemetry.speaker import S, Speaker, connect
+from tests.common import S
+from tests.telemetry.speaker import Speaker, connect
 
 
 def unaided(speaker: Speaker) -> Vehicle:

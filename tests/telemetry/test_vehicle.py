@@ -15,8 +15,9 @@ from edge.telemetry.codec import FusionStatus, MavlinkCodec
 from edge.telemetry.link_protocol import STREAMS_HZ, StreamRequests
 from edge.telemetry.session import Origin, Session
 from edge.telemetry.vehicle import Vehicle
+from tests.common import S
 from tests.telemetry.rig import STEP_NS
-from tests.telemetry.speaker import S, Speaker, connect
+from tests.telemetry.speaker import Speaker, connect
 from tests.tlog import frames_of
 
 ReadTlog = Callable[[str], Iterator[tuple[int, bytes]]]

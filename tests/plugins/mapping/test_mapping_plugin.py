@@ -38,7 +38,7 @@ STEP_NS = 100_000_000
 PLACES = int(ROAD_M / SPACING_M) + 10
 
 
-class PlacedNetwork(Network):
+class ToldNetwork(Network):
     """Has described what the camera sees that delivered last."""
 
     current: NDArray[np.float32]
@@ -47,10 +47,10 @@ class PlacedNetwork(Network):
         return self.current
 
 
-class World:
+class Trip:
     """A road, driven out and home; what looks along it in one direction sees one thing, in the other another."""
 
-    def __init__(self, network: PlacedNetwork, *, home: bool = True, stands_s: float = 3.0) -> None:
+    def __init__(self, network: ToldNetwork, *, home: bool = True, stands_s: float = 3.0) -> None:
         self.now_ns = 10**12
         self._stands_s = stands_s
         self.network = network
@@ -88,7 +88,7 @@ class World:
         return np.asarray(np.maximum(raw + self._rng.normal(0, 0.3, raw.shape), 0), np.float32)
 
 
-class Laps(World):
+class Laps(Trip):
     """The road as a loop, driven twice."""
 
     @property
@@ -109,7 +109,7 @@ class Laps(World):
 class Camera:
     """One of the vehicle's cameras."""
 
-    def __init__(self, world: World, *, ahead: bool) -> None:
+    def __init__(self, world: Trip, *, ahead: bool) -> None:
         self._world, self._ahead = world, ahead
         self.health = CameraHealth("running", "", 0)
         self._index = 0
@@ -133,7 +133,7 @@ class Camera:
         pass
 
 
-class Bends(World):
+class Bends(Trip):
     """The road in bends."""
 
     def pose(self, time_s: float) -> Pose:
@@ -157,9 +157,9 @@ class Turning(Camera):
 
 
 @pytest.fixture(scope="module")
-def placed_network() -> PlacedNetwork:
-    network = PlacedNetwork.load()
-    assert isinstance(network, PlacedNetwork)
+def placed_network() -> ToldNetwork:
+    network = ToldNetwork.load()
+    assert isinstance(network, ToldNetwork)
     return network
 
 
@@ -169,7 +169,7 @@ def parts() -> Iterator[ExitStack]:
         yield stack
 
 
-def opened(config: Config, parts: ExitStack, world: World, front: Camera, rear: Camera | None) -> Daemon:
+def opened(config: Config, parts: ExitStack, world: Trip, front: Camera, rear: Camera | None) -> Daemon:
     network = world.network
     return Daemon(OpenedParts(config, parts, world.clock_ns, frames=front, mapping_frames=rear, network=network))
 
@@ -179,7 +179,7 @@ def waiting(mapping: Mapping) -> int:
 
 
 def drive(
-    world: World,
+    world: Trip,
     folder: Path,
     parts: ExitStack,
     mapping: MappingConfig,
@@ -240,8 +240,8 @@ def mapping_to(folder: Path, *, second_camera: bool) -> MappingConfig:
     return MappingConfig(folder=str(folder), min_free_mb=0.0, behind_m=60.0, camera=camera)
 
 
-def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack) -> None:
-    world = World(placed_network)
+def test_home_on_the_map_of_the_way_out(placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack) -> None:
+    world = Trip(placed_network)
     drive(world, tmp_path, parts, mapping_to(tmp_path / "maps", second_camera=True))
     changes = list(records_of(tmp_path / "events.jsonl", MappingChanged))
     assert [change.state for change in changes][-2:] == ["mapping", "waiting"]
@@ -261,9 +261,9 @@ def test_home_on_the_map_of_the_way_out(placed_network: PlacedNetwork, tmp_path:
 @pytest.mark.parametrize("keep_pictures", [True, False])
 @pytest.mark.parametrize("second_camera", [True, False])
 def test_one_key_says_whether_anything_of_a_drive_keeps_a_picture(
-    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack, keep_pictures: bool, second_camera: bool
+    placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack, keep_pictures: bool, second_camera: bool
 ) -> None:
-    world, mapping = World(placed_network, home=False), mapping_to(tmp_path / "maps", second_camera=second_camera)
+    world, mapping = Trip(placed_network, home=False), mapping_to(tmp_path / "maps", second_camera=second_camera)
     recording = RecordingConfig(folder=str(tmp_path / "recordings"), min_free_mb=0.0)
     drive(world, tmp_path, parts, mapping, recording=recording, keep_pictures=keep_pictures)
     (made,) = logs_in(tmp_path / "maps")
@@ -286,7 +286,7 @@ def test_one_key_says_whether_anything_of_a_drive_keeps_a_picture(
     ],
 )
 def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
-    placed_network: PlacedNetwork,
+    placed_network: ToldNetwork,
     tmp_path: Path,
     parts: ExitStack,
     caplog: pytest.LogCaptureFixture,
@@ -294,7 +294,7 @@ def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
     keypoints: bool,
     said: list[str],
 ) -> None:
-    world, mapping = World(placed_network, home=False), MappingConfig(str(tmp_path), camera=camera, keypoints=keypoints)
+    world, mapping = Trip(placed_network, home=False), MappingConfig(str(tmp_path), camera=camera, keypoints=keypoints)
     config = Config(
         camera=CameraConfig(kind="sim"),
         map=MapConfig(path=str(tmp_path)),
@@ -310,7 +310,7 @@ def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
 @pytest.mark.parametrize("second_camera", [True, False])
 @pytest.mark.parametrize(("camera", "from_m"), [(Turning, 220.0), (Camera, math.inf)])
 def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
-    placed_network: PlacedNetwork,
+    placed_network: ToldNetwork,
     tmp_path: Path,
     parts: ExitStack,
     camera: type[Camera],
@@ -334,10 +334,10 @@ def test_the_pictures_of_a_stream_are_mapped_once_their_age_is_known(
 
 
 def test_a_daemon_that_was_killed_on_the_way_out_comes_home_on_one_map(
-    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
+    placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack
 ) -> None:
     folder = tmp_path / "maps"
-    drive(World(placed_network), tmp_path, parts, mapping_to(folder, second_camera=True), killed_at_m=0.6 * ROAD_M)
+    drive(Trip(placed_network), tmp_path, parts, mapping_to(folder, second_camera=True), killed_at_m=0.6 * ROAD_M)
     assert len(logs_in(folder)) == 1
     found = believed_on_the_way_home(tmp_path)
     places = [frame.place for frame in found if frame.place is not None]
@@ -347,7 +347,7 @@ def test_a_daemon_that_was_killed_on_the_way_out_comes_home_on_one_map(
 
 
 def test_the_second_lap_is_recognized_on_the_first(
-    placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack
+    placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack
 ) -> None:
     """With one camera, which maps and recognizes."""
     drive(Laps(placed_network), tmp_path, parts, mapping_to(tmp_path, second_camera=False), gps_out_only=False)
@@ -363,19 +363,19 @@ def test_the_second_lap_is_recognized_on_the_first(
             assert frame.place * SPACING_M == pytest.approx(at_m - ROAD_M, abs=4 * SPACING_M)
 
 
-def test_the_way_out_alone_recognizes_nothing(placed_network: PlacedNetwork, tmp_path: Path, parts: ExitStack) -> None:
+def test_the_way_out_alone_recognizes_nothing(placed_network: ToldNetwork, tmp_path: Path, parts: ExitStack) -> None:
     """Neither what the rear camera has just passed, nor, with one camera, what it saw itself."""
     for second_camera in (True, False):
         folder = tmp_path / str(second_camera)
         folder.mkdir()
-        drive(World(placed_network, home=False), folder, parts, mapping_to(folder, second_camera=second_camera))
+        drive(Trip(placed_network, home=False), folder, parts, mapping_to(folder, second_camera=second_camera))
         used = list(records_of(folder / "events.jsonl", FrameUsed))
         assert len(used) > 100
         assert sum(frame.accepted for frame in used) == 0
         assert logs_in(folder)
 
 
-class SlowNetwork(PlacedNetwork):
+class SlowNetwork(ToldNetwork):
     """Takes its time, like a small computer's."""
 
     world: SlowWorld
@@ -387,7 +387,7 @@ class SlowNetwork(PlacedNetwork):
         return self.current
 
 
-class SlowWorld(World):
+class SlowWorld(Trip):
     """In which time passes only where somebody works or waits."""
 
     network: SlowNetwork

@@ -16,11 +16,12 @@ from edge.telemetry.position_history import ExposureQueue, PositionHistory
 from edge.telemetry.vehicle import Vehicle
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.gps_consistency import GpsConsistency, GpsFreeDistance, GpsFreeOdometer
+from tests.common import S
 from tests.plugins.mapping.test_live_map import IMAGE, START_S, live, raw_of
 from tests.plugins.mapping.test_outage import at
 from tests.reference_map.test_gps_motion import STEP_M
 from tests.reference_map.test_gps_motion import drive as gps_drive
-from tests.telemetry.speaker import S, Speaker, connect
+from tests.telemetry.speaker import Speaker, connect
 from tests.tlog import messages_of
 
 PLACES, SPEED_MPS = 400, 8.0

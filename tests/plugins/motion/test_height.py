@@ -26,7 +26,7 @@ def height(*, earlier_m: float | None = None) -> CameraHeight:
     return CameraHeight(HeightRecord("camera", 0.0, () if earlier_m is None else (earlier_m,) * 25), FRAMES)
 
 
-class Road:
+class Ride:
     """A drive at 10 m/s, a frame every 2 m, with lines whose errors are as large as those of matches."""
 
     def __init__(self, camera: CameraHeight, seed: int = 0) -> None:
@@ -52,13 +52,13 @@ def off(camera: CameraHeight) -> float:
 
 def test_two_windows_of_gps_make_it_known_and_say_more_than_what_an_earlier_drive_found() -> None:
     camera = height()
-    road = Road(camera)
+    road = Ride(camera)
     road.drive(1.5 * WINDOW_M, gps=True, drive="")
     assert camera.height_m is None
     road.drive(WINDOW_M, gps=True, drive="")
     assert abs(off(camera)) < 0.001 and camera.share < 0.03
     camera = height(earlier_m=1.1 * TRUE_M)
-    Road(camera).drive(WINDOW_M + STEP_M, gps=True, drive="")
+    Ride(camera).drive(WINDOW_M + STEP_M, gps=True, drive="")
     assert abs(off(camera)) < 0.01 and camera.share < 0.03
 
 
@@ -72,7 +72,7 @@ def test_places_correct_what_an_earlier_drive_found_until_it_may_be_sent_as_hone
     sigmas = []
     for seed in range(20):
         camera = height(earlier_m=1.1 * TRUE_M)
-        road = Road(camera, seed)
+        road = Ride(camera, seed)
         sent_m = 0.0
         for _ in range(20):
             road.drive(20.0)
@@ -86,7 +86,7 @@ def test_places_correct_what_an_earlier_drive_found_until_it_may_be_sent_as_hone
 def test_a_camera_that_sinks_after_gps_is_contradicted_by_places_and_corrected() -> None:
     for seed in range(10):
         camera = height()
-        road = Road(camera, seed)
+        road = Ride(camera, seed)
         road.drive(200.0, gps=True)
         road.true_m = TRUE_M / 1.1
         road.drive(400.0)
@@ -98,7 +98,7 @@ def test_a_camera_that_sinks_after_gps_is_contradicted_by_places_and_corrected()
 def test_a_camera_that_sinks_is_within_what_it_says_and_gps_measures_it_anew(sinks: float) -> None:
     for seed in range(5):
         camera = height()
-        road = Road(camera, seed)
+        road = Ride(camera, seed)
         road.drive(200.0, gps=True)
         road.true_m = TRUE_M / sinks
         for _ in range(20):
@@ -112,7 +112,7 @@ def test_a_camera_that_sinks_is_within_what_it_says_and_gps_measures_it_anew(sin
 
 def test_while_gps_measures_it_places_say_nothing_though_a_map_be_a_tenth_too_long() -> None:
     camera = height()
-    Road(camera).drive(400.0, gps=True, map_scale=1.1)
+    Ride(camera).drive(400.0, gps=True, map_scale=1.1)
     assert abs(off(camera)) < 0.005
 
 
@@ -130,7 +130,7 @@ def compared(*heights_m: float) -> CameraHeight:
 
 def test_places_of_another_drive_or_elsewhere_and_a_stretch_that_was_not_seen_begin_anew() -> None:
     camera = height(earlier_m=1.1 * TRUE_M)
-    road = Road(camera)
+    road = Ride(camera)
     for turn in range(10):
         road.drive(40.0, drive=f"drive {turn}")
     assert camera.share > MOST_SCALE

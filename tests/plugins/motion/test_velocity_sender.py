@@ -16,8 +16,8 @@ from edge_plugins.motion.camera_motion import CameraSpeed
 from edge_plugins.motion.velocity_sender import VelocityChanged, VelocitySender, odometry, position_delta
 from sim.journal import records_of
 from sim.vehicle.estimator import OdometryErrors
+from tests.common import S
 from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig
-from tests.telemetry.speaker import S
 
 RUNS_AWAY = OdometryErrors("camera", acceleration_mps2=0.2)
 

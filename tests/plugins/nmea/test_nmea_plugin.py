@@ -19,14 +19,14 @@ from edge.descriptor.network import Network
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north_of
 from sim import Pose
-from tests.faults.simulated_daemon import Bench, ScriptedFrames
+from tests.faults.simulated_daemon import DaemonRig, ScriptedFrames
 from tests.udp_port import free_port
 
 pynmea2 = pytest.importorskip("pynmea2", reason="the extra import is not installed")
 FRAMES, MPS = 60, 10.0
 
 
-class Stopping(Bench):
+class Stopping(DaemonRig):
     """A vehicle that stops."""
 
     stops_s = math.inf
@@ -111,7 +111,7 @@ def test_a_port_that_is_in_use_is_tried_again_and_costs_nothing(
             "nmea": {"port": port},
         }
         config.write_text(tomli_w.dumps(sections))
-        bench = Bench(config, parts, network, MPS, ScriptedFrames)
+        bench = DaemonRig(config, parts, network, MPS, ScriptedFrames)
         assert f"NMEA: [nmea] 127.0.0.1 port {port}: Address already in use; trying again" in caplog.text
         another.close()
         for _ in range(20):

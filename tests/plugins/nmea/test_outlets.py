@@ -21,10 +21,10 @@ from edge.journal.records import PlaceFix
 from edge_plugins.nmea import NmeaConfig
 from edge_plugins.nmea.outlets import MOST_CLIENTS, PtyOutlet, TcpOutlet
 from edge_plugins.nmea.sentences import sentences
+from tests.common import PATIENCE_S
 from tests.udp_port import free_port
 
 FIX = PlaceFix(10**12, 3, -26.999, 152.001, 60.0, 4.0, 2.0, "forward", "same", 1.2)
-PATIENCE_S = 20.0
 
 
 @pytest.fixture

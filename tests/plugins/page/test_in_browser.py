@@ -41,12 +41,12 @@ from edge_plugins.page.server import StatusPage
 from edge_plugins.page.snapshot import PageSnapshot, map_view
 from sim.maps.command import build_map
 from tests.chromium import NEEDS_CHROMIUM, browser
+from tests.common import PATIENCE_S
 from tests.plugins.page.test_server import THUMBNAIL, Loop, snapshot
 from tests.sim.coverage.roads import road, walk
 from tests.udp_port import free_port
 
 pytestmark = NEEDS_CHROMIUM
-PATIENCE_S = 120
 PICTURES = os.environ.get("LOOKBACK_PICTURES", "")
 """A folder for the screenshots, for people who want to look at them."""
 

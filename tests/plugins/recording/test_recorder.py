@@ -20,8 +20,8 @@ from edge.geodesy import VehiclePosition
 from edge.journal.records import Stopped
 from edge_plugins.recording.recorder import QUEUE_FRAMES, Recorder, begun_feed
 from sim.journal import records_of
+from tests.common import PATIENCE_S
 
-PATIENCE_S = 60.0
 NOON_S = 1_700_000_000.0
 NAME = "20231114T221320Z"
 CAMERA = CameraConfig(kind="v4l2", view="rear")

@@ -22,7 +22,7 @@ QUIET = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" 
 <AllowMulticast>false</AllowMulticast></General></Domain></CycloneDDS>"""
 
 
-class Clock:
+class RosClock:
     """CLOCK_MONOTONIC, moved by the test, and the time of ROS 2."""
 
     def __init__(self) -> None:

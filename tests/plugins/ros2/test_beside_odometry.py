@@ -24,7 +24,7 @@ from edge.opened_parts import OpenedParts
 from edge_plugins.page import PageConfig
 from edge_plugins.ros2 import Ros2Config
 from tests.faults.simulated_daemon import ScriptedFrames
-from tests.plugins.ros2.robot import Clock, Robot
+from tests.plugins.ros2.robot import Robot, RosClock
 from tests.udp_port import free_port
 
 FRAMES, MPS = 36, 10.0
@@ -34,7 +34,7 @@ def test_a_position_comes_by_odometry_alone(
     make_street: Callable[..., Path], network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Due north at 10 m/s: places every 2 m, and odometry ten times a second in a frame that is east and north."""
-    street, clock, robot = make_street(range(FRAMES), period_ms=200), Clock(), Robot(monkeypatch)
+    street, clock, robot = make_street(range(FRAMES), period_ms=200), RosClock(), Robot(monkeypatch)
     images = FeedImages(feed := read_feed(street / "feed"))
     config = Config(
         map=MapConfig(path=str(street / "map")),

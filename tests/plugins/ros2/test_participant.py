@@ -17,7 +17,7 @@ from edge.telemetry import LinkStatus
 from edge_plugins.ros2 import Ros2Config
 from edge_plugins.ros2.messages import DEFINITIONS
 from edge_plugins.ros2.participant import Ros2
-from tests.plugins.ros2.robot import Clock, Robot
+from tests.plugins.ros2.robot import Robot, RosClock
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="the extra eval is not installed")
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
@@ -34,7 +34,7 @@ FIX = PlaceFix(
     order="same",
     uniqueness=1.2,
 )
-clock = Clock()
+clock = RosClock()
 
 
 @pytest.fixture

@@ -11,25 +11,23 @@ from edge.feed import Feed, FeedHeader
 from sim.datasets.track import Track, TrackFix
 from sim.datasets.track_files import TRACKS
 from sim.traverse import driven_m
+from tests.common import S
 
-SECOND = 1_000_000_000
-EPOCH = 1_714_557_600 * SECOND
+EPOCH = 1_714_557_600 * S
 
 
 def stamps(*seconds: float) -> np.ndarray:
-    return np.array([EPOCH + round(second * SECOND) for second in seconds], dtype=np.int64)
+    return np.array([EPOCH + round(second * S) for second in seconds], dtype=np.int64)
 
 
 def test_headings_turn_the_short_way_through_north() -> None:
-    fixes = [
-        TrackFix(EPOCH + i * SECOND, 51.0, -1.0, heading_deg=heading) for i, heading in enumerate((350, 10, 30, 350))
-    ]
+    fixes = [TrackFix(EPOCH + i * S, 51.0, -1.0, heading_deg=heading) for i, heading in enumerate((350, 10, 30, 350))]
     headings = [fix.heading_deg for fix in Track("log", fixes).at(stamps(0.25, 0.5, 1.5, 2.5))]
     assert headings == pytest.approx([355, 0, 20, 10])
 
 
 def test_what_some_fixes_lack_is_not_made_up() -> None:
-    fixes = [TrackFix(EPOCH, 51.0, -1.0, alt_m=100.0), TrackFix(EPOCH + SECOND, 51.0002, -1.0)]
+    fixes = [TrackFix(EPOCH, 51.0, -1.0, alt_m=100.0), TrackFix(EPOCH + S, 51.0002, -1.0)]
     row = Track("log", fixes).rows("pictures", ["0.png"], stamps(0.5).tolist())[0]
     assert row.lat_deg == pytest.approx(51.0001)
     assert (row.alt_m, row.heading_deg, row.speed_mps) == (None, None, None)
@@ -37,10 +35,10 @@ def test_what_some_fixes_lack_is_not_made_up() -> None:
 
 def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_position() -> None:
     fixes = [
-        TrackFix(EPOCH + 2 * SECOND, 51.2, -1.0),
+        TrackFix(EPOCH + 2 * S, 51.2, -1.0),
         TrackFix(EPOCH, 51.0, -1.0),
         TrackFix(EPOCH, 40.0, -1.0),
-        TrackFix(EPOCH - SECOND, 0.0, 0.0),
+        TrackFix(EPOCH - S, 0.0, 0.0),
     ]
     assert [fix.lat_deg for fix in Track("log", fixes).fixes] == [51.0, 51.2]
     with pytest.raises(FeedError, match=r"^log: 1 position\(s\) in it, and two at least are needed"):
@@ -48,7 +46,7 @@ def test_fixes_are_sorted_and_the_first_of_equal_stamps_counts_and_zero_is_no_po
 
 
 def test_nanoseconds_since_1970_keep_their_precision() -> None:
-    track = Track("log", [TrackFix(EPOCH, 51.0, -1.0), TrackFix(EPOCH + SECOND, 51.0, -1.0, speed_mps=math.nan)])
+    track = Track("log", [TrackFix(EPOCH, 51.0, -1.0), TrackFix(EPOCH + S, 51.0, -1.0, speed_mps=math.nan)])
     assert [fix.stamp_ns for fix in track.at(np.array([EPOCH + 1, EPOCH + 3]))] == [EPOCH + 1, EPOCH + 3]
 
 
@@ -83,8 +81,7 @@ DAY_S = 86_400
 def driven(times_s: list[float]) -> list[TrackFix]:
     """Positions 10 m apart, at these times."""
     return [
-        TrackFix(EPOCH + round(time_s * SECOND), 51.0 + 1e-4 * row, -1.0, source="gps")
-        for row, time_s in enumerate(times_s)
+        TrackFix(EPOCH + round(time_s * S), 51.0 + 1e-4 * row, -1.0, source="gps") for row, time_s in enumerate(times_s)
     ]
 
 

@@ -24,7 +24,7 @@ PLACES, SPACING_M = 200, 2.0
 
 
 @dataclass(frozen=True)
-class Driven:
+class Placed:
     """A drive north over a road, places [start, end) of it, recorded east of the truth by `east_m`."""
 
     east_m: float = 0.0
@@ -41,7 +41,7 @@ class Driven:
     """Whether each window looks like the road does backwards."""
 
 
-def build(path: Path, drives: Sequence[Driven]) -> None:
+def build(path: Path, drives: Sequence[Placed]) -> None:
     with MapBuilder(path, MODEL, RegionsKey("left-right", 0.4), SamplingConfig()) as builder:
         for number, drive in enumerate(drives):
             rng = np.random.default_rng(drive.road)
@@ -65,18 +65,18 @@ def build(path: Path, drives: Sequence[Driven]) -> None:
 @pytest.mark.parametrize(
     ("second", "apart_m"),
     [
-        (Driven(east_m=40.0), 40.0),
-        (Driven(north_m=40.0), 40.0),
-        (Driven(east_m=8.0), 8.0),
-        (Driven(north_m=-8.0), 8.0),
-        (Driven(north_m=28.3, east_m=28.3, view="front", back=True), 40.0),
-        (Driven(east_m=40.0, start=60, end=160), 40.0),
+        (Placed(east_m=40.0), 40.0),
+        (Placed(north_m=40.0), 40.0),
+        (Placed(east_m=8.0), 8.0),
+        (Placed(north_m=-8.0), 8.0),
+        (Placed(north_m=28.3, east_m=28.3, view="front", back=True), 40.0),
+        (Placed(east_m=40.0, start=60, end=160), 40.0),
     ],
 )
 def test_drives_that_are_apart_by_more_than_their_accuracy_are_found(
-    second: Driven, apart_m: float, tmp_path: Path
+    second: Placed, apart_m: float, tmp_path: Path
 ) -> None:
-    build(tmp_path / "map", [Driven(), second])
+    build(tmp_path / "map", [Placed(), second])
     (found,) = disagreements(open_map_set(tmp_path / "map"))
     assert found.apart_m == pytest.approx(apart_m, abs=2.0)
 
@@ -84,15 +84,15 @@ def test_drives_that_are_apart_by_more_than_their_accuracy_are_found(
 @pytest.mark.parametrize(
     "second",
     [
-        Driven(),
-        Driven(east_m=3.5),
-        Driven(east_m=8.0, sigma_m=NAN),
-        Driven(east_m=8.0, sigma_m=4.0),
-        Driven(east_m=8.0, view="front", back=True),
-        Driven(east_m=40.0, road=1),
-        Driven(east_m=40.0, view="front"),
-        Driven(east_m=40.0, view="front", mirrored=True),
-        Driven(east_m=40.0, end=50),
+        Placed(),
+        Placed(east_m=3.5),
+        Placed(east_m=8.0, sigma_m=NAN),
+        Placed(east_m=8.0, sigma_m=4.0),
+        Placed(east_m=8.0, view="front", back=True),
+        Placed(east_m=40.0, road=1),
+        Placed(east_m=40.0, view="front"),
+        Placed(east_m=40.0, view="front", mirrored=True),
+        Placed(east_m=40.0, end=50),
     ],
     ids=[
         "right",
@@ -106,13 +106,13 @@ def test_drives_that_are_apart_by_more_than_their_accuracy_are_found(
         "too short",
     ],
 )
-def test_what_the_accuracy_explains_and_what_cannot_be_compared_is_none(second: Driven, tmp_path: Path) -> None:
-    build(tmp_path / "map", [Driven(), second])
+def test_what_the_accuracy_explains_and_what_cannot_be_compared_is_none(second: Placed, tmp_path: Path) -> None:
+    build(tmp_path / "map", [Placed(), second])
     assert disagreements(open_map_set(tmp_path / "map")) == []
 
 
 def test_only_the_stretch_where_they_disagree_is_named(tmp_path: Path) -> None:
-    build(tmp_path / "map", [Driven(), Driven(east_m=40.0, wrong_from=100)])
+    build(tmp_path / "map", [Placed(), Placed(east_m=40.0, wrong_from=100)])
     (found,) = disagreements(open_map_set(tmp_path / "map"))
     (_, first, end), (_, second, second_end) = found.stretches
     assert (end, second_end) == (200, 400)
@@ -120,23 +120,23 @@ def test_only_the_stretch_where_they_disagree_is_named(tmp_path: Path) -> None:
 
 
 def test_drives_in_several_maps_and_tiles_are_compared(tmp_path: Path) -> None:
-    build(tmp_path / "maps" / "a", [Driven()])
-    build(tmp_path / "maps" / "b", [Driven(east_m=40.0)])
+    build(tmp_path / "maps" / "a", [Placed()])
+    build(tmp_path / "maps" / "b", [Placed(east_m=40.0)])
     maps = open_map_set(tmp_path / "maps")
     (found,) = disagreements(maps)
     assert [path.name for path, _, _ in found.stretches] == ["a", "b"]
-    build(tmp_path / "whole", [Driven(), Driven(east_m=40.0)])
+    build(tmp_path / "whole", [Placed(), Placed(east_m=40.0)])
     split_map(open_map(tmp_path / "whole"), tmp_path / "tiles", 150)
     assert disagreements(open_map_set(tmp_path / "tiles"))
 
 
 def test_a_drive_without_positions_agrees_with_everything(tmp_path: Path) -> None:
-    build(tmp_path / "map", [Driven(), Driven(east_m=NAN)])
+    build(tmp_path / "map", [Placed(), Placed(east_m=NAN)])
     assert disagreements(open_map_set(tmp_path / "map")) == []
 
 
 def test_verify_names_both_stretches_and_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    build(tmp_path / "map", [Driven(), Driven(east_m=40.0)])
+    build(tmp_path / "map", [Placed(), Placed(east_m=40.0)])
     assert main(["map", "verify", str(tmp_path / "map")]) == 1
     said = capsys.readouterr().out
     assert "all 5 checksums match" in said

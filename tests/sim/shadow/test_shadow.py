@@ -30,7 +30,7 @@ LIMITS = {"light": None, "fewest": 3, "within_m": 20.0, "stretch_m": 100.0, "dri
 
 
 @dataclass
-class Drive:
+class Diary:
     """A drive to the east, or back. sigmas_m: published, times: what the errors are of them. gps_m: the error of GPS.
 
     says_m, source: what it says of itself. silent_m: where nothing is published. late_s: GPS is late by.
@@ -88,7 +88,7 @@ class Drive:
         return path
 
 
-def factors(folder: Path, drives: Sequence[Drive]) -> list[bool]:
+def factors(folder: Path, drives: Sequence[Diary]) -> list[bool]:
     """Whether each of both standard deviations is found to be too small."""
     paths = [one.write(folder / f"{one.seed}_{row}.jsonl") for row, one in enumerate(drives)]
     (positions,) = report(read_drives(paths), **LIMITS).lights.values()  # type: ignore[arg-type]
@@ -102,7 +102,7 @@ def test_a_sigma_1_5_times_too_small_is_found_within_three_drives_of_a_kilometer
     """Of 20 weeks each, of which none with a true one may be called too small by more than chance."""
     found = {
         times: [
-            one for week in range(20) for one in factors(tmp_path, [Drive(3 * week + n, times=times) for n in range(3)])
+            one for week in range(20) for one in factors(tmp_path, [Diary(3 * week + n, times=times) for n in range(3)])
         ]
         for times in (1.0, 1.5)
     }
@@ -112,15 +112,15 @@ def test_a_sigma_1_5_times_too_small_is_found_within_three_drives_of_a_kilometer
 
 def test_a_gps_that_is_late_or_coarse_is_not_our_error(tmp_path: Path) -> None:
     """Without counting it, both would make our standard deviations look too small."""
-    drives = [Drive(n, sigmas_m=(0.6, 0.6), gps_m=2.0, says_m=2.0, late_s=LATE_S) for n in range(3)]
+    drives = [Diary(n, sigmas_m=(0.6, 0.6), gps_m=2.0, says_m=2.0, late_s=LATE_S) for n in range(3)]
     assert factors(tmp_path, drives) == [False, False]
-    assert factors(tmp_path, [Drive(n, sigmas_m=(0.6, 0.6), gps_m=2.0, says_m=0.1) for n in range(3)]) == [True, True]
+    assert factors(tmp_path, [Diary(n, sigmas_m=(0.6, 0.6), gps_m=2.0, says_m=0.1) for n in range(3)]) == [True, True]
 
 
 @pytest.mark.parametrize(("says_m", "source"), [(8.0, "gps"), (None, "gps"), (0.5, "dead_reckoning")])
 def test_a_drive_whose_gps_was_bad_is_no_judge(says_m: float | None, source: str, tmp_path: Path) -> None:
-    paths = [Drive(n).write(tmp_path / f"{n}.jsonl") for n in range(3)]
-    paths.append(Drive(9, NOON_S + 86_400, off_m=60.0, says_m=says_m, source=source).write(tmp_path / "bad.jsonl"))
+    paths = [Diary(n).write(tmp_path / f"{n}.jsonl") for n in range(3)]
+    paths.append(Diary(9, NOON_S + 86_400, off_m=60.0, says_m=says_m, source=source).write(tmp_path / "bad.jsonl"))
     found = report(read_drives(paths), **LIMITS)  # type: ignore[arg-type]
     assert (len(found.drives), len(found.judges)) == (4, 3)
     assert max(one.positions.error_m.max(initial=0.0) for one in found.stretches) < 20
@@ -131,9 +131,9 @@ def test_a_drive_whose_gps_was_bad_is_no_judge(says_m: float | None, source: str
 
 def test_ready_here_and_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Four drives by day, one of them with nothing from 330 m on; one by night."""
-    paths = [Drive(n, NOON_S + 86_400 * n, times=0.5, gps_m=0.0).write(tmp_path / f"{n}.jsonl") for n in range(3)]
-    silent = Drive(4, NOON_S - 86_400, times=0.5, silent_m=(330.0, 990.0)).write(tmp_path / "silent.jsonl")
-    night = Drive(5, NOON_S - 43_200, times=0.5).write(tmp_path / "night.jsonl")
+    paths = [Diary(n, NOON_S + 86_400 * n, times=0.5, gps_m=0.0).write(tmp_path / f"{n}.jsonl") for n in range(3)]
+    silent = Diary(4, NOON_S - 86_400, times=0.5, silent_m=(330.0, 990.0)).write(tmp_path / "silent.jsonl")
+    night = Diary(5, NOON_S - 43_200, times=0.5).write(tmp_path / "night.jsonl")
     assert main(["shadow", *map(str, [*paths, silent, night]), "-o", str(tmp_path / "all.csv")]) == 0
     printed = capsys.readouterr().out
     with (tmp_path / "all.csv").open() as file:
@@ -159,7 +159,7 @@ def test_ready_here_and_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_both_directions_of_a_road_are_stretches_of_their_own(tmp_path: Path) -> None:
-    drives = [Drive(n, NOON_S + 86_400 * n, is_back=n % 2 == 1) for n in range(4)]
+    drives = [Diary(n, NOON_S + 86_400 * n, is_back=n % 2 == 1) for n in range(4)]
     paths = [one.write(tmp_path / f"{one.seed}.jsonl") for one in drives]
     found = report(read_drives(paths), **LIMITS)  # type: ignore[arg-type]
     headings = [round(one.span.heading_deg / 90) for one in found.stretches if one.span.length_m >= 100]
@@ -180,7 +180,7 @@ def test_the_sun_stands_where_the_almanac_has_it() -> None:
 
 
 def test_what_cannot_be_judged_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = Drive(1).write(tmp_path / "a.jsonl")
+    path = Diary(1).write(tmp_path / "a.jsonl")
     (tmp_path / "empty.jsonl").write_text("")
     for words, message in (
         ([tmp_path / "empty.jsonl"], 'nothing to compare in it; drive with [telemetry] emit = "report" and GPS'),

@@ -52,7 +52,7 @@ class Wire:
         pass
 
 
-class Bench:
+class Rover:
     """An autopilot that drives north, and what it said, with the time of each message."""
 
     def __init__(self, firmware: str, **options: Any) -> None:
@@ -130,14 +130,14 @@ def facts(said: list[tuple[float, Any]]) -> dict[str, Any]:
     }
 
 
-def asked_for_everything(bench: Bench) -> None:
+def asked_for_everything(bench: Rover) -> None:
     for message_id in (33, 32, 24, 2, 230, 9000, 74):
         bench.tell(encoders.stream_request(1, message_id, 10.0))
 
 
 def test_it_says_what_the_real_rover_was_recorded_to_say(shared: Path) -> None:
     """The same scene: no GPS from boot, a fix too early, an origin by the ground station, fixes while driving."""
-    bench = Bench("ardupilot", gps=False, has_origin=False)
+    bench = Rover("ardupilot", gps=False, has_origin=False)
     asked_for_everything(bench)
     bench.drive(4.0)
     bench.tell_fix()
@@ -149,7 +149,7 @@ def test_it_says_what_the_real_rover_was_recorded_to_say(shared: Path) -> None:
 
 
 def test_it_says_what_the_real_px4_was_recorded_to_say(shared: Path) -> None:
-    bench = Bench("px4")
+    bench = Rover("px4")
     asked_for_everything(bench)
     bench.drive(20.0)
     bench.autopilot.gps = False
@@ -160,14 +160,14 @@ def test_it_says_what_the_real_px4_was_recorded_to_say(shared: Path) -> None:
 
 
 def test_only_heartbeats_and_timesync_until_streams_are_asked_for() -> None:
-    bench = Bench("ardupilot")
+    bench = Rover("ardupilot")
     bench.drive(4.5)
     assert {message.get_type() for _, message in bench.heard} == {"HEARTBEAT", "TIMESYNC"}
     assert len(bench.of("HEARTBEAT")) == 5
 
 
 def test_streams_come_at_the_rate_that_was_asked_for_until_a_reboot() -> None:
-    bench = Bench("ardupilot")
+    bench = Rover("ardupilot")
     assert bench.tell(encoders.stream_request(1, 33, 10.0)) == mavlink.MAV_RESULT_ACCEPTED
     bench.heard.clear()
     bench.drive(4.0)
@@ -182,7 +182,7 @@ def test_streams_come_at_the_rate_that_was_asked_for_until_a_reboot() -> None:
 
 @pytest.mark.parametrize("changed", [{"z": 0.0}, {"frame": 6}])
 def test_a_fix_with_an_altitude_or_of_another_frame_is_denied(changed: dict[str, Any]) -> None:
-    bench = Bench("ardupilot", gps=False)
+    bench = Rover("ardupilot", gps=False)
     bench.drive(2.0)
     command = encoders.external_position(bench.fix(), bench.sending())
     for name, value in changed.items():
@@ -191,7 +191,7 @@ def test_a_fix_with_an_altitude_or_of_another_frame_is_denied(changed: dict[str,
 
 
 def test_a_send_time_off_the_boot_clock_costs_half_a_second_of_travel() -> None:
-    bench = Bench("ardupilot", gps=False)
+    bench = Rover("ardupilot", gps=False)
     bench.drive(10.0)
     bench.tell(encoders.external_position(bench.fix(), MessageContext(1, 0.0, 0.0)))
     assert bench.autopilot.resets[-1].error_after_m == pytest.approx(0.5 * SPEED_MPS, abs=0.1)
@@ -213,7 +213,7 @@ def test_a_send_time_off_the_boot_clock_costs_half_a_second_of_travel() -> None:
     ],
 )
 def test_when_a_fix_is_taken(firmware: str, gps_s: float, without_s: float, result: int | None) -> None:
-    bench = Bench(firmware)
+    bench = Rover(firmware)
     bench.drive(gps_s)
     bench.autopilot.gps = without_s == 0.0
     bench.drive(without_s)
@@ -225,7 +225,7 @@ def test_when_a_fix_is_taken(firmware: str, gps_s: float, without_s: float, resu
     [("ardupilot", 2.0, 0.0), ("ardupilot", 5.0, 0.0), ("ardupilot", 7.0, 10.0), ("px4", 7.0, 0.0), ("px4", 15.0, 0.0)],
 )
 def test_ages_are_heeded_up_to_a_limit(firmware: str, age_s: float, off_m: float) -> None:
-    bench = Bench(firmware)
+    bench = Rover(firmware)
     bench.drive(3.0)
     bench.autopilot.gps = False
     bench.drive(20.0)
@@ -236,7 +236,7 @@ def test_ages_are_heeded_up_to_a_limit(firmware: str, age_s: float, off_m: float
 def test_only_px4_takes_a_long_command_and_in_steps_of_a_float() -> None:
     results = {}
     for firmware in ("ardupilot", "px4"):
-        bench = Bench(firmware)
+        bench = Rover(firmware)
         bench.drive(3.0)
         fix = bench.fix()
         command = mavlink.MAVLink_command_long_message(
@@ -250,7 +250,7 @@ def test_only_px4_takes_a_long_command_and_in_steps_of_a_float() -> None:
 
 def test_a_fix_500_m_wrong_is_accepted() -> None:
     for firmware in ("ardupilot", "px4"):
-        bench = Bench(firmware)
+        bench = Rover(firmware)
         bench.drive(3.0)
         bench.autopilot.gps = False
         bench.drive(3.0)
@@ -259,7 +259,7 @@ def test_a_fix_500_m_wrong_is_accepted() -> None:
 
 
 def test_a_plain_rover_accepts_and_does_not_move() -> None:
-    bench = Bench("ardupilot-plain", drift_percent=20.0)
+    bench = Rover("ardupilot-plain", drift_percent=20.0)
     bench.drive(3.0)
     bench.autopilot.gps = False
     bench.drive(10.0)
@@ -271,7 +271,7 @@ def test_a_plain_rover_accepts_and_does_not_move() -> None:
 
 @pytest.mark.parametrize(("gps", "off_m"), [(True, 0.0), (False, 30.0)])
 def test_a_sensor_30_m_wrong_is_ignored_while_gps_is_on(gps: bool, off_m: float) -> None:
-    bench = Bench("px4")
+    bench = Rover("px4")
     bench.drive(3.0)
     bench.autopilot.gps = gps
     for _ in range(50):
@@ -282,7 +282,7 @@ def test_a_sensor_30_m_wrong_is_ignored_while_gps_is_on(gps: bool, off_m: float)
 
 def test_a_sensor_is_nothing_to_other_firmware() -> None:
     for firmware in sorted(set(FIRMWARES) - {"px4"}):
-        bench = Bench(firmware)
+        bench = Rover(firmware)
         bench.drive(3.0)
         bench.autopilot.gps = False
         bench.drive(3.0)
@@ -291,7 +291,7 @@ def test_a_sensor_is_nothing_to_other_firmware() -> None:
 
 
 def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> None:
-    bench = Bench("ardupilot", gps=False, errors=OdometryErrors(scale=1.02, heading_deg=0.86))
+    bench = Rover("ardupilot", gps=False, errors=OdometryErrors(scale=1.02, heading_deg=0.86))
     asked_for_everything(bench)
     bench.drive(40.0)
     estimate = bench.autopilot.estimate
@@ -305,7 +305,7 @@ def test_odometry_drifts_ahead_and_to_the_side_and_reports_its_own_speed() -> No
 
 
 def test_a_reboot_without_gps_ends_at_the_origin_wherever_the_vehicle_is() -> None:
-    bench = Bench("ardupilot")
+    bench = Rover("ardupilot")
     bench.drive(2.0)
     bench.autopilot.gps = False
     bench.drive(60.0)
@@ -322,7 +322,7 @@ def test_a_reboot_without_gps_ends_at_the_origin_wherever_the_vehicle_is() -> No
 
 
 def test_a_reboot_forgets_an_origin_that_was_set() -> None:
-    bench = Bench("ardupilot", gps=False, has_origin=False)
+    bench = Rover("ardupilot", gps=False, has_origin=False)
     bench.tell(encoders.set_origin(1, Origin(ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)))
     bench.drive(2.0)
     assert bench.tell_fix() == mavlink.MAV_RESULT_ACCEPTED
@@ -347,7 +347,7 @@ def test_a_px4_rover_without_navigation_leaves_position_for_altitude(
     source: Any, chosen: Any, timeout_us: float | None, without_s: float, is_in: Any
 ) -> None:
     """PX4#28108: a rover has no Altitude. A measured velocity, a longer timeout and modes without a position help."""
-    bench = Bench("px4", errors=OdometryErrors(source))
+    bench = Rover("px4", errors=OdometryErrors(source))
     bench.autopilot.mode = chosen
     if timeout_us is not None:
         bench.autopilot.parameters[NO_AID_TIMEOUT] = timeout_us, mavlink.MAV_PARAM_TYPE_INT32
@@ -359,7 +359,7 @@ def test_a_px4_rover_without_navigation_leaves_position_for_altitude(
 
 
 def test_it_is_back_in_position_with_the_first_position() -> None:
-    bench = Bench("px4", errors=OdometryErrors("none"))
+    bench = Rover("px4", errors=OdometryErrors("none"))
     bench.autopilot.mode = "position"
     bench.drive(3.0)
     bench.autopilot.gps = False
@@ -379,7 +379,7 @@ def test_the_real_px4_fell_back_and_came_back_with_positions(shared: Path) -> No
     assert told[1:5] == [MODES["hold"], MODES["descend"]] * 2
 
 
-def mode_of(bench: Bench) -> tuple[int, int]:
+def mode_of(bench: Rover) -> tuple[int, int]:
     """Main mode and sub mode by the newest heartbeat."""
     mode = bench.of("HEARTBEAT")[-1].custom_mode
     return mode >> 16 & 0xFF, mode >> 24

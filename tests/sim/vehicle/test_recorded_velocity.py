@@ -31,7 +31,7 @@ def positions_sent(folder: Path) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Drive:
+class Log:
     """A recorded drive, at each report of the autopilot: time_s, heading_rad and driven_m (n,), the others (n, 2).
 
     ahead: the way it heads. driven_m: in truth. sent: see `positions_sent`, at seconds of time_s. moves_s: when it
@@ -48,7 +48,7 @@ class Drive:
     moves_s: float
 
 
-def read_drive(folder: Path) -> Drive:
+def read_drive(folder: Path) -> Log:
     truth, own = (read_columns(folder / f"{name}.csv.gz") for name in ("truth", "autopilot_position"))
     time_s = own["mono_s"]
     true_m = np.stack([np.interp(time_s, truth["mono_s"], truth[name]) for name in ("east_m", "north_m")], axis=1)
@@ -60,7 +60,7 @@ def read_drive(folder: Path) -> Drive:
     heading_rad = np.radians(own["heading_deg"])
     sent = positions_sent(folder)
     sent[:, 0] = np.interp(sent[:, 0], own["boot_ms"] / 1000, time_s)
-    return Drive(
+    return Log(
         time_s=time_s,
         own_mps=np.stack([own["east_mps"], own["north_mps"]], axis=1),
         true_mps=true_mps,
@@ -72,7 +72,7 @@ def read_drive(folder: Path) -> Drive:
     )
 
 
-def changes_mps(drive: Drive) -> NDArray[np.float64]:
+def changes_mps(drive: Log) -> NDArray[np.float64]:
     """By what the error ahead changes within a second without GPS, while the vehicle moves and no position comes."""
     time_s, second = drive.time_s, round(1.0 / float(np.median(np.diff(drive.time_s))))
     first, last = np.arange(len(time_s) - second), np.arange(second, len(time_s))
