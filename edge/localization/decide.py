@@ -15,6 +15,7 @@ from edge.localization.events import BOUND_WRONG, AutopilotState, Fix, FixReques
 from edge.localization.evidence import Evidence, EvidenceHistory
 from edge.localization.fix_rules import AGREES, NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
 from edge.localization.integrity import (
+    CARRIED,
     ONE_MORE,
     FixCandidate,
     another_place,
@@ -91,7 +92,7 @@ def decide(
         or known.is_led
         or is_correction(sent, own, gates.min_move_m),
     )
-    bound_wrong = min(BOUND_WRONG, ONE_MORE * place_wrong)
+    bound_wrong = min(BOUND_WRONG, max(CARRIED, ONE_MORE * place_wrong))
     fix = Fix(sent.place, level, bound_wrong, motion, sent.held_axes)
     refused = refusal(facts, rules)
     if refused is None:

@@ -187,7 +187,7 @@ class Filter:
 
     def widen(self, states: slice, sigma: float) -> None:
         """They may have become anything else within that standard deviation."""
-        self.covariance[states, states] += sigma**2 * np.eye(2)
+        self.covariance[states, states] += sigma**2 * np.eye(states.stop - states.start)
 
     def expect_scale(self, scale: ScaleFactor) -> None:
         """This was shown of the velocity's scale, about which it changes."""

@@ -2,6 +2,7 @@
 
     right          all is as it seems
     burst          right, but multipath displaces GPS for a while
+    gyros          right, but the gyros have another bias
     gps dragged    GPS moves away at a speed that nobody knows, as by spoofing
     gps elsewhere  GPS is somewhere else, and stays so
     map elsewhere  the drive of the map that is matched is somewhere else
@@ -23,9 +24,9 @@ from itertools import chain
 from typing import Literal, TypeAlias
 
 from edge.localization.evidence import STRETCH_WRONG
-from edge.localization.filter import DRAG, GPS, POSITION, Filter
+from edge.localization.filter import DRAG, GPS, GYRO, POSITION, Filter
 
-Name: TypeAlias = Literal["burst", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
+Name: TypeAlias = Literal["burst", "gyros", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
 DRAG_MPS = 1.0
 """One standard deviation of the speed at which GPS is dragged, in each direction."""
 ELSEWHERE_M, MAP_ELSEWHERE_M, LOST_M = 100.0, 60.0, 1000.0
@@ -34,7 +35,10 @@ BESIDE_M = 2.5
 """The same of a position that began with a second solution."""
 BURST_SHARE, BURST_M = 0.05, 7.0
 """Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
-BURST_COST = math.log(BURST_SHARE)
+GYROS_SHARE, GYROS_RADPS = 1e-2, math.radians(1.0)
+"""Probability that gyros have another bias from some moment on, and one standard deviation of it."""
+HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(GYROS_SHARE)}
+"""Hypotheses by which nothing is wrong that concerns the pilot, and the logarithm of how often they are true."""
 COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
 """Logarithm of how probable hypotheses are beside the others, where that is known."""
 BEGINS_S, BEGUN = 5.0, 4
@@ -80,11 +84,15 @@ class FilterBank:
 
     def judge(self, now_s: float) -> None:
         """After all that was measured by a time in seconds."""
-        burst = self._jumped.get("burst")
-        if burst is not None and burst.likelihood + BURST_COST > self.right.likelihood:
-            burst.likelihood += BURST_COST  # honest, but seldom
-            self.right = burst
-            del self._jumped["burst"]
+        for name, cost in HONEST.items():
+            honest = self.of(name)
+            if honest.likelihood + cost <= self.right.likelihood:
+                continue
+            honest.likelihood += cost
+            self.right = honest
+            self._jumped.pop(name, None)
+            if name in self._crept:
+                self._crept[name].clear()
         for name, jump in JUMPS.items():
             other = self._jumped.get(name)
             if other is None or other.likelihood <= self.right.likelihood:
@@ -121,5 +129,6 @@ JUMPS: dict[Name, Callable[[Filter], None]] = {
 }
 CREEPS: dict[Name, Callable[[Filter], None]] = {
     "gps dragged": lambda state: state.widen(DRAG, DRAG_MPS),
+    "gyros": lambda state: state.widen(slice(GYRO, GYRO + 1), GYROS_RADPS),
     "slips": lambda state: state.doubt_scale(SLIP),
 }

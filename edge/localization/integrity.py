@@ -37,6 +37,9 @@ from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, 
 ONE_MORE = 20.0
 """What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
 moves the autopilot away from it must rest on one stretch more than what put it there."""
+CARRIED = 1e-3
+"""But for this probability, a judgment: that the vehicle was carried or towed since. Without it, one that was set 30 m
+ahead while it rolled was never believed again, though every look showed it."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 """Probability that a map is shifted as a whole, or that a street beside looks the same, and by how much then:
 judgments, see docs/integrity.md."""

@@ -93,8 +93,9 @@ class Vehicle:
     """One frame each 2 m, a fifth of a second apart.
 
     north_m: where it is. odometer: meters that it measures for each. aside_m: to the east, in each frame. off_m: how
-    far the autopilot has it too far north. reports, frame: what else the autopilot says than that GPS is lost, and what
-    is known of each frame; see `AutopilotState` and `ImageProcessed`.
+    far the autopilot has it too far north. compass_rad: its heading less that by the gyros. reports, frame: what else
+    the autopilot says than that GPS is lost, and what is known of each frame; see `AutopilotState` and
+    `ImageProcessed`.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Vehicle:
         self.drive.update(0, MapUpdate(road.maps))
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.t_ns, self.driven_m = north_m, 100 * S, 0.0
-        self.odometer, self.aside_m, self.off_m = 1.0, 0.0, 0.0
+        self.odometer, self.aside_m, self.off_m, self.compass_rad = 1.0, 0.0, 0.0, 0.0
         self.motion = Odometry(1, 0.0, 0.0)
         self.reports: dict[str, Any] = {}
         self.frame: dict[str, Any] = {}
@@ -139,8 +140,8 @@ class Vehicle:
 
     @property
     def without_gps(self) -> Odometry:
-        """Its own motion, by gyros without a bias."""
-        return msgspec.structs.replace(self.motion, gyros=Gyros(self.t_ns / 1e9))
+        """Its own motion, by gyros."""
+        return msgspec.structs.replace(self.motion, gyros=Gyros(self.t_ns / 1e9, self.compass_rad))
 
     def _sees(self, at_m: float) -> PlaceMatch | None:
         return self.road.match(at_m, self.direction)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from edge.config import RigConfig
+from edge.localization import Fix
 from edge.sequence import KeyframeMatch, PlaceMatch
 from sim.research.trial import gps_histories
-from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, settings
+from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, north_m, settings
 from tests.localization.route_course import SPACING_M, Stretch
 
 LENGTH_M, FROM_S = 1200.0, 60.0
@@ -44,11 +45,13 @@ def drive(
     odometer: float | None = 0.97,
     twin_m: float = 0.0,
     blind_s: float = 0.0,
+    turns_dps: float = 0.0,
 ) -> list[Called]:
     """Home on the map of a rear camera. odometer: what it measures of a meter, None if it is not known.
 
     twin_m: from the middle on, looks have the vehicle that far beside where it is, as on a street that looks the same.
-    blind_s: of every 30 s, without a look.
+    blind_s: of every 30 s, without a look. turns_dps: the bias of gyros from FROM_S on, and 150 m are
+    rebuilt.
     """
     rng = np.random.default_rng([seed, 29])
     one, said = Vehicle(road, SETTINGS, LENGTH_M - 10.0, "reverse"), []
@@ -63,12 +66,16 @@ def drive(
         one.move()
         beside_m = mapped_m[0] + rng.normal(0.0, LOOK_M) + SECOND_M * (rng.random() < SECOND)
         beside_m += twin_m if 2 * frame > count else 0.0
-        shown = looked(
+        shown: PlaceMatch | None = looked(
             one.north_m,
             -beside_m,
             mapped_m[1] + rng.normal(0.0, LOOK_M),
             is_look=frame % EVERY == 0 and time_s[frame] % 30 >= blind_s,
         )
+        since_s = time_s[frame] - FROM_S
+        one.compass_rad = -math.radians(turns_dps) * max(0.0, since_s)
+        if turns_dps and 20.0 <= since_s < 35.0:
+            shown = None
         gps = None if np.isnan(off_m[0]) else gps_at(one.north_m + off_m[1], off_m[0])
         said.append(Called(one.show(shown, gps).state, float(np.hypot(*off_m))))
     return said
@@ -114,6 +121,24 @@ def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long
     assert found[-1].state == "wrong", "no line speaks for GPS soon after looks did not"
 
 
+@pytest.mark.parametrize("drag_s", [12.0, 20.0])
+def test_a_drag_that_ends_in_a_jam_leaves_what_places_say(long_road: Road, drag_s: float) -> None:
+    """By 0.5 m/s, before it is called and after; the autopilot is where GPS was."""
+    one, rng, sigmas = Vehicle(long_road, SETTINGS, LENGTH_M - 10.0, "reverse"), np.random.default_rng(3), []
+    for frame in range(250):
+        time_s = frame * FRAME_NS / 1e9
+        has_gps, one.off_m = time_s < 20.0 + drag_s, 0.5 * min(max(time_s - 20.0, 0.0), drag_s)
+        one.move()
+        one.own(has_gps=has_gps)
+        shown = looked(one.north_m, *rng.normal(0.0, LOOK_M, 2), is_look=frame % EVERY == 0)
+        one.show(shown, gps_at(one.north_m + one.off_m) if has_gps else None)
+        answer = one.ask()
+        if not has_gps and isinstance(answer, Fix):
+            sigmas.append(abs(north_m(answer.place) - one.north_m) / answer.place.sigma_m)
+    assert len(sigmas) >= 25
+    assert max(sigmas) < 3.0
+
+
 HONEST: dict[str, Callable[[], gps_histories.History]] = {
     "open sky": lambda: lambda time_s, true_m, rng: gps_histories.usual(time_s, rng),
     "3 m": lambda: lambda time_s, true_m, rng: 2.5 * gps_histories.usual(time_s, rng),
@@ -130,6 +155,12 @@ def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer:
     for seed in (1, 2):
         said = drive(long_road, HONEST[kind](), seed, odometer, blind_s=blind_s)
         assert called_m(said) == called_m(said, "map wrong") == math.inf
+
+
+@pytest.mark.parametrize("turns_dps", [0.3, -1.0])
+def test_gyros_that_have_another_bias_make_no_gps_wrong(long_road: Road, turns_dps: float) -> None:
+    """By 1 degree a second headings were 35 degrees off, and GPS was called wrong 11 s later."""
+    assert called_m(drive(long_road, HONEST["open sky"](), 1, turns_dps=turns_dps)) == math.inf
 
 
 @pytest.mark.parametrize("odometer", [0.97, None])

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -22,11 +23,11 @@ from edge.localization import Discontinuity, Fix, FixRequest, NoFix
 from edge.localization.fix_rules import AGREES, RULES
 from edge.localization.integrity import distance_from, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
-from edge.sequence import PlaceMatch
+from edge.sequence import KeyframeMatch, PlaceMatch
 from tests.common import S
 from tests.docs.refusals_list import as_list
-from tests.localization.events_of import Road, Vehicle, gps_at, nothing, settings
-from tests.localization.route_course import Stretch
+from tests.localization.events_of import Road, Vehicle, gps_at, north_m, nothing, settings
+from tests.localization.route_course import SPACING_M, Stretch
 
 MakeRoad = Callable[..., Road]
 UNCONFIRMED, ALERT = "not confirmed by another place yet", "its protection level is above the alert limit"
@@ -326,6 +327,29 @@ def test_a_bound_by_a_position_needs_one_stretch_more_than_what_bound_it(mapped:
     one.use(published)
     assert None not in one.go(160)[10:], "the last place of the first one holds for 20 m"
     assert None in one.go(160), "two against one"
+
+
+@pytest.mark.parametrize("ahead_m", [30.0, 150.0])
+def test_a_vehicle_that_is_carried_while_it_rolls_is_noticed_and_known_again(ahead_m: float, mapped: MakeRoad) -> None:
+    """From one frame to the next, by looks: no wheel has counted it. Before, no place there was ever believed again."""
+    one = Vehicle(mapped(part(0, 1000, has_odometer=True)), exact())
+
+    def sees(at_m: float) -> PlaceMatch | None:
+        place, covariance = round(at_m / SPACING_M), np.diag(np.square([0.4, 0.4, math.radians(0.5)]))
+        return one.road.match(at_m, seen=KeyframeMatch(place, 0.0, place * SPACING_M - at_m, 0.0, covariance, 40, 0.9))
+
+    one.go(80, sees, gps=True)
+    for answer in one.answers(300, sees):
+        if isinstance(answer, Fix):
+            one.use(answer)
+    one.north_m, one.off_m = one.north_m + ahead_m, -ahead_m
+    carried_ns, offs_m = one.t_ns, []
+    for number, answer in enumerate(one.answers(460, sees)):
+        place = answer.place if isinstance(answer, Fix) else None
+        if place is not None and place.stamp_ns > carried_ns:
+            offs_m.append((2.0 * number, abs(north_m(place) - one.north_m + 458.0 - 2.0 * number), place.sigma_m))
+    assert offs_m
+    assert all(off_m < 3 * sigma_m for _, off_m, sigma_m in offs_m)
 
 
 @pytest.mark.parametrize("unknown_m", [0, 60, 90, 150, 300])
