@@ -46,7 +46,7 @@ ROOMS = {
     "sim/home": 200,
     "sim/maps": 1200,
     "sim/model_tools": 1050,
-    "sim/research": 4400,
+    "sim/research": 4450,
     "sim/shadow": 600,
     "sim/trial": 750,
     "sim/vehicle": 1300,

@@ -197,7 +197,7 @@ class MethodRunner:
         source = method.network, method.regions
         raw = self.descriptions.raw(reference, *source), self.descriptions.raw(query, *source)
         if method.recognizer:
-            config = config_of(pair, reference, query, SequenceConfig(length=length))
+            config = config_of(pair, reference, query, SequenceConfig(length=length, directions=pair.directions))
             model = self.descriptions.model_key(method.network, raw[0].shape[2])
             return match_as_run(reference, query, raw, config, model, method.recognizer)
         described = reference_rows(method, raw[0])
@@ -233,7 +233,7 @@ class MethodRunner:
         return open_matcher(
             *place_coordinates(reference, pair),
             2 * pair.tolerance,  # the second-best match of the uniqueness lies outside
-            SequenceConfig(length=length),
+            SequenceConfig(length=length, directions=pair.directions),
             views=(reference.feed.header.view, query.feed.header.view),
             drives=reference.drives(),
         )

@@ -30,6 +30,7 @@ truth = "positions"         # or rows, route_m, anchors, FILE.npy: see `Pair`
 tolerance = 40.0            # meters; frames with truth = "rows" or "anchors"
 ahead = 28.0                # how far ahead the matched place lies, or: calibration = "another traverse"
 length_m = 40.0             # of a sequence; or length = 20, in frames
+directions = "forward"      # where it is known how the query passes the reference (default: both)
 figure = "fig. 5"           # the paper's figure of the same comparison
 """
 
@@ -37,7 +38,7 @@ from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
@@ -100,7 +101,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     anchors: [row of the query, row of the reference] in the order of the query, interpolated between; queries outside
     have no truth. loop: rows of the reference after which it is at its first place again, 0 where it is no loop;
     anchors then count on from lap to lap. loops: the same for feeds of the reference, by name, with truth = "rows".
-    kind: pairs of one kind are one column of the means (default: its name).
+    directions: in which lines are searched. kind: pairs of one kind are one column of the means (default: its name).
     figure: of the paper.
     """
 
@@ -116,6 +117,7 @@ class Pair(Struct, frozen=True, forbid_unknown_fields=True):
     calibration: str = ""
     length: Length | None = None
     length_m: Positive | None = None
+    directions: Literal["both", "forward", "reverse"] = "both"
     anchors: list[tuple[float, float]] = []
     loop: Annotated[int, Meta(ge=0)] = 0
     loops: dict[str, Annotated[int, Meta(ge=2)]] = {}

@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, lengths, lines, poses, reliability
+from sim.research.evaluation import belief, facing, lengths, lines, poses, reliability
 from sim.research.trial.table import put_between
 
 
@@ -49,6 +49,7 @@ MOUNTS = "map-mounted", "mounted"
 TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[str]]] = {
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
     "lengths": (lengths.rows, (*ROADS, "length", "draws")),
+    "facing": (facing.rows, (*ROADS, "length")),
     "lines": (lines.rows, (*ROADS, "length")),
     "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
+from edge.feed import View
 from edge.geodesy import moved
 from edge.localization import GPS_SIGMA_M, Odometry
 from edge.localization.dead_reckoning import TurnAround
@@ -143,8 +144,8 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
 
 
 @contextmanager
-def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False) -> Iterator[MapSet]:
-    """The map of a part of the road, by the rear camera. to_north: along a meridian, not where it was."""
+def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False, view: View = "rear") -> Iterator[MapSet]:
+    """The map of a part of the road, by the camera of that view. to_north: along a meridian, not where it was."""
     along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
     if to_north:
         ground_m = np.column_stack([np.zeros(len(along_m)), road.route_m])
@@ -153,7 +154,7 @@ def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False) -> Itera
     positions = [moved(*ORIGIN, *at_m) if at_m[0] == at_m[0] else (NAN, NAN) for at_m in ground_m.tolist()]
     places = [Place(row, *at, route_m=one) for row, (at, one) in enumerate(zip(positions, along_m, strict=True))]
     drives = [
-        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], "rear")
+        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
         for start, end in kept(cut, len(places))
     ]
     with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])) as maps:
@@ -166,11 +167,13 @@ def driven(
     config: Config,
     odometer_scale: float | None = 1.0,
     reckoned: Sequence[DeadReckoningPosition | None] | None = None,
+    *,
+    knows_course: bool = True,
 ) -> Iterator[tuple[SequenceMatcher, PlaceMatch | None]]:
     """Of each frame of a drive the matcher after it, and its answer; see `believe`."""
     matcher, turn_around = SequenceMatcher(map_set, config), TurnAround()
     for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
-        if query.east_north_m is not None:
+        if query.east_north_m is not None and knows_course:
             turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
         travel = MotionPrior(
             None if odometer_scale is None else driven_m * odometer_scale,
@@ -189,18 +192,20 @@ def believe(
     rig: RigConfig | None = None,
     sampling: SamplingConfig = DEFAULT_SAMPLING,
     reckoned: Sequence[DeadReckoningPosition | None] | None = None,
+    view: View = "rear",
+    knows_course: bool = True,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
     odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None where there was
-    no GPS yet, or never. The course is known where positions are.
+    no GPS yet, or never. view: of the map. knows_course: whether the course is known where positions are.
     """
     config = Config(rig=rig or RigConfig(), sampling=sampling)
     found = np.full((len(query.raw), 6), np.nan)
     found[:, 1::2] = 0.0
-    with mapped(road, cut) as map_set:
-        route_m = map_set.places["route_m"]
-        for frame, (matcher, match) in enumerate(driven(map_set, query, config, odometer_scale, reckoned)):
+    with mapped(road, cut, view=view) as map_set:
+        route_m, on_drive = map_set.places["route_m"], (config, odometer_scale, reckoned)
+        for frame, (matcher, match) in enumerate(driven(map_set, query, *on_drive, knows_course=knows_course)):
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.alone.confidence > 0:

@@ -110,6 +110,19 @@ def test_the_offset_is_measured_on_another_drive_and_moves_what_is_right(tmp_pat
         assert not offset_warnings(runner, {("p", "Raw-fc6"): outcome})
 
 
+def test_lines_run_as_the_query_is_known_to_pass_the_reference(tmp_path: Path, write_feed: Any) -> None:
+    write_feed("out", [2.0 * step for step in range(40)])
+    write_feed("home", [2.0 * step for step in range(39, -1, -1)], view="rear")  # it sees what the other saw
+    pair = Pair("p", "out", "home", "positions", tolerance=5.0, length=10)
+    runner = runner_on(tmp_path, [pair], "out", "home")
+    for method in ("Raw-fc6", "Lookback/uniqueness"):
+        assert runner.run(pair, method).answers.correct.mean() > 0.8
+        for directions, correct in (("reverse", True), ("forward", False)):
+            outcome = runner.run(msgspec.structs.replace(pair, directions=directions), method)
+            assert outcome.matches.reverse[outcome.judged].all() == correct
+            assert (outcome.answers.correct.mean() > 0.8) == correct
+
+
 def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     plan = load_plan(SHIPPED / "real_front_rear.toml")
     plan = msgspec.structs.replace(plan, networks={"fc6": NetworkPlan(model="fc6")})
