@@ -38,8 +38,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import FilePath, Section
 from edge.journal.records import Record, unit
 from edge.plugin import Plugin
-from edge.reference_map import MapSoFar
-from edge.telemetry.position_history import Awaiting
+from edge.reference_map import PartialMap
+from edge.telemetry.position_history import ExposureQueue
 
 class WitnessConfig(Section, frozen=True):
     """[witness]: keeps what it is called for."""
@@ -63,7 +63,7 @@ class Witness(Plugin):
     def __init__(self, config, parts):
         self.config, self.parts, self.seen, self.newest = config, parts, [], None
         self.service = self
-        self.awaiting = Awaiting(parts.autopilot.history)
+        self.awaiting = ExposureQueue(parts.autopilot.history)
         self.call("open")
     def call(self, what):
         self.seen.append(what)
@@ -109,7 +109,7 @@ def broken_map(self, frame):
     one = maps.maps[0]
     places = np.zeros(one.header.places, [("lat", "f8")])
     fields = dict(vars(one), places=places, path=one.path / "drive")
-    self.newest = MapSoFar(**fields, matcher=maps.matchers[0], mean=None, deviation=None, thumbnails=None)
+    self.newest = PartialMap(**fields, matcher=maps.matchers[0], mean=None, deviation=None, thumbnails=None)
 
 INTRUSIONS = {
     "paints": lambda self, frame: frame.image.fill(0),
@@ -257,7 +257,7 @@ def test_it_is_called_at_its_moments_in_order(installed: Path, open_street: Open
         ("paints", "ValueError: assignment destination is read-only"),
         ("unlocks", "ValueError: cannot set WRITEABLE flag"),
         ("paints below", "ValueError: assignment destination is read-only"),
-        ("resets", "AttributeError: 'Recognized' object has no attribute 'reset'"),
+        ("resets", "AttributeError: 'RecognizerView' object has no attribute 'reset'"),
         ("joins the link", "RuntimeError: the link has a service"),
         ("broken map", "ValueError: newest_map: has other places"),
         ("another map", "TypeError: newest_map: object is no map of a drive"),

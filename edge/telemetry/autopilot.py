@@ -357,7 +357,8 @@ class AutopilotConnection:
         self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.state.is_bounded)
         if now_ns >= self._bound.due_ns:
             self._bound.keep(now_ns)
-        self._wheels.keep(now_ns)
+        if now_ns >= self._wheels.due_ns:
+            self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns))
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)

@@ -38,14 +38,14 @@ class KeptWheels:
         self._vehicle, self._is_doubted = vehicle, is_doubted
         self._system_id: int | None = None
         self._kept: DriveScale | None = None
-        self._due_ns, self._was_changed = 0, False
+        self.due_ns, self._was_changed = 0, False
 
     def keep(self, now_ns: int) -> None:
-        """Once every ten seconds, and at once for another autopilot."""
+        """At `due_ns`, every ten seconds from the first heartbeats on."""
         vehicle, shown = self._vehicle, self._vehicle.velocity.shown
-        if vehicle.system_id is None or (now_ns < self._due_ns and vehicle.system_id == self._system_id):
+        if vehicle.system_id is None:
             return
-        self._due_ns = now_ns + PERIOD_NS
+        self.due_ns = now_ns + PERIOD_NS
         before = self._before.get(vehicle.system_id, [])
         if vehicle.system_id != self._system_id:
             self._system_id, self._kept = vehicle.system_id, None

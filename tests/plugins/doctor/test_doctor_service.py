@@ -18,8 +18,8 @@ ACT = """
 import os, sys
 from pathlib import Path
 from edge_plugins.doctor.computer import act_as_service
-from edge_plugins.doctor.findings import Examined
-words = [words for _, words, _ in act_as_service(Examined(Path(sys.argv[1]), Path("/dev"), 0.0))]
+from edge_plugins.doctor.findings import DoctorContext
+words = [words for _, words, _ in act_as_service(DoctorContext(Path(sys.argv[1]), Path("/dev"), 0.0))]
 print(os.getuid(), sorted(os.getgroups()), words)
 """
 
