@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+import msgspec
 from tqdm import tqdm
 
 from edge.camera.checks import open_picture_check
@@ -83,7 +84,9 @@ def record(
     if (path / "frames.csv").exists():  # checked before the camera is opened, which can take seconds
         raise FeedError(f"{path}: a feed already exists here; name another folder")
     with ExitStack() as parts:
-        autopilot = parts.enter_context(closing(AutopilotConnection(config.telemetry)))
+        # What the daemon keeps beside its journal is the daemon's alone.
+        link = msgspec.structs.replace(config.telemetry, journal="")
+        autopilot = parts.enter_context(closing(AutopilotConnection(link)))
         camera = parts.enter_context(closing(NewestFrame.configured(config.camera)))
 
         def begin(frame: Frame) -> FeedWriter:

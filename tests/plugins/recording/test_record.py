@@ -76,16 +76,19 @@ def drive_north() -> Iterator[tuple[str, float]]:
 
 
 def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
-    config: Config, tmp_path: Path, drive_north: tuple[str, float]
+    config: Config, tmp_path: Path, drive_north: tuple[str, float], caplog: pytest.LogCaptureFixture
 ) -> None:
+    """What a daemon has kept beside its journal is not touched: a damaged file is not even read."""
     device, speed_mps = drive_north
+    (kept := tmp_path / "events.bound").write_text("damaged")
     config = replace(
         config,
         camera=replace(config.camera, device=str(write_feed(tmp_path / "longer", 260))),
         sampling=SamplingConfig(by="distance", spacing_m=1.0, interval_s=0.2),
-        telemetry=TelemetryConfig(connection=f"serial:{device}:921600"),
+        telemetry=TelemetryConfig(connection=f"serial:{device}:921600", journal=str(tmp_path / "events.jsonl")),
     )
     done = record(config, tmp_path / "out", threading.Event())
+    assert kept.name not in caplog.text and sorted(tmp_path.glob("events.*")) == [kept]
     rows = [row for row in read_feed(tmp_path / "out").rows if row.distance_m is not None and row.lat_deg is not None]
     assert done.with_position >= len(rows) >= 3  # the link is up after two heartbeats, a second apart
     stamps_s, meters = np.array([row.stamp_ns / 1e9 for row in rows]), np.array([row.distance_m for row in rows])
