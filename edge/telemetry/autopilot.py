@@ -30,7 +30,6 @@ from edge.telemetry import LinkStatus
 from edge.telemetry.aiding_store import AidingStore
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.firmware import GPS_SET
-from edge.telemetry.kept_wheels import KeptWheels, in_percent
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
@@ -39,6 +38,7 @@ from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
 from edge.telemetry.session import Session
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
+from edge.telemetry.wheel_store import WheelStore, in_percent
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
@@ -96,7 +96,7 @@ class AutopilotConnection:
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
         self._bound = AidingStore(config.journal, drive, clock_ns())
-        self._wheels = KeptWheels(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
+        self._wheels = WheelStore(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)

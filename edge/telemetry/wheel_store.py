@@ -23,7 +23,7 @@ class Wheels(msgspec.Struct, frozen=True):
     drives: dict[int, list[DriveScale]]
 
 
-class KeptWheels:
+class WheelStore:
     """Gives a vehicle what its earlier drives have found of its wheels, and keeps what this drive finds.
 
     A drive is a run of this program. Its newest finding counts, of the last 500 m beside a GPS that nobody doubts.
