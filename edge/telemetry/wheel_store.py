@@ -12,6 +12,7 @@ from edge.files import PersistentFile
 from edge.localization import MOST_DRIVES, DriveScale, ScaleFactor, learned
 from edge.telemetry.vehicle import Vehicle
 
+LOST = "what earlier drives found of the wheels is lost"
 PERIOD_NS = 10_000_000_000
 """How often what this drive has found is kept: what a power cut costs."""
 log = logging.getLogger(__name__)
@@ -31,10 +32,8 @@ class WheelStore:
 
     def __init__(self, journal: str, vehicle: Vehicle, is_doubted: Callable[[], bool]) -> None:
         """journal: whose folder has the file; "" keeps nothing. is_doubted: whether places speak against GPS."""
-        path = Path(journal).with_suffix(".wheels") if journal else None
-        self._file = PersistentFile(path, Wheels, "what earlier drives found of the wheels is lost")
-        kept = self._file.read()
-        self._before = {} if kept is None else kept.drives
+        self._file = _file(journal)
+        self._before = kept_drives(journal)
         self._vehicle, self._is_doubted = vehicle, is_doubted
         self._system_id: int | None = None
         self._kept: DriveScale | None = None
@@ -61,6 +60,16 @@ class WheelStore:
             return
         self._kept = found
         self._file.write_behind(Wheels({**self._before, vehicle.system_id: [*before[1 - MOST_DRIVES :], found]}))
+
+
+def _file(journal: str) -> PersistentFile[Wheels]:
+    return PersistentFile(Path(journal).with_suffix(".wheels") if journal else None, Wheels, LOST)
+
+
+def kept_drives(journal: str) -> dict[int, list[DriveScale]]:
+    """What the drives of each autopilot have found, by its system id; none where nothing is kept."""
+    kept = _file(journal).read()
+    return {} if kept is None else kept.drives
 
 
 def in_percent(scale: ScaleFactor) -> str:

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import TelemetryConfig
 from edge.errors import LookbackError
-from edge.localization import TWO_AUTOPILOTS
+from edge.localization import TWO_AUTOPILOTS, learned
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.firmware import (
     GPS_MODE,
@@ -29,6 +29,7 @@ from edge.telemetry.firmware import (
 from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import NO_SPEED
+from edge.telemetry.wheel_store import in_percent, kept_drives
 from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
@@ -130,6 +131,17 @@ def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
         yield _judge_witness(examined, witness, missing)
 
 
+def _judge_wheels(config: TelemetryConfig, vehicle: Vehicle) -> Iterator[Found]:
+    """What earlier drives have found of the wheels, where there are any."""
+    drives = kept_drives(config.journal).get(vehicle.system_id or 0, [])
+    scale = learned(drives)
+    if scale is not None:
+        yield good(f"wheels: {in_percent(scale)}, by {len(drives)} drives")
+    elif drives:
+        words = "wheels: how wrong they are is known only when two drives agree"
+        yield note(words, "drive another 100 m with GPS, in a new run of `lookback run`")
+
+
 def _judge_witness(examined: DoctorContext, witness: str, missing: str) -> Found:
     """What decides between GPS and places that contradict it."""
     doubted = f'[gates] doubted_gps = "{examined.settings.gates.doubted_gps}"'
@@ -168,6 +180,7 @@ def _judge_velocity_aid(examined: DoctorContext, vehicle: Vehicle) -> Iterator[F
     if doubted_gps != "report" and aid_of_doubted in (None, NO_AID):
         words = f'[gates] doubted_gps = "{doubted_gps}" sends no position: only GPS is known to measure velocity'
         yield bad(words, firmware.aid_remedy)
+    yield from _judge_wheels(examined.settings.telemetry, vehicle)
 
 
 def check_parameters(examined: DoctorContext) -> Iterator[Found]:

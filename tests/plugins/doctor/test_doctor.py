@@ -141,6 +141,20 @@ def test_all_is_well(diagnose: Diagnose) -> None:
 
 
 @pytest.mark.parametrize(
+    ("drives", "level", "words"),
+    [
+        ("[-0.029,0.004],[-0.028,0.004]", "good", "wheels: -2.9 % +- 1.8, by 2 drives"),
+        ("[-0.029,0.004]", "note", "known only when two drives agree -> drive another 100 m"),
+    ],
+)
+def test_what_earlier_drives_found_of_the_wheels(
+    drives: str, level: str, words: str, diagnose: Diagnose, tmp_path: Path
+) -> None:
+    (tmp_path / "events.wheels").write_text('{"drives":{"1":[' + drives + "]}}")
+    assert words in diagnose(WHEELS)("autopilot", level)
+
+
+@pytest.mark.parametrize(
     ("emit", "values", "words"),
     [
         ("auto", {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}, "AHRS_OPTIONS = 0: else a rover"),
