@@ -317,7 +317,7 @@ class Bench:
         """The best line through the last frames, as the recognizer would find it."""
         kept = math.exp(-SPACING_M / CORRELATED_M)
         self.wander_m = kept * self.wander_m + math.sqrt(1 - kept**2) * self.rng.normal(0.0, self.changes_m)
-        shown = self._shown(s)
+        shown = self._shown(s - self.course.late_s * self.course.speed_mps)
         self.history.append(shown)
         del self.history[:-LENGTH]
         last = next((item for item in reversed(self.history) if item is not None), None)
@@ -360,7 +360,7 @@ class Bench:
         right_m, ahead_m = self.rng.normal((-self.right_m, back_m), LOOK_SIGMAS[0])
         covariance = np.diag(np.square(LOOK_SIGMAS))
         turn_rad = self.turn_rad + self.rng.normal(0.0, LOOK_SIGMAS[2])
-        return KeyframeMatch(first + row, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
+        return KeyframeMatch(first + row + self.course.late_rows, right_m, ahead_m, turn_rad, covariance, 40, 0.9)
 
     def _shown(self, s: float) -> tuple[int, float] | None:
         """Segment and meters along it of what a frame shows; None for what is not on the map."""

@@ -51,7 +51,8 @@ class Course:
     map_off_m: east and north, of the whole map; lane_m: right of the map's drive. None draws them by seed as well.
     off_at_m: where the vehicle leaves the road, and how. alias: meters of the drive during which the unmapped road
     looks like the map from `alias_from_m` on. steers: the autopilot steers by its own estimate (closed loop).
-    looks_at: the segments that looks show, by chance one of them; lines are of the first that is there.
+    looks_at: the segments that looks show, by chance one of them; lines are of the first that is there. late_s: by how
+    much a frame is older than it says. late_rows: by how many rows of the map the keypoints of its places are late.
     """
 
     road_m: float = 1200.0
@@ -70,6 +71,8 @@ class Course:
     laps: int = 1
     looks: bool = False
     looks_at: tuple[int, ...] = (0,)
+    late_s: float = 0.0
+    late_rows: int = 0
 
 
 def road_line(length_m: float, rng: np.random.Generator) -> tuple[Points, Points]:

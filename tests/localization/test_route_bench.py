@@ -233,3 +233,18 @@ def test_looks_at_any_drive_of_a_road_are_as_good_as_at_the_only_one(
     stretches = one, *(replace(one, backward=backward) for backward in others)
     together_m = offs_m(Course(looks=True, stretches=stretches, looks_at=looks_at), tmp_path)
     assert np.percentile(together_m, 95) < np.percentile(alone_m, 95) + 0.5
+
+
+@pytest.mark.parametrize(
+    ("late_s", "late_rows", "most"),
+    [(0.4, 0, 3.0), (0.0, 2, 4.0), (0.0, -2, 4.0)],
+    ids=["frames", "rows", "early rows"],
+)
+def test_looks_that_are_4_m_late_are_within_what_positions_say(
+    late_s: float, late_rows: int, most: float, tmp_path: Path
+) -> None:
+    """By frames that are 0.4 s old and do not say so, or keypoints of another row: about 1.4 m is what is said."""
+    sigmas = Bench(Course(looks=True, late_s=late_s, late_rows=late_rows), 0, tmp_path).run().sigmas
+    assert len(sigmas) > 100
+    assert np.sqrt(np.mean(np.square(sigmas))) > 1.5
+    assert max(sigmas) < most
