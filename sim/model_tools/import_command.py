@@ -1,4 +1,4 @@
-"""`lookback model import`: the network of a vehicle, from an ONNX or PyTorch network or a recipe."""
+"""`lookback model import`: the network of a vehicle, from an ONNX network."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,9 +20,8 @@ from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.errors import ConfigError, ModelError
 from edge.feed import read_feed
 from edge.files import replacing
-from sim.model_tools import efficientnet, onnx_graph, onnx_import, quantize, xfeat
+from sim.model_tools import onnx_graph, onnx_import, quantize
 from sim.model_tools.frames import kinds_of, pictures_of
-from sim.model_tools.torch_file import export_onnx
 from sim.output import refusing
 
 if TYPE_CHECKING:
@@ -39,10 +37,7 @@ MARGIN = 0.001
 
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Add the options of `lookback model import`."""
-    about = (
-        f"a network (.onnx, TorchScript .pt, exported .pt2), {efficientnet.NAME} (extra efficientnet) or {xfeat.NAME}"
-    )
-    parser.add_argument("weights", type=Path, metavar="MODEL", help=about)
+    parser.add_argument("weights", type=Path, metavar="MODEL", help="an ONNX file, of PyTorch by `torch.onnx.export`")
     parser.add_argument("-o", "--output", type=Path, required=True, help="a folder, or the network file (.onnx)")
     about = "measure the ranges of int8 on these feeds"
     parser.add_argument("--calibrate", type=Path, nargs="+", metavar="FEED", help=about)
@@ -66,34 +61,34 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A float ONNX file, and what is known of it."""
-
-    data: bytes
-    sha256: str
-    name: str
-    license: str
-    source: str
-    wanted: onnx_import.ImageInput
-    tap: str
-    pool: tuple[int, int] | None
-    columns: int | None
-
-
 def run(args: argparse.Namespace) -> int:
     """Write the network file."""
-    if str(args.weights) == xfeat.NAME:
-        return _keypoints(args)
-    is_recipe = str(args.weights) == efficientnet.NAME
-    if not (is_recipe or args.weights.suffix in (".onnx", ".pt", ".pt2")):
-        raise ConfigError(f"{args.weights}: not an .onnx, .pt or .pt2 file")
+    if args.weights.suffix != ".onnx":
+        raise ConfigError(f"{args.weights}: not an .onnx file; `torch.onnx.export` makes one of a network of PyTorch")
     if not (args.calibrate or args.float_only):
         raise ConfigError("model import: give feeds to --calibrate, or --float-only")
-    source = _recipe(args) if is_recipe else _file(args)
-    found = onnx_import.import_onnx(args.weights, source.data, source.wanted, source.tap, source.pool, source.columns)
-    info = _info(args, source, found)
-    file = network_file(args.output, NETWORK_FILE)
+    wanted, pool = _wanted(args), _pair("--pool", args.pool)
+    with refusing(ModelError, f"{args.weights}: cannot read the network"):
+        data = args.weights.read_bytes()
+    found = onnx_import.import_onnx(args.weights, data, wanted, args.tap or "", pool, args.columns)
+    height, width = found.size
+    info = ModelInfo(
+        name=args.name or args.weights.name.partition(".")[0],
+        tap=found.tap,
+        dimensions=found.dimensions,
+        precision="float32",
+        input_size=height if height == width else (height, width),
+        channel_order="BGR",
+        mean_rgb=wanted.mean_rgb,
+        std_rgb=wanted.std_rgb,
+        license=args.license or "not stated",
+        source=args.source or args.weights.name,
+        weights_sha256=hashlib.sha256(data).hexdigest(),
+        calibration="" if args.float_only else "feeds " + ", ".join(path.name for path in args.calibrate),
+        pool=onnx_import.spell(pool) if pool else "",
+        columns=found.columns,
+    )
+    file = network_file(args.output)
     exact = found.model
     onnx_graph.set_info(exact, info)
     if args.float or args.float_only:
@@ -104,66 +99,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _keypoints(args: argparse.Namespace) -> int:
-    """XFeat, which is no descriptor and whose graph has nothing to choose."""
-    no = ("calibrate", "name", "license", "source", "tap", "float", "pool", "columns", "size", "layout", "mean", "std")
-    if given := [f"--{name}" for name in no if getattr(args, name)]:
-        raise ConfigError(f"model import {xfeat.NAME}: has no {', '.join(given)}; it is made whole, and in float")
-    write(xfeat.build(*xfeat.read_packaged_weights()), network_file(args.output, "network_float32.onnx"))
-    return 0
-
-
-def _file(args: argparse.Namespace) -> _Source:
-    """An ONNX or PyTorch file, prepared as the options say."""
+def _wanted(args: argparse.Namespace) -> onnx_import.ImageInput:
+    """How the network wants its image, as the options say."""
     if not (args.white > 0 and min(args.std or (1.0,)) > 0):
         raise ConfigError("--white and --std: need numbers above 0")
-    scale = 1 / args.white
-    mean = [scale * one for one in args.mean] if args.mean else onnx_graph.MEAN_RGB
-    std = [scale * one for one in args.std] if args.std else onnx_graph.STD_RGB
+    mean = [one / args.white for one in args.mean] if args.mean else onnx_graph.MEAN_RGB
+    std = [one / args.white for one in args.std] if args.std else onnx_graph.STD_RGB
     size = _pair("--size", args.size)
-    wanted = onnx_import.ImageInput(
+    return onnx_import.ImageInput(
         size, args.layout, (mean[0], mean[1], mean[2]), (std[0], std[1], std[2]), args.channels
-    )
-    with refusing(ModelError, f"{args.weights}: cannot read the network"):
-        data = args.weights.read_bytes()
-    sha256 = hashlib.sha256(data).hexdigest()
-    if args.weights.suffix != ".onnx":
-        data = export_onnx(args.weights, size or (onnx_import.DEFAULT_SIZE,) * 2)
-    name = args.name or args.weights.name.partition(".")[0]
-    terms = args.license or "not stated", args.source or args.weights.name
-    return _Source(data, sha256, name, *terms, wanted, args.tap or "", _pair("--pool", args.pool), args.columns)
-
-
-def _recipe(args: argparse.Namespace) -> _Source:
-    """EfficientNet-Lite0: the grid, unless the options say where to tap it."""
-    weights, sha256 = efficientnet.read_packaged_weights()
-    wanted = onnx_import.ImageInput(None, None, efficientnet.MEAN_RGB, efficientnet.STD_RGB)
-    own = args.tap is not None
-    size = _pair("--size", args.size) or ((efficientnet.INPUT_SIZE,) * 2 if own else efficientnet.GRID_SIZE)
-    pool = _pair("--pool", args.pool) if own or args.pool else efficientnet.GRID
-    columns = args.columns if own or args.pool else efficientnet.GRID_COLUMNS
-    data = efficientnet.build(weights, size).SerializeToString(deterministic=True)
-    name, tap = args.name or ("grid" if args.tap is None else efficientnet.NAME), args.tap or efficientnet.TAP
-    return _Source(data, sha256, name, efficientnet.LICENSE, efficientnet.SOURCE, wanted, tap, pool, columns)
-
-
-def _info(args: argparse.Namespace, source: _Source, found: onnx_import.FloatGraph) -> ModelInfo:
-    height, width = found.size
-    return ModelInfo(
-        name=source.name,
-        tap=found.tap,
-        dimensions=found.dimensions,
-        precision="float32",
-        input_size=height if height == width else (height, width),
-        channel_order="BGR",
-        mean_rgb=source.wanted.mean_rgb,
-        std_rgb=source.wanted.std_rgb,
-        license=source.license,
-        source=source.source,
-        weights_sha256=source.sha256,
-        calibration="" if args.float_only else "feeds " + ", ".join(path.name for path in args.calibrate),
-        pool=onnx_import.spell(source.pool) if source.pool else "",
-        columns=found.columns,
     )
 
 
@@ -219,9 +163,9 @@ def _pair(option: str, text: str | None) -> tuple[int, int] | None:
     return pair
 
 
-def network_file(output: Path, name: str) -> Path:
-    """`output`, or the file of that name in it; the folder is made before the long work. ModelError."""
-    file = output if output.suffix == ".onnx" else output / name
+def network_file(output: Path) -> Path:
+    """`output`, or NETWORK_FILE in it; the folder is made before the long work. ModelError."""
+    file = output if output.suffix == ".onnx" else output / NETWORK_FILE
     with refusing(ModelError, f"{file}: cannot write it"):
         file.parent.mkdir(parents=True, exist_ok=True)
     return file

@@ -27,12 +27,13 @@ from numpy.typing import NDArray
 from edge.descriptor.model_file import output_name
 from edge.descriptor.network import IMAGE, open_session
 from edge.errors import ModelError
-from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, OPSET, STD_RGB
+from sim.model_tools.onnx_graph import MEAN_RGB, NORMALIZE, STD_RGB
 from sim.output import needing
 
 if TYPE_CHECKING:
     import onnx
 
+OPSET = 17  # read by ONNX Runtime since 1.12
 DIMENSIONS = (64, 32_768)
 """Least and greatest number of dimensions of a descriptor."""
 OLDEST_OPSET = 13  # from which on a scale per channel can be written

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from edge.__main__ import main
 from edge.descriptor.model_file import (
     FC6_FILE,
     FC6_NAME,
@@ -26,7 +27,8 @@ from edge.descriptor.model_file import (
 )
 from edge.descriptor.network import Network
 from edge.errors import ModelError
-from sim.model_tools.onnx_graph import GraphBuilder, set_info
+from sim.model_tools.onnx_graph import set_info
+from tests.onnx_text import onnx_of
 
 onnx = pytest.importorskip("onnx", reason="needs the extra `model`")
 
@@ -35,13 +37,14 @@ Save = Callable[..., Path]
 
 def small_model(info: ModelInfo, dimensions: int = 4) -> Any:
     """uint8 image (B, 2, 2, 3) to `dimensions` numbers."""
-    graph = GraphBuilder()
-    graph.add("DequantizeLinear", ["image", graph.constant("step", 1.0), graph.constant("zero", np.uint8(0))])
-    graph.add("Flatten", [graph.last], axis=1)
-    layer = {"fc.weight": np.ones((dimensions, 12), np.float32), "fc.bias": np.zeros(dimensions, np.float32)}
-    graph.add_dense("fc", layer)
-    graph.add("Relu", [graph.last], output="fc6")
-    model = graph.model("small", [("image", np.uint8, [2, 2, 3])], dimensions)
+    model = onnx_of(
+        f"small (uint8[B, 2, 2, 3] image) => (float[B, {dimensions}] fc6)"
+        " { pixels = DequantizeLinear(image, step, zero)  flat = Flatten<axis = 1>(pixels)"
+        " fc = Gemm(flat, weight)  fc6 = Relu(fc) }",
+        step=np.array(1, np.float32),
+        zero=np.array(0, np.uint8),
+        weight=np.ones((12, dimensions), np.float32),
+    )
     set_info(model, msgspec.structs.replace(info, input_size=2, dimensions=dimensions))
     return model
 
@@ -109,6 +112,14 @@ def test_what_ships_is_known_by_its_hash() -> None:
     files = (GRID, XFEAT, resolve_model(None))
     assert {hashlib.sha256(file.read_bytes()).hexdigest() for file in files} == SHIPPED
     assert not any(hash_file(file).exists() for file in files)
+
+
+@pytest.mark.parametrize(("name", "file"), [("grid", GRID), ("xfeat", XFEAT)])
+def test_what_ships_says_what_it_is(name: str, file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["model", "info", name]) == 0
+    said, card = capsys.readouterr().out, file.with_name("README.md").read_text(encoding="utf-8")
+    assert "license         Apache-2.0" in said
+    assert read_model_file(file).info.sha256[:16] in card
 
 
 @pytest.mark.parametrize("hashed", ["", "0" * 64, "b\xe9", "of another file"])

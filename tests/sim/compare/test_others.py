@@ -25,7 +25,7 @@ from sim.compare.options import plan_of
 from sim.compare.plan import Pair
 from sim.compare.run import Folders, open_runner
 from sim.compare.truth import matrix_errors, read_array
-from sim.model_tools.onnx_graph import GraphBuilder
+from tests.onnx_text import onnx_of
 
 HERE, THERE = 12, 16
 TUTORIAL = 60, 80
@@ -39,14 +39,12 @@ Compare = Callable[..., tuple[int, dict[str, dict[str, str]]]]
 def network_file(path: Path, *, size: int = 16, rank: int = 2) -> Path:
     """A network of others: one convolution with random weights, its averages as the descriptor."""
     pytest.importorskip("onnx", reason="graphs are built with the extra `model`")
-    graph, random = GraphBuilder(), np.random.default_rng(0)
-    kernel = graph.constant("kernel", random.normal(size=(32, 3, 4, 4)).astype(np.float32))
-    graph.add("Conv", ["x", kernel], kernel_shape=[4, 4], strides=[4, 4])
-    graph.add("Relu", [graph.last])
-    graph.add("Flatten", [graph.last], output="out", axis=1)
-    path.write_bytes(
-        graph.model("theirs", [("x", np.float32, [3, size, size])], 32 * (size // 4) ** 2).SerializeToString()
+    text = (
+        f"theirs (float[B, 3, {size}, {size}] x) => (float[B, {32 * (size // 4) ** 2}] out)"
+        " { map = Conv<strides = [4, 4]>(x, kernel)  positive = Relu(map)  out = Flatten<axis = 1>(positive) }"
     )
+    kernel = np.random.default_rng(0).normal(size=(32, 3, 4, 4)).astype(np.float32)
+    path.write_bytes(onnx_of(text, kernel=kernel).SerializeToString())
     return path
 
 

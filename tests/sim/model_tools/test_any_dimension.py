@@ -17,7 +17,7 @@ import pytest
 
 from edge.__main__ import main
 from edge.errors import LookbackError
-from sim.model_tools.onnx_graph import GraphBuilder
+from tests.onnx_text import onnx_of
 
 pytestmark = pytest.mark.long
 
@@ -33,16 +33,16 @@ SHAPES = {64: (64, 4, 1), 32_768: (32, 2, 32)}
 def model(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """One convolution with random weights, of 64 x 64 pixels."""
     channels, stride, side = SHAPES[request.param]
-    graph, random = GraphBuilder(), np.random.default_rng(0)
-    kernel = graph.constant("kernel", random.normal(size=(channels, 3, 4, 4)).astype(np.float32))
     pads = [1, 1, 1, 1] if stride == 2 else [0, 0, 0, 0]
-    graph.add("Conv", ["x", kernel], kernel_shape=[4, 4], strides=[stride, stride], pads=pads)
-    graph.add("Relu", [graph.last])
-    if side == 1:
-        graph.add("GlobalAveragePool", [graph.last])
-    graph.add("Flatten", [graph.last], output="out", axis=1)
+    average = "GlobalAveragePool" if side == 1 else "Identity"
+    text = (
+        f"random (float[B, 3, 64, 64] x) => (float[B, {request.param}] out)"
+        f" {{ map = Conv<strides = [{stride}, {stride}], pads = {pads}>(x, kernel)  positive = Relu(map)"
+        f" some = {average}(positive)  out = Flatten<axis = 1>(some) }}"
+    )
+    kernel = np.random.default_rng(0).normal(size=(channels, 3, 4, 4)).astype(np.float32)
     given, made = tmp_path / "given.onnx", tmp_path / "model.onnx"
-    given.write_bytes(graph.model("random", [("x", np.float32, [3, 64, 64])], request.param).SerializeToString())
+    given.write_bytes(onnx_of(text, kernel=kernel).SerializeToString())
     assert main(["model", "import", str(given), "-o", str(made), "--float-only", "--license", "CC0, as a test"]) == 0
     return made
 

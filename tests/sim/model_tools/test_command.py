@@ -26,7 +26,7 @@ def test_info_of_the_networks_that_have_a_name(capsys: pytest.CaptureFixture[str
 
 
 def test_weights_alone_are_no_network(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"weights\.npz: not an \.onnx, \.pt or \.pt2 file$"):
+    with pytest.raises(ConfigError, match=r"weights\.npz: not an \.onnx file; `torch.onnx.export` makes one"):
         lookback_model("import", tmp_path / "weights.npz", "-o", tmp_path / "model", "--float-only")
 
 

@@ -16,8 +16,9 @@ from edge.__main__ import main
 from edge.descriptor.model_file import read_model_file
 from edge.descriptor.network import Network, open_session
 from edge.errors import ModelError
-from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB, GraphBuilder
+from sim.model_tools.onnx_graph import MEAN_RGB, STD_RGB
 from sim.model_tools.onnx_import import ImageInput, import_onnx
+from tests.onnx_text import onnx_of
 
 onnx = pytest.importorskip("onnx", reason="importing models needs the extra `model`")
 
@@ -27,31 +28,27 @@ Options = list[str]
 
 def network(layout: str = "nchw", size: tuple[int, int] = (SIZE, SIZE), batch: int | str = "B") -> Any:
     """Convolution, ReLU (`map`), average (`pooled`), flattened as exporters do it, and `logits`."""
-    random, graph = np.random.default_rng(2), GraphBuilder()
-    graph.last = "x"
-    if layout == "nhwc":
-        graph.add("Transpose", ["x"], perm=[0, 3, 1, 2])
-    kernel = graph.constant("kernel", random.normal(0, 0.3, (CHANNELS, 3, 5, 5)).astype(np.float32))
-    bias = graph.constant("bias", random.normal(0, 0.1, CHANNELS).astype(np.float32))
-    graph.add("Conv", [graph.last, kernel, bias], kernel_shape=[5, 5], strides=[3, 3], pads=[2, 2, 2, 2])
-    graph.add("Relu", [graph.last], output="map")
-    graph.add("GlobalAveragePool", [graph.last], output="pooled")
-    if isinstance(batch, int):
-        graph.add(
-            "Reshape", [graph.last, graph.constant("flat", np.array([batch, CHANNELS], np.int64))], output="flat72"
-        )
-    else:  # as exporters write it: the size of the batch, read from the tensor itself
-        graph.add("Shape", [graph.last], output="shape")
-        graph.add("Gather", ["shape", graph.constant("first", np.array([0], np.int64))], output="batch", axis=0)
-        graph.add("Concat", ["batch", graph.constant("rest", np.array([-1], np.int64))], output="sizes", axis=0)
-        graph.add("Reshape", ["pooled", "sizes"], output="flat72")
-    dense = {"fc.weight": random.normal(0, 1, (CLASSES, CHANNELS)), "fc.bias": random.normal(0, 1, CLASSES)}
-    graph.add_dense("fc", {name: array.astype(np.float32) for name, array in dense.items()})
-    shape = [3, *size] if layout == "nchw" else [*size, 3]
-    model = graph.model("small", [("x", np.float32, shape)], CLASSES)
-    if isinstance(batch, int):
-        model.graph.input[0].type.tensor_type.shape.dim[0].dim_value = batch
-    return model
+    random, (height, width) = np.random.default_rng(2), size
+    shape = f"3, {height}, {width}" if layout == "nchw" else f"{height}, {width}, 3"
+    order = [0, 1, 2, 3] if layout == "nchw" else [0, 3, 1, 2]
+    # Exporters read the size of the batch from the tensor itself.
+    own = " shape = Shape(pooled)  batch = Gather<axis = 0>(shape, first)  sizes = Concat<axis = 0>(batch, rest)"
+    text = (
+        f"small (float[{batch}, {shape}] x) => (float[{batch}, {CLASSES}] fc) {{ planes = Transpose<perm = {order}>(x)"
+        " conv = Conv<strides = [3, 3], pads = [2, 2, 2, 2]>(planes, kernel, bias)  map = Relu(conv)"
+        f" pooled = GlobalAveragePool(map) {'' if isinstance(batch, int) else own}"
+        f" flat72 = Reshape(pooled, {'flat' if isinstance(batch, int) else 'sizes'})"
+        " fc = Gemm(flat72, weight, classes) }"
+    )
+    floats = {
+        "kernel": random.normal(0, 0.3, (CHANNELS, 3, 5, 5)),
+        "bias": random.normal(0, 0.1, CHANNELS),
+        "weight": random.normal(0, 1, (CHANNELS, CLASSES)),
+        "classes": random.normal(0, 1, CLASSES),
+    }
+    whole = {"first": [0], "rest": [-1]} if batch == "B" else {"flat": [batch, CHANNELS]}
+    constants = {name: np.array(value, np.int64) for name, value in whole.items()}
+    return onnx_of(text, **{name: value.astype(np.float32) for name, value in floats.items()}, **constants)
 
 
 @pytest.fixture
@@ -246,10 +243,10 @@ def test_too_few_and_too_many_dimensions() -> None:
     ):
         imported(model, tap="map")
     narrow = network()
-    weight = next(one for one in narrow.graph.initializer if one.name == "fc.weight")
-    weight.CopyFrom(onnx.numpy_helper.from_array(np.ones((CHANNELS, 10), np.float32), "fc.weight"))
-    bias = next(one for one in narrow.graph.initializer if one.name == "fc.bias")
-    bias.CopyFrom(onnx.numpy_helper.from_array(np.ones(10, np.float32), "fc.bias"))
+    for one in narrow.graph.initializer:
+        if one.name in ("weight", "classes"):
+            some = onnx.numpy_helper.to_array(one)[..., :10]
+            one.CopyFrom(onnx.numpy_helper.from_array(np.ascontiguousarray(some), one.name))
     with pytest.raises(
         ModelError, match=r"tensor 'fc' has the shape \(B, 10\), which gives 10 dimensions; 64 to 32768"
     ):
