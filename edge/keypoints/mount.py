@@ -40,6 +40,29 @@ class Mount:
         found: NDArray[np.float64] = rays[..., :2] / rays[..., 2:]
         return found
 
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """All that is unknown (S,), of which `information` is."""
+        return self.radians
+
+    def begun(self) -> Mount:
+        """From which an adjustment starts: the same, as little known as where a row says it by itself."""
+        return Mount(self.radians, unknown(ROW_SIGMA).information)
+
+    def moved(self, step: NDArray[np.float64], information: NDArray[np.float64]) -> Mount:
+        """After a step (S,)."""
+        return Mount(self.radians + step, information)
+
+    def derivatives(self, seen: NDArray[np.float64], must_be: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 2, S): how what is off moves back by each unknown. seen, must_be: (..., 2) leveled directions."""
+        u, v = np.moveaxis(seen, -1, 0)
+        turned = [[-u * v, -1 - u * u], [-1 - v * v, -u * v]]
+        return np.stack([np.stack(row, axis=-1) for row in turned], axis=-2)
+
+    def pixels(self, must_be: NDArray[np.float64]) -> NDArray[np.float64] | float:
+        """In a picture of something off, over those that the camera says. must_be: as `derivatives`."""
+        return 1.0
+
 
 def turned_aside(mounted: NDArray[np.float64], leveled: NDArray[np.float64]) -> float:
     """By how much a camera looks to the right of the road, in radians; mounted, leveled: (n, 2) as `Mount.leveled`.
@@ -64,6 +87,6 @@ def mount_of_drive(rows: Iterable[Mount], known: Mount | None = None) -> Mount:
     for row in rows:
         weight = row.information / SHARED
         information = found.information + weight
-        moved = np.linalg.solve(information, weight @ (row.radians - found.radians))
-        found = Mount(found.radians + moved, information)
+        step = np.linalg.solve(information, weight @ (row.values - found.values))
+        found = found.moved(np.asarray(step), information)
     return found

@@ -7,7 +7,7 @@ a point that its matches in all rows around must see: least squares over its dir
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +73,7 @@ def points_of(
     of_drive: how it is mounted by other rows, from which the adjustment starts.
     """
     limit = MOST_OFF_PX / camera.network_focal_px
-    begun = unknown(ROW_SIGMA) if of_drive is None else replace(of_drive, information=unknown(ROW_SIGMA).information)
-    mount = begun
+    mount = begun = (of_drive or unknown(ROW_SIGMA)).begun()
     raw = np.concatenate([own[np.newaxis], matched])
     matches = np.isfinite(raw).all(axis=-1)
     tried = np.flatnonzero(matches.sum(axis=0) >= FEWEST_ROWS)
@@ -138,39 +137,38 @@ def _adjusted(
     known, as is `begun` of the mount. seen: as leveled by the mount so far. Points are eliminated (Schur).
     """
     sight, size, others = Projection(cameras, points), len(points), len(cameras) - 1
-    weight = kept[..., np.newaxis] / pixel
-    seen = np.where(kept[..., np.newaxis], seen, 0.0)
-    off = (seen - sight.directions) * weight
+    seen, must_be = (np.where(kept[..., np.newaxis], one, 0.0) for one in (seen, sight.directions))
+    weight = kept[..., np.newaxis] / pixel * mount.pixels(must_be)
+    off = (seen - must_be) * weight
     by_point, by_camera = sight.by_point() * weight[..., np.newaxis], (sight.by_camera() * weight[..., np.newaxis])[1:]
-    u, v = np.moveaxis(seen, -1, 0)
-    turned = [[-u * v, -1 - u * u], [-1 - v * v, -u * v]]  # by the mount: what is seen moves
-    by_mount = np.stack([np.stack(row, axis=-1) for row in turned], axis=-2) * weight[..., np.newaxis]
-    # (K, 3, 3), (K, 3, 1) of the points, (V, 4, 4), (V, 4) of the cameras, (K, 3, 4 V + 2) of both and the mount
+    by_mount = mount.derivatives(seen, must_be) * weight[..., np.newaxis]
+    shared = by_mount.shape[-1]
+    # (K, 3, 3), (K, 3, 1) of the points, (V, 4, 4), (V, 4) of the cameras, (K, 3, 4 V + S) of both and the mount
     flat, mounted = (one.swapaxes(0, 1).reshape(size, 2 * len(seen), -1) for one in (by_point, by_mount))
     of_points = flat.transpose(0, 2, 1)
     spread = np.linalg.inv(of_points @ flat + np.eye(3) * 1e-6)
     gradient = of_points @ off.swapaxes(0, 1).reshape(size, 2 * len(seen), 1)
     both = (by_point[1:].swapaxes(-1, -2) @ by_camera).transpose(1, 2, 0, 3).reshape(size, 3, 4 * others)
     both = np.concatenate([both, of_points @ mounted], axis=-1)
-    own, all_mounted = by_camera.reshape(others, 2 * size, 4), by_mount.reshape(-1, 2)
+    own, all_mounted = by_camera.reshape(others, 2 * size, 4), by_mount.reshape(-1, shared)
     of_cameras = own.transpose(0, 2, 1)
-    information = np.zeros((4 * others + 2, 4 * others + 2))
+    information = np.zeros((4 * others + shared, 4 * others + shared))
     for row, block in enumerate(of_cameras @ own):
         information[4 * row : 4 * row + 4, 4 * row : 4 * row + 4] = block + np.diag(ROW_SIGMAS**-2)
-    information[:-2, -2:] = (of_cameras @ by_mount[1:].reshape(others, 2 * size, 2)).reshape(-1, 2)
-    information[-2:, :-2] = information[:-2, -2:].T
-    information[-2:, -2:] = all_mounted.T @ all_mounted + begun.information
+    information[:-shared, -shared:] = (of_cameras @ by_mount[1:].reshape(others, 2 * size, shared)).reshape(-1, shared)
+    information[-shared:, :-shared] = information[:-shared, -shared:].T
+    information[-shared:, -shared:] = all_mounted.T @ all_mounted + begun.information
     wanted = (of_cameras @ off[1:].reshape(others, 2 * size, 1)).ravel()
     wanted += ((at - cameras)[1:, 0] / ROW_SIGMAS**2).ravel()
-    wanted = np.concatenate([wanted, all_mounted.T @ off.ravel() + begun.information @ (begun.radians - mount.radians)])
+    wanted = np.concatenate([wanted, all_mounted.T @ off.ravel() + begun.information @ (begun.values - mount.values)])
     solved = (spread @ both).reshape(-1, len(information))
     across = both.reshape(solved.shape).T
     rows = np.linalg.inv(information - across @ solved)
     moved = rows @ (wanted - across @ (spread @ gradient).ravel())
     step = (spread @ gradient).ravel() - solved @ moved
-    shared = solved.reshape(size, 3, -1)[:, 2]
-    variance = spread[:, 2, 2] + ((shared @ rows) * shared).sum(axis=1)
+    by_shared = solved.reshape(size, 3, -1)[:, 2]
+    variance = spread[:, 2, 2] + ((by_shared @ rows) * by_shared).sum(axis=1)
     corrected = cameras.copy()
-    corrected[1:, 0] += moved[:-2].reshape(-1, 4)
-    found = Mount(mount.radians + moved[-2:], np.linalg.inv(rows[-2:, -2:]))
+    corrected[1:, 0] += moved[:-shared].reshape(-1, 4)
+    found = mount.moved(moved[-shared:], np.linalg.inv(rows[-shared:, -shared:]))
     return points + step.reshape(-1, 3), corrected, found, variance

@@ -1,4 +1,4 @@
-"""`lookback calibrate`: measure the camera's offset and the acceptance threshold; writes them into a config."""
+"""`lookback calibrate`: measure the camera, its offset and the acceptance threshold; writes them into a config."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from edge.camera.preprocessing import preprocessed_feed
 from edge.config import Config, RigConfig, load_config, parse_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
@@ -23,6 +24,7 @@ from edge.feed import Feed, read_feed
 from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.toml_file import read_text
+from sim.calibration.camera import measure_camera
 from sim.calibration.offset import (
     FEWEST,
     Offset,
@@ -39,8 +41,10 @@ from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
 from sim.traverse import config_as_mapped
 
-Lines = Mapping[tuple[str, str], float]
+Lines = Mapping[tuple[str, str], float | tuple[float, ...]]
 """Values for the config, by section and key."""
+CAMERA = [Path("camera")]
+"""The first word, in place of a FEED, without --map."""
 
 WHY_DEFAULT = (
     "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too"
@@ -52,16 +56,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback calibrate`."""
     parser.description = (
         "Measure the camera's offset along the route from recorded drives with GPS, and the acceptance"
-        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone."
+        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone. `lookback calibrate"
+        " camera FEED` measures the camera's field of view and lens from a drive with bends, without a map."
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
-    parser.add_argument("--map", type=Path, required=True, help="the map's folder")
-    parser.add_argument("--config", type=Path, help="settings of the recognizer")
+    parser.add_argument("--map", type=Path, help="the map's folder")
+    parser.add_argument("--config", type=Path, help="settings of the recognizer, and flip, crop and mask of [camera]")
     parser.add_argument("--precision", type=_share, default=0.99, metavar="P", help='0.99 or "99 %%" (default)')
     add_tolerance_option(parser)
     parser.add_argument("--curve", type=Path, metavar="CSV", help="write precision over threshold to this file")
     parser.add_argument("--write", type=Path, metavar="CONFIG", help="write the result into it; comments are kept")
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_run, error=parser.error)
 
 
 def _share(text: str) -> float:
@@ -88,11 +93,15 @@ def _run(args: argparse.Namespace) -> int:
     # Measuring takes minutes, so it is found out first whether the result can be written.
     if args.write:
         check_writable(args.write)
+    if args.map is None:
+        if args.feeds[:1] != CAMERA or len(args.feeds) != 2:
+            args.error("--map is required, except as `lookback calibrate camera FEED`, of one FEED")
+        return _run_camera(args)
     reference_map = open_map(args.map)
     settings = args.config or args.write
     made = reference_map.header
     config = load_config_for_map(settings, made) if settings else config_as_mapped(made)
-    lines: dict[tuple[str, str], float] = {}
+    lines: dict[tuple[str, str], float | tuple[float, ...]] = {}
     off_map: list[float] = []
     if args.feeds:
         offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
@@ -118,11 +127,28 @@ def _run(args: argparse.Namespace) -> int:
         _print_off_map(curve_of_map(reference_map, config), threshold, args.precision)
     if args.curve:
         args.curve.write_text(_curve_as_csv(curve), encoding="utf-8")
-    print(as_toml(lines))
-    if args.write:
-        write_lines(args.write, lines)
-        print(f"written to {args.write}")
+    _put(lines, args.write)
     return 0
+
+
+def _run_camera(args: argparse.Namespace) -> int:
+    """Of `lookback calibrate camera FEED`."""
+    settings = args.config or args.write
+    camera = (load_config(settings) if settings else Config()).camera
+    feed = preprocessed_feed(read_feed(args.feeds[1]), camera)
+    found = measure_camera(feed)
+    spelled = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.3f} ± {found.k1_sigma:.3f}"
+    print(f"camera of {feed.path}: {spelled}")
+    _put({("camera", "fov_deg"): round(found.fov_deg, 1), ("camera", "distortion"): found.distortion}, args.write)
+    return 0
+
+
+def _put(lines: Lines, config: Path | None) -> None:
+    """Print the lines, and write them into a config."""
+    print(as_toml(lines))
+    if config:
+        write_lines(config, lines)
+        print(f"written to {config}")
 
 
 def _with_known(rig: RigConfig, offsets: Sequence[Offset]) -> RigConfig:
@@ -194,9 +220,15 @@ def as_toml(lines: Lines) -> str:
     """The lines of a config file."""
     sections = dict.fromkeys(section for section, _ in lines)
     return "\n".join(
-        "\n".join([f"[{name}]", *(f"{key} = {value:g}" for (section, key), value in lines.items() if section == name)])
+        "\n".join(
+            [f"[{name}]", *(f"{key} = {_toml(value)}" for (section, key), value in lines.items() if section == name)]
+        )
         for name in sections
     )
+
+
+def _toml(value: float | tuple[float, ...]) -> str:
+    return f"[{', '.join(map(str, value))}]" if isinstance(value, tuple) else f"{value:g}"
 
 
 def check_writable(path: Path) -> None:
@@ -208,13 +240,13 @@ def check_writable(path: Path) -> None:
         pass
 
 
-def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str]) -> None:
+def write_lines(path: Path, lines: Mapping[tuple[str, str], float | str | tuple[float, ...]]) -> None:
     """Write values into a config file in one step; its comments, order and other keys stay. ConfigError."""
     import tomlkit
 
     document = tomlkit.parse(read_text(path))
     for (section, key), value in lines.items():
-        document.setdefault(section, tomlkit.table())[key] = value
+        document.setdefault(section, tomlkit.table())[key] = list(value) if isinstance(value, tuple) else value
     new = tomlkit.dumps(document)
     parse_config(new, path)  # a valid config stays valid
     with refusing(ConfigError, f"{path}: cannot write it"), replacing(path) as stream:
