@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default 100)")
     parser.add_argument("--within-m", type=float, default=20.0, metavar="M", help="drift that is accepted (default 20)")
     parser.add_argument("--geojson", type=Path, metavar="FILE", help="write the stretches as GeoJSON, too")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="write the sheet as a page of A4 (SVG, PDF, PNG)")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="draw them on a page (HTML), too")
     parser.set_defaults(run=_run)
 
 
@@ -76,18 +76,18 @@ def _run(args: argparse.Namespace) -> int:
         print(one)
     if args.geojson:
         args.geojson.write_text(_geojson(maps, sheet.stretches, found), encoding="utf-8")
-    if args.picture:
+    if args.report:
         lines = [_line(maps, one.span) for one in sheet.stretches]
         way = "home" if args.way == "home" else "the same way again"
         camera = "ahead" if args.view == "front" else "back"
-        headline = verdict(sheet, f"{way} by {args.light}, with a camera that looks {camera}", args.within_m)
         words = [
+            verdict(sheet, f"{way} by {args.light}, with a camera that looks {camera}", args.within_m),
             f"{gap_in_words(sheet.gap, percent).capitalize()}.",
             f"Of {args.map.name}, from {basis}. Beyond the first {KNOWN_M:.0f} m of a drive, all stretches that"
             " nobody drove have one share, since nothing is known of their differences.",
             *_advice(args, maps),
         ]
-        write_sheet(args.picture, sheet, lines, found, headline, words, f"the map {args.map}", _views(maps))
+        write_sheet(args.report, sheet, lines, found, words, f"the map {args.map}", _views(maps))
     return 0
 
 

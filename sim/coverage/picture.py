@@ -1,4 +1,4 @@
-"""A page of A4: a verdict, a road in meters, and how far each stretch of it is to be trusted."""
+"""A page of a road: a verdict, the road from above, and how far each stretch of it is to be trusted."""
 
 from __future__ import annotations
 
@@ -7,25 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
+import edge
 from edge.errors import ConfigError
 from edge.geodesy import east_north_of
 from sim.coverage.aliases import Alias
 from sim.coverage.sheet import Gap, Sheet, SheetSpan
-from sim.output import needing
+from sim.output import needing, refusing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-A4_INCHES = (8.27, 11.69)
 LEVELS = ((0.8, "#0072B2", "over 80 % of the frames"), (0.4, "#E69F00", "40 to 80 %"), (0.0, "#D55E00", "less"))
 """Least share, color and words; of Okabe and Ito, whose colors differ for every kind of color vision."""
 UNKNOWN, ALIKE = "#BBBBBB", "#CC79A7"
 ASIDE = 0.006  # of the extent of the road, to the right of it
-BARS_M = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
-MOST_ALIKE = 6  # in words, of those that look alike
 GOOD, POOR = 0.9, 0.5
 """Share of the drives whose drift stays within the limit, from which a route is ready, or a risk."""
 
@@ -75,14 +72,13 @@ def write_sheet(
     sheet: Sheet,
     lines: Sequence[Sequence[Sequence[float]]],
     found: Sequence[Alias],
-    headline: str,
     words: Sequence[str],
     name: str,
     views: Sequence[tuple[str, bytes]] = (),
 ) -> None:
     """Write what to expect of a map. lines: of each stretch, longitudes and latitudes in degrees.
 
-    name: of the map. views: pictures of places (JPEG). SetupError without matplotlib.
+    name: of the map. views: words and pictures of places (JPEG). SetupError without matplotlib.
     """
     alike = {one.stretch: one.other for one in found}
     bands = [
@@ -95,63 +91,49 @@ def write_sheet(
         for a, b in alike.items()
         if alike.get(b) != a or (a.segment, a.from_m) < (b.segment, b.from_m)
     ]
-    more = [f"{len(pairs) - MOST_ALIKE} more look like another."] if len(pairs) > MOST_ALIKE else []
-    rest = [*words, *(pairs[:MOST_ALIKE] or ["No stretch looks like another."]), *more]
-    legend = [(color, of_color) for _, color, of_color in LEVELS]
-    legend += [(UNKNOWN, "not known"), (ALIKE, "looks like another stretch")]
+    legend = [*((color, of_color) for _, color, of_color in LEVELS), (UNKNOWN, "not known")]
     label = "meters along the map's drives; black: the longest gap"
-    write_page(path, f"Where {name} will be recognized", headline, [("", bands)], legend, rest, label, views)
+    said = [*words, *(pairs or ["No stretch looks like another."])]
+    panels = [("The map's drives", bands)]
+    write_page(
+        path, f"Where {name} will be recognized", said, panels, [*legend, (ALIKE, "like another stretch")], label, views
+    )
 
 
 def write_page(
     path: Path,
     title: str,
-    headline: str,
+    words: Sequence[str],
     panels: Sequence[tuple[str, Sequence[Band]]],
     legend: Sequence[tuple[str, str]],
-    words: Sequence[str],
     label: str,
     views: Sequence[tuple[str, bytes]] = (),
 ) -> None:
-    """Write a page. panels: roads side by side, each with a name. legend: colors and words. label: below the strips.
+    """Write a page. panels: roads, each with a name. legend: colors and words. label: below the strips.
 
     SetupError without matplotlib.
     """
-    with needing("--picture", "sim"):
+    with needing("--report", "sim"):
         from matplotlib.figure import Figure
         from matplotlib.patches import Patch
-    figure = Figure(figsize=A4_INCHES)
-    figure.text(0.08, 0.95, title, fontsize=17, weight="bold", va="top")
-    figure.text(0.08, 0.915, _wrapped(headline, 80), fontsize=11.5, va="top", linespacing=1.4)
-    width = 0.84 / max(len(panels), 1)
-    for column, (name, bands) in enumerate(panels):
-        left = 0.08 + column * width
-        axes = figure.add_axes((left, 0.47 if views else 0.37, width - 0.02, 0.36 if views else 0.46))
-        _draw_map(axes, bands)
-        strip = figure.add_axes((left, 0.265, width - 0.02, 0.035))
+
+        from sim.evaluation import report
+        from sim.evaluation.figures import WIDTH_IN, to_png
+    drawn = []
+    for name, bands in panels:
+        figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
+        above, strip = figure.subplots(2, height_ratios=(12, 1))
+        _draw_map(above, bands)
         _draw_strip(strip, bands)
-        strip.set_xlabel(f"{name}: {label}" if name else label, fontsize=9)
-    figure.legend(
-        handles=[Patch(color=color, label=of_color) for color, of_color in legend], ncols=5, loc="lower center",
-        bbox_to_anchor=(0.5, 0.31), fontsize=8, frameon=False, handlelength=1.2, columnspacing=1.2,
-    )  # fmt: skip
-    for column, (words_of, jpeg) in enumerate(views):
-        axes = figure.add_axes((0.08 + column * 0.84 / len(views), 0.35, 0.84 / len(views) - 0.01, 0.1))
-        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-        axes.imshow(np.asarray(image)[:, :, ::-1])
-        axes.set_axis_off()
-        axes.set_title(words_of, fontsize=8)
-    figure.text(0.08, 0.2, "\n".join(_wrapped(one, 95) for one in words), fontsize=9.5, va="top", linespacing=1.5)
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--picture {path}: cannot write it: {error}") from None
-
-
-def _wrapped(text: str, columns: int) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, columns))
+        strip.set_xlabel(label, fontsize=9)
+        handles = [Patch(color=color, label=of_color) for color, of_color in legend]
+        figure.legend(handles=handles, ncols=3, loc="outside upper center", fontsize=8, frameon=False)
+        drawn.append(report.Figure("road", name, to_png(figure)))
+    pictures = [report.Picture(jpeg, of_place) for of_place, jpeg in views]
+    section = report.ReportSection("From above", figures=drawn, pictures=[pictures] if pictures else [])
+    page = report.render_page(title, {"version": edge.__version__}, [section], words)
+    with refusing(ConfigError, f"--report {path}: cannot write it"):
+        path.write_text(page, encoding="utf-8")
 
 
 def _color(one: SheetSpan) -> str:
@@ -169,8 +151,8 @@ def _gap_m(gap: Gap | None, one: SheetSpan) -> tuple[float, float] | None:
 def _draw_map(axes: Axes, bands: Sequence[Band]) -> None:
     """From above, in meters, north up."""
     points = [point for one in bands for point in one.line]
-    axes.set_axis_off()
     if not points:
+        axes.set_axis_off()
         axes.text(0.5, 0.5, "a map without positions", ha="center", transform=axes.transAxes)
         return
     origin = points[0][1], points[0][0]
@@ -189,17 +171,8 @@ def _draw_map(axes: Axes, bands: Sequence[Band]) -> None:
         axes.plot(east_m, north_m, lw=4.5, color=one.color, solid_capstyle="butt")
         if one.gap_m is not None:
             axes.plot(east_m, north_m, lw=1.3, color="black", ls=(0, (2, 2)))
+    axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.08)
-    axes.autoscale_view()
-    axes.apply_aspect()
-    axes.autoscale(enable=False)
-    low, high = axes.get_xlim()
-    bar_m = max((one for one in BARS_M if one <= (high - low) / 3), default=BARS_M[0])
-    bottom, top = axes.get_ylim()
-    at = low + 0.02 * (high - low), bottom + 0.02 * (top - bottom)
-    axes.plot([at[0], at[0] + bar_m], [at[1]] * 2, color="black", lw=2)
-    axes.text(at[0] + bar_m + 0.015 * (high - low), at[1], f"{bar_m} m, north is up", va="center", fontsize=9)
 
 
 def _draw_strip(axes: Axes, bands: Sequence[Band]) -> None:

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stretch-m", type=float, default=100.0, metavar="M", help="length of a stretch (default 100)")
     about = "write the stretches as well (.csv, .json, .geojson)"
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=about)
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw them on a page of A4 (SVG, PDF, PNG)")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="draw them on a page (HTML)")
     parser.set_defaults(run=_run)
 
 
@@ -92,8 +92,8 @@ def _run(args: argparse.Namespace) -> int:
     if args.output:
         writers = {".csv": lambda: _csv(found), ".json": lambda: _json(found), ".geojson": lambda: _geojson(found)}
         write_by_suffix(args.output, writers)
-    if args.picture:
-        _draw(args.picture, found)
+    if args.report:
+        _draw(args.report, found)
     return 0
 
 
@@ -244,11 +244,11 @@ def _draw(path: Path, found: Report) -> None:
     judged = (
         f"Judged by GPS on {_drives(found.judges)}; a drive counts if GPS was good on {100 * JUDGED_SHARE:.0f} % of it."
     )
-    lines = [judged, *words]
+    lines = [first, judged, *words]
     for light, positions in found.lights.items():
         factors = "; ".join(f"{name} {_factor(positions.factor(axis))}" for axis, name in enumerate(AXES))
         lines += [f"{light}: off by {_spread(positions)} (median, 95 %, largest). Standard deviation {factors}."]
-    write_page(path, "Where Lookback is ready", first, panels, LEGEND, lines, "meters of road")
+    write_page(path, "Where Lookback is ready", lines, panels, LEGEND, "meters of road")
 
 
 def _color(one: SpanReadiness | None) -> str:

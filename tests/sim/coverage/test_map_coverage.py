@@ -213,18 +213,17 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert [one["is_mean"] for one in found] == [False, False, True], "of the third no more is known"
 
 
-def test_a_picture_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `sim`")
     command = ["map", "coverage", str(maps.path), write(tmp_path / "nowhere.jsonl", drive([])), "--rehearsals", "0"]
-    for name in ("route.pdf", "route.svg"):
-        assert main([*command, "--picture", str(tmp_path / name)]) == 0
-    assert (tmp_path / "route.pdf").read_bytes().startswith(b"%PDF")
-    page = (tmp_path / "route.svg").read_text(encoding="utf-8")
-    assert 'width="595.44pt" height="841.68pt"' in page, "A4"
-    assert "Not ready: home by night, with a camera that looks ahead, most drives" in page
+    assert main([*command, "--report", str(tmp_path / "route.html")]) == 0
+    page = (tmp_path / "route.html").read_text(encoding="utf-8")
+    assert "Not ready: home by night, with a camera that looks ahead, most drives recognize nothing." in page
+    assert '<p class="lead">Longest gap: the whole route.</p>' in page and "No stretch looks like another." in page
+    assert page.count("data:image/png") == 1
     capsys.readouterr()
-    assert main([*command, "--picture", "/none/route.png"]) != 0
-    assert "/none/route.png: cannot write it" in capsys.readouterr().err
+    assert main([*command, "--report", "/none/route.html"]) != 0
+    assert "/none/route.html: cannot write it: No such file" in capsys.readouterr().err
 
 
 def test_a_real_corridor_is_predicted(shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

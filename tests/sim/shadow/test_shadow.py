@@ -154,8 +154,9 @@ def test_ready_here_and_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[
     first = json.loads((tmp_path / "a.geojson").read_text())["features"][0]
     assert len(first["geometry"]["coordinates"]) > 15
     pytest.importorskip("matplotlib", reason="needs the extra `sim`")
-    assert main([*words, "--picture", str(tmp_path / "a.svg")]) == 0
-    assert (tmp_path / "a.svg").read_text().count("#0072b2") >= 2, "the legend, and what is ready"
+    assert main([*words, "--report", str(tmp_path / "a.html")]) == 0
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 1 and "Judged by GPS on 2 drives" in page
 
 
 def test_both_directions_of_a_road_are_stretches_of_their_own(tmp_path: Path) -> None:
