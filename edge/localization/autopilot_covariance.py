@@ -162,8 +162,6 @@ class AutopilotCovariance:
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self.by_gps: OdometryDatum | None = None
         """Where GPS had the vehicle last."""
-        self.when_lost: OdometryDatum | None = None
-        """The same, by motion in which GPS has no part."""
         self._by_gps_m = 0.0  # driven by then
         self._trusted: tuple[OdometryDatum, float] | None = None  # what no place can have moved, and driven by then
         self.rests_on_fixes = False
@@ -251,7 +249,6 @@ class AutopilotCovariance:
         if position is not None and own.driven_m is not None and own.gps_sigma_m is not None:
             where = position.lat_deg, position.lon_deg, own.gps_sigma_m
             self.by_gps = None if own.motion is None else OdometryDatum(*where, own.motion)
-            self.when_lost = None if own.without_gps is None else OdometryDatum(*where, own.without_gps)
             self._by_gps_m = own.driven_m
 
     def trust(self, own: AutopilotState, *, is_doubted: bool) -> None:

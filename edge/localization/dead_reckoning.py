@@ -34,6 +34,9 @@ TAKEN_BACK = 0.5
 """Share of it that may remain when it is taken back, since the vehicle's own speed changes meanwhile."""
 SLOW_MPS = 1.0
 """A speed below counts as this: by which factor it changes from almost nothing says nothing."""
+REPORTS_APART_NS = 1_500_000_000
+"""The longest silence between two rates of gyros or fixes of a receiver, which come once a second or more often. At
+one rate a second, as on eleven recorded drives, the heading is uncertain by 2 to 4 degrees after 40 s, see `Gyros`."""
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
 """Used frames of which the first and the last third are held against each other, the distance that gives a course, and
 how far it must have turned."""

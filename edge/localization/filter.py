@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.localization.events import GPS_SIGMA_M
 from edge.localization.odometer_calibration import ScaleFactor
 
 Vector = NDArray[np.float64]
@@ -30,7 +31,7 @@ POSITION, HEADING, SCALE, DOUBT, GYRO, COMPASS, GPS, DRAG = slice(0, 2), 2, 3, 4
 """Where the states are that do not belong to a drive of the map."""
 DRIVES, OF_DRIVE = 3, 7
 """Drives of the map whose errors are kept, and states of each."""
-OF_ALL = 11
+OF_ALL = DRAG.stop
 """States that do not belong to a drive of the map, and come first."""
 CORRELATION_M = 60.0
 """Meters driven within which the errors of two sequence matches are about the same."""
@@ -50,8 +51,10 @@ headings were off by 0.8 to 1.4 degrees, and gyros by 0.06 to 0.15 degrees a sec
 TURNED_RAD, BIAS_RADPS = math.radians(0.05), math.radians(0.004)
 """By how much a heading by gyros and their bias change in a root second. On the same drives such headings are 1.1 to
 1.8 degrees from a constant bias within 240 s."""
-GPS_M, GPS_S = 2.0, 60.0
-"""One standard deviation of an honest GPS in each direction, and the time in which it changes."""
+GPS_SHARE, GPS_S = 2 / 3, 60.0
+"""Of what a receiver reports as its standard deviation: how much of it changes, and the time in which it does."""
+GPS_M = GPS_SHARE * GPS_SIGMA_M
+"""One standard deviation of an honest GPS in each direction."""
 WANDER = 0.03
 """Meters of error per square root of a meter driven that heading and scale do not explain."""
 DOUBTFUL = -0.5, 0.5

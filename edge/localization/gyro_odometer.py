@@ -11,11 +11,7 @@ import math
 
 from msgspec.structs import replace
 
-from edge.localization.dead_reckoning import DeadReckoning, Gyros, Integral, Odometry
-
-RATES_APART_NS = 1_500_000_000
-"""The longest silence between two rates. Of six that are requested a second, one has come by then; at one a second, as
-eleven recorded drives have them, the heading is uncertain by 2 to 4 degrees after 40 s, which `Gyros` accounts for."""
+from edge.localization.dead_reckoning import REPORTS_APART_NS, DeadReckoning, Gyros, Integral, Odometry
 
 
 class GyroOdometer:
@@ -23,19 +19,19 @@ class GyroOdometer:
 
     def __init__(self) -> None:
         self._moved = DeadReckoning()
-        self._turned = Integral(RATES_APART_NS, RATES_APART_NS)
+        self._turned = Integral(REPORTS_APART_NS, REPORTS_APART_NS)
         self._began_ns = self._legs = 0
         self._compass_rad = 0.0  # the autopilot's heading less that by the gyros, at the newest rate
 
     def is_turned(self, now_ns: int) -> bool:
         """Whether rates come."""
         last_ns = self._turned.last_ns
-        return last_ns is not None and now_ns - last_ns <= RATES_APART_NS
+        return last_ns is not None and now_ns - last_ns <= REPORTS_APART_NS
 
     def end_leg(self, *, is_same_vehicle: bool = True) -> None:
         """See `DeadReckoning`; the heading begins anew."""
         self._moved.end_leg(is_same_vehicle=is_same_vehicle)
-        self._turned = Integral(RATES_APART_NS, RATES_APART_NS)
+        self._turned = Integral(REPORTS_APART_NS, REPORTS_APART_NS)
 
     def turn(
         self, stamp_ns: int, rate_radps: float, heading_rad: float | None, body_mps: tuple[float, float] | None
@@ -47,7 +43,7 @@ class GyroOdometer:
         last_ns = self._turned.last_ns
         if last_ns is not None and stamp_ns <= last_ns:
             return
-        if last_ns is None or stamp_ns - last_ns > RATES_APART_NS:
+        if last_ns is None or stamp_ns - last_ns > REPORTS_APART_NS:
             self.end_leg()
             if heading_rad is None:
                 return

@@ -23,16 +23,15 @@ from collections.abc import Callable
 from itertools import chain
 from typing import Literal, TypeAlias
 
-from edge.localization.evidence import STRETCH_WRONG
+from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import DRAG, GPS, GYRO, POSITION, Filter
+from edge.localization.measurements import SECOND_M
 
 Name: TypeAlias = Literal["burst", "gyros", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
 DRAG_MPS = 1.0
 """One standard deviation of the speed at which GPS is dragged, in each direction."""
-ELSEWHERE_M, MAP_ELSEWHERE_M, LOST_M = 100.0, 60.0, 1000.0
-"""The same of how far off GPS or a drive of the map is, and a vehicle that is lost."""
-BESIDE_M = 2.5
-"""The same of a position that began with a second solution."""
+ELSEWHERE_M, MAP_ELSEWHERE_M = 100.0, 60.0
+"""The same of how far off GPS or a drive of the map is."""
 BURST_SHARE, BURST_M = 0.05, 7.0
 """Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
 GYROS_SHARE, GYROS_RADPS = 1e-5, math.radians(1.0)
@@ -126,8 +125,8 @@ JUMPS: dict[Name, Callable[[Filter], None]] = {
     "burst": lambda state: state.widen(GPS, BURST_M),
     "gps elsewhere": _gps_elsewhere,
     "map elsewhere": _map_elsewhere,
-    "lost": lambda state: state.widen(POSITION, LOST_M),
-    "beside": lambda state: state.widen(POSITION, BESIDE_M),
+    "lost": lambda state: state.widen(POSITION, SPREAD_M),
+    "beside": lambda state: state.widen(POSITION, SECOND_M),
 }
 CREEPS: dict[Name, Callable[[Filter], None]] = {
     "gps dragged": lambda state: state.widen(DRAG, DRAG_MPS),

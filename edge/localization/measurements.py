@@ -32,7 +32,7 @@ COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
 LOOK_NOISE_M = 0.05
 """Of a look, beside its covariance."""
-SECOND = 0.1, 2.5
+SECOND_SHARE, SECOND_M = 0.1, 2.5
 """Share of looks that are a second solution of their geometry, and how far off these are."""
 WITHIN_M = 300.0
 """Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
@@ -58,7 +58,8 @@ def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bo
     shared = max(1.0, SHARED_M / max(state.since_look_m, STANDS_M))
     rows = state.rows((POSITION, np.eye(2)), (slot.map, np.eye(2)), (slot.whole, np.eye(2)))
     noise = shared * look.covariance + LOOK_NOISE_M**2 * np.eye(2)
-    if not state.correct(rows, look.position_m - rows @ state.mean, noise, is_evidence * WITHIN_M**-2, SECOND):
+    off_m, second = look.position_m - rows @ state.mean, (SECOND_SHARE, SECOND_M)
+    if not state.correct(rows, off_m, noise, is_evidence * WITHIN_M**-2, second):
         return False
     state.since_look_m = 0.0
     if look.course is not None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.geodesy import Origin, east_north_of
-from edge.localization.dead_reckoning import MAX_SPEED_MPS
+from edge.localization.dead_reckoning import MAX_SPEED_MPS, REPORTS_APART_NS
 
 AGREE_SIGMAS = 3.0
 """Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
@@ -23,8 +23,6 @@ SPAN_M, WITHIN_M, LEAST_M = 5.0, 500.0, 10.0
 """Meters of a span that is compared, of all spans that count, and from which on they show anything."""
 STANDS_M = 0.3
 """Less between two readings is no way: there a receiver's position wanders while the vehicle stands."""
-APART_NS = 1_500_000_000
-"""The longest silence between two fixes of a receiver, or after the last before a reading."""
 WALK_M, ROUGH_M, LATE_S, LAG_S = 0.2, 0.3, 0.2, 0.15
 """Of a receiver's positions: how much of their error changes within the root of a second, what else differs from one to
 the next, how late they come, and how uncertain that is: 0.1 to 0.3 s on 14 recorded drives, by 15 to 25 m of which,
@@ -135,7 +133,7 @@ class OdometerCalibration:
         if len(self._fixes) > 1:
             self._fixes.popleft()
         self._without = None
-        if not 0 < stamp_ns - before_ns <= APART_NS:
+        if not 0 < stamp_ns - before_ns <= REPORTS_APART_NS:
             self._began = None
             return
         while self._readings and self._readings[0].stamp_ns <= stamp_ns:
@@ -157,7 +155,7 @@ class OdometerCalibration:
             self._began = self._without = None
             return
         self._readings.append(self._newest)
-        if self._fixes and stamp_ns - self._fixes[-1][0] > 2 * APART_NS and own_m is not None:
+        if self._fixes and stamp_ns - self._fixes[-1][0] > 2 * REPORTS_APART_NS and own_m is not None:
             self._check(driven_m, own_m)
 
     def _check(self, driven_m: float, own_m: float) -> None:

@@ -240,7 +240,7 @@ class PositionEstimator:
         if is_no_bound or (self._gps.is_ignored and not ignored):
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M)
-            self._bound.by_gps = self._bound.when_lost = None
+            self._bound.by_gps = None
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own

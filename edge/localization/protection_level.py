@@ -16,10 +16,12 @@ argument, and what was counted.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from statistics import NormalDist
 
 from edge.journal.records import PlaceFix
+from edge.localization.dead_reckoning import SLOW_MPS
 from edge.localization.events import UNBOUNDED, ProtectionLevel
 from edge.localization.evidence import STRETCH_WRONG, alike_m
 from edge.localization.filter import CORRELATION_M
@@ -27,16 +29,12 @@ from edge.localization.odometry_datum import DeadReckoningOffset
 
 MODEL_ERROR = 1.2
 """Times by which errors may be larger than the filter states: counted on simulated drives."""
-OF_PLACE, OF_MAP, OF_ERRORS, OF_SHIFT = 0.375, 0.125, 0.125, 0.125
-"""Shares of the risk: of wrong places, of a shifted map, and in each of the two directions of errors on a right stretch
-and on a shifted one."""
-LEAST_MPS = 1.0
-"""A slower vehicle counts as driving at this speed."""
+SHARE = 0.125
+"""Of the risk: of a shifted map, and in each of the two directions of errors on a right stretch and on a shifted one.
+Wrong places have three of them."""
 UNNOTICED_M = alike_m(CORRELATION_M, 0.0)
 """Two observations in a row count as one claim if they differ by no more than that: 9 m. What the test allows for the
 velocity's error besides, that error needs itself."""
-NEVER = 1e-300
-"""A probability that rounding cannot make 0."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +61,17 @@ def protection_level(
     reckoned: None where nothing but places bounds the position. stretch_m: meters of driving within which places are
     wrong together; a map that is shifted is so for the whole drive.
     """
-    driven_m = 3600 * max(speed_mps, LEAST_MPS)
-    by_errors = MODEL_ERROR * _sigmas(OF_ERRORS * risk_per_hour * CORRELATION_M / driven_m)
+    driven_m = 3600 * max(speed_mps, SLOW_MPS)
+    by_errors = MODEL_ERROR * _sigmas(SHARE * risk_per_hour * CORRELATION_M / driven_m)
     of_a_stretch = risk_per_hour * stretch_m / driven_m
-    by_shift = MODEL_ERROR * _sigmas(OF_SHIFT * of_a_stretch / STRETCH_WRONG)
+    by_shift = MODEL_ERROR * _sigmas(SHARE * of_a_stretch / STRETCH_WRONG)
     along_m, across_m = (
         max(by_errors * sigma_m, UNNOTICED_M + by_shift * sigma_m)
         for sigma_m in (fix.sigma_along_m, fix.sigma_across_m)
     )
     # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
-    by_place = OF_PLACE * of_a_stretch / max(wrong.place, NEVER)
-    allowed = min(by_place, OF_MAP * risk_per_hour / max(wrong.map, NEVER))
+    by_place = 3 * SHARE * of_a_stretch / max(wrong.place, sys.float_info.min)
+    allowed = min(by_place, SHARE * risk_per_hour / max(wrong.map, sys.float_info.min))
     if allowed >= 1:
         return ProtectionLevel(along_m, across_m)
     if reckoned is None or allowed <= wrong.bound or fix.heading_deg is None:

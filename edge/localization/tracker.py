@@ -27,6 +27,7 @@ from edge.localization.filter import (
     CORRELATION_M,
     GATE,
     GPS_M,
+    GPS_SHARE,
     HEADING,
     POSITION,
     SCALE,
@@ -34,8 +35,9 @@ from edge.localization.filter import (
     FilterStep,
     Vector,
 )
-from edge.localization.hypotheses import FilterBank, Name
-from edge.localization.odometer_calibration import AGREE_SIGMAS, ScaleFactor
+from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
+from edge.localization.integrity import BESIDE_M
+from edge.localization.odometer_calibration import AGREE_SIGMAS, STANDS_M, ScaleFactor
 from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
@@ -47,8 +49,6 @@ FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 LOOKED_NS = 1_000_000_000
 """After a look, in which a position that is moved on still counts as what it showed."""
-GOES_M = 0.3
-"""Meters driven from which on a displacement since the newest frame shows where the vehicle goes."""
 USUAL = 0.03
 """One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
 wrong, and of 50 m GPS shows it to 3 %. At dusk four recorded drives are 7.0 / 14.1 / 15.4 m off (median, 95 %, most),
@@ -68,20 +68,12 @@ KNOWN_SCALE = 0.015
 place."""
 UNDATED_M = 5.0
 """A match whose place is uncertain by more, since its picture has no time, is evidence for no hypothesis."""
-UNKNOWN_M = 100.0
-"""Standard deviation of a position along the road that nothing bounds: more than a line of 40 frames is long."""
 NEAR = 4.0
 """Square of the standard deviations within which a GPS that was called wrong agrees again: drags are called 5 m off."""
-ASTRAY_M = 6.0
-"""One standard deviation of how far an autopilot steers beside its lane, by what it is wrong about where it is. Without
-it, positions of simulated vehicles that steer themselves by lines are off by 1.4 times what they say."""
-GPS_FAR_M = 200.0
+GPS_FAR_M = 2 * ELSEWHERE_M
 """GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
-GPS_SHARE = 2 / 3
-"""Of what a receiver reports as its standard deviation: how much of it changes within `GPS_S`."""
 MISLED_RAD = math.radians(15)
 """One standard deviation of the heading of an autopilot that followed a wrong GPS: 7 to 18 degrees on six drives."""
-BY_CHANCE = STRETCH_WRONG  # probability of agreeing with reckoning by chance, up to which a first match is certain
 
 
 class TrackScore:
@@ -113,7 +105,7 @@ class TrackScore:
         After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
         recorded drive from 20 m off to 41 (fc6, confidence 0.92).
         """
-        is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= BY_CHANCE
+        is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= STRETCH_WRONG
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
 
 
@@ -209,7 +201,7 @@ class Tracker:
         return gps_m if far_m <= GPS_FAR_M else self.bank.right.position_m + off_m * (GPS_FAR_M / far_m)
 
     def _place(self, position_m: Vector) -> None:
-        self.bank.right.place(position_m, UNKNOWN_M**2 * np.eye(2))
+        self.bank.right.place(position_m, ELSEWHERE_M**2 * np.eye(2))
         self.bank.begin(self.bank.right)
         self._is_placed = True
 
@@ -313,7 +305,7 @@ class Tracker:
         if track is None:
             track = TrackScore(self._by_chance(sighting))
         if own.drives_itself:
-            lane_m = math.hypot(sighting.errors.lane_m, ASTRAY_M)
+            lane_m = math.hypot(sighting.errors.lane_m, BESIDE_M)
             sighting = dataclasses.replace(sighting, errors=dataclasses.replace(sighting.errors, lane_m=lane_m))
         look, drive, errors = sighting.pose, sighting.drive, sighting.errors
 
@@ -342,7 +334,7 @@ class Tracker:
         """Be where the first match is."""
         state, since_m = self.bank.right, sighting.midpoint.since_m
         moved_m = state.truly(since_m[:2], since_m[2:])
-        state.place(sighting.midpoint.place_m + moved_m, UNKNOWN_M**2 * np.eye(2))
+        state.place(sighting.midpoint.place_m + moved_m, ELSEWHERE_M**2 * np.eye(2))
         self.bank.begin(state)
         self._is_placed = True
         self._is_begun = True
@@ -427,7 +419,7 @@ class Tracker:
             return None
         state = self.bank.right.copy()
         state.predict(step)
-        course_rad = math.atan2(step.moved_m[0], step.moved_m[1]) if driven_m >= GOES_M else self._course_rad
+        course_rad = math.atan2(step.moved_m[0], step.moved_m[1]) if driven_m >= STANDS_M else self._course_rad
         return self._fix(track, state, stamp_ns, track.since_m + driven_m, course_rad)
 
     def _is_lost(self, track: TrackScore, stamp_ns: int, driven_m: float) -> bool:

@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from edge.localization.gyro_odometer import RATES_APART_NS, GyroOdometer
+from edge.localization.dead_reckoning import REPORTS_APART_NS
+from edge.localization.gyro_odometer import GyroOdometer
 from tests.common import S
 
 SPEED_MPS = 4.0
@@ -45,7 +46,7 @@ def test_without_rates_nothing_is_known_and_afterwards_it_is_another_leg() -> No
     own = GyroOdometer()
     drive(own, 5.0, 0.05)
     before = own.displacement(6 * S)
-    assert own.displacement(6 * S + RATES_APART_NS + S // 10) is None
+    assert own.displacement(6 * S + REPORTS_APART_NS + S // 10) is None
     for step in range(10):
         own.turn(10 * S + step * S // 10, 0.0, 0.0, (SPEED_MPS, 0.0))
     after = own.displacement(11 * S)

@@ -47,7 +47,6 @@ CONSTANTS: dict[str, object] = {
     "place_fix.PUSHED": -math.inf,
     "place_fix.heads_along": lambda road_rad, heading_rad: True,
     "sequence_match.SHARP": 1e-9,
-    "tracker.BY_CHANCE": math.inf,
     "tracker.CALL": math.inf,
     "tracker.DISAGREE": math.inf,
     "tracker.FIRST": 1,
