@@ -13,7 +13,8 @@
 A hypothesis begins as a copy of the right filter in which one thing is unknown. One that jumps begins anew whenever it
 is less likely than the right one: Page's rule, with the innovations of Kalman filters. One that creeps begins every few
 seconds, and the likeliest beginning counts: a generalized likelihood ratio (Willsky and Jones 1976). What GPS and
-places contradict each other by is alike for both; the vehicle's own motion, which all share, tells them apart.
+places contradict each other by is alike for both; the vehicle's own motion, which all share, tells them apart. What
+nobody asks for is not run: a vehicle that has GPS is not lost, and without GPS no burst displaces it.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ explains a GPS that is dragged on one of two recorded drives, which is then call
 are up to 5.1 sigma off instead of 2.9."""
 HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(GYROS_SHARE)}
 """Hypotheses by which nothing is wrong that concerns the pilot, and the logarithm of how often they are true."""
+ASKED: dict[Name, bool] = {"burst": True, "gyros": True, "lost": False, "beside": False, "slips": False}
+"""Whether a hypothesis is asked for only with GPS, or only without it. It is run for as long after that as beginnings
+are kept; the others are run always."""
 COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
 """Logarithm of how probable hypotheses are beside the others, where that is known."""
 BEGINS_S, BEGUN = 5.0, 4
@@ -53,15 +57,15 @@ class FilterBank:
     """The filter bank: the right filter, and those of the other hypotheses."""
 
     def __init__(self, right: Filter) -> None:
+        self._last_s = dict.fromkeys((True, False), -math.inf)  # with GPS, and without it
         self.begin(right)
 
     def begin(self, right: Filter, before: Filter | None = None) -> None:
         """All hypotheses begin with this filter. before: the one that was right until the vehicle was lost."""
         self.right, self.before = right, before
         self._jumped: dict[Name, Filter] = {}
-        self._crept: dict[Name, list[Filter]] = {name: [] for name in CREEPS}
+        self._crept: dict[Name, list[Filter]] = {}
         self._began_s = -math.inf
-        self.judge(0.0)
 
     def each(self, use: Callable[[Filter], bool | None]) -> bool:
         """Predict or correct all of them; what the right one returned."""
@@ -83,8 +87,13 @@ class FilterBank:
         right = self.right.likelihood
         return max(0.0, *(self.of(name).likelihood + COSTS.get(name, 0.0) - right for name in names))
 
-    def judge(self, now_s: float) -> None:
-        """After all that was measured by a time in seconds."""
+    def judge(self, now_s: float, *, has_gps: bool) -> None:
+        """After all that was measured by a time in seconds; has_gps: whether GPS counts."""
+        self._last_s[has_gps] = now_s
+        unasked = [name for name, asks in ASKED.items() if now_s - self._last_s[asks] > BEGINS_S * BEGUN]
+        for name in unasked:
+            self._jumped.pop(name, None)
+            self._crept.pop(name, None)
         for name, cost in HONEST.items():
             honest = self.of(name)
             if honest.likelihood + cost <= self.right.likelihood:
@@ -92,23 +101,22 @@ class FilterBank:
             honest.likelihood += cost
             self.right = honest
             self._jumped.pop(name, None)
-            if name in self._crept:
-                self._crept[name].clear()
-        for name, jump in JUMPS.items():
+            self._crept.pop(name, None)
+        for name in JUMPS.keys() - unasked:
             other = self._jumped.get(name)
             if other is None or other.likelihood <= self.right.likelihood:
                 other = self._jumped[name] = self.right.copy()
-                jump(other)
-        if now_s - self._began_s < BEGINS_S and now_s > 0:
+                JUMPS[name](other)
+        if now_s - self._began_s < BEGINS_S:
             return
         self._began_s = now_s
-        for name, creep in CREEPS.items():
-            begun = self._crept[name]
+        for name in CREEPS.keys() - unasked:
+            begun = self._crept.setdefault(name, [])
             if len(begun) == BEGUN:  # the oldest that is not the likeliest
                 likeliest = max(begun, key=lambda one: one.likelihood)
                 begun.remove(next(one for one in begun if one is not likeliest))
             begun.append(self.right.copy())
-            creep(begun[-1])
+            CREEPS[name](begun[-1])
 
 
 def _gps_elsewhere(state: Filter) -> None:

@@ -177,8 +177,9 @@ class Tracker:
             sighting = self._sighting(match, looked and looked.on_course(course), timestamp_sigma_m)
         if sighting is not None:
             self._use(sighting, own, frame.stamp_ns, is_evidence=is_evidence)
-        self.bank.judge(frame.stamp_ns / 1e9)
-        if (gps_m is None or not self.follows_gps) and self._corrects_itself() and sighting is not None:
+        has_gps = gps_m is not None and self.follows_gps
+        self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
+        if not has_gps and self._corrects_itself() and sighting is not None:
             self._add(self._track or TrackScore(0.0), sighting, frame.stamp_ns)
         self._choose_origin()
         return sighting is not None and is_evidence

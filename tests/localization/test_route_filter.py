@@ -13,6 +13,8 @@ import pytest
 from edge.config import RigConfig
 from edge.journal.records import PlaceFix
 from edge.localization import MapUpdate
+from edge.localization.filter import Filter
+from edge.localization.hypotheses import BEGUN, FilterBank
 from edge.sequence import PlaceMatch
 from tests.common import S
 from tests.localization.events_of import (
@@ -356,3 +358,16 @@ def test_a_match_beyond_three_sigma_of_the_estimate_corrects_nothing(
     one.go(2, shown(road, further_m))
     later = one.place_at()
     assert later is not None and (later.matches == 31) == agrees
+
+
+def test_a_hypothesis_is_run_while_its_question_is_asked_and_as_long_as_beginnings_are_kept() -> None:
+    """40 s with GPS, and 40 s without it. Of those asked for only with GPS one creeps, of the others one of three."""
+    bank, counts = FilterBank(Filter(0.03, 0.06)), []
+    for second in range(80):
+        bank.judge(float(second), has_gps=second < 40)
+        used: list[Filter] = []
+        bank.each(used.append)
+        counts.append(len(used))
+    always = 1 + 2 + BEGUN  # right, two that jump, one that creeps
+    assert counts[39] == always + 1 + BEGUN and counts[-1] == always + 2 + BEGUN
+    assert counts[55] == always + 3 + 2 * BEGUN, "a GPS that comes and goes begins none anew"
