@@ -57,6 +57,11 @@ class VehiclePosition:
     sigma_m: float | None = None
     source: PositionSource = "unknown"
 
+    def at(self, stamp_ns: int) -> Origin:
+        """Latitude and longitude at another moment, by its velocity."""
+        apart_s = (stamp_ns - self.stamp_ns) / 1e9
+        return moved(self.lat_deg, self.lon_deg, self.east_mps * apart_s, self.north_mps * apart_s)
+
 
 def worse_source(before: PositionSource, after: PositionSource) -> PositionSource:
     """What a position between two others rests on."""
@@ -111,6 +116,13 @@ def all_moved(
     azimuths_deg, ways_m = np.degrees(np.arctan2(east_m, north_m)), np.hypot(east_m, north_m)
     lon, lat, _ = _EARTH.fwd(*_numbers(lon_deg, lat_deg, azimuths_deg, ways_m))
     return np.atleast_1d(lat), np.atleast_1d(lon)
+
+
+def along_and_across(east_north_m: tuple[float, float], heading_deg: float) -> tuple[float, float]:
+    """Meters along a heading and to its right of meters east and north."""
+    (east_m, north_m), heading_rad = east_north_m, math.radians(heading_deg)
+    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+    return east_m * sin + north_m * cos, east_m * cos - north_m * sin
 
 
 def moved_left(lat_deg: float, lon_deg: float, heading_deg: float, left_m: float) -> tuple[float, float]:

@@ -17,7 +17,7 @@ ROOMS = {
     "edge/health": 300,
     "edge/journal": 400,
     "edge/keypoints": 600,
-    "edge/localization": 3050,
+    "edge/localization": 3000,
     "edge/recognition": 900,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,

@@ -162,8 +162,7 @@ class AutopilotCovariance:
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self.by_gps: OdometryDatum | None = None
         """Where GPS had the vehicle last."""
-        self._by_gps_m = 0.0  # driven by then
-        self._trusted: tuple[OdometryDatum, float] | None = None  # what no place can have moved, and driven by then
+        self._trusted: OdometryDatum | None = None  # the last that no place can have moved
         self.rests_on_fixes = False
         """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
         self._sent_ns: int | None = None
@@ -181,10 +180,8 @@ class AutopilotCovariance:
     def bind(self, sigma_m: float, own: AutopilotState, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
         if own.driven_m is not None:
-            self.aiding, self._has_run_away = (
-                PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps),
-                False,
-            )
+            self.aiding = PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps)
+            self._has_run_away = False
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: AutopilotState) -> None:
         """It has used a position or agrees with it, and is so far from it now."""
@@ -248,8 +245,7 @@ class AutopilotCovariance:
         position = own.position
         if position is not None and own.driven_m is not None and own.gps_sigma_m is not None:
             where = position.lat_deg, position.lon_deg, own.gps_sigma_m
-            self.by_gps = None if own.motion is None else OdometryDatum(*where, own.motion)
-            self._by_gps_m = own.driven_m
+            self.by_gps = None if own.motion is None else OdometryDatum(*where, own.motion, own.driven_m)
 
     def trust(self, own: AutopilotState, *, is_doubted: bool) -> None:
         """Reckon by where GPS has the vehicle, from now on: not while places speak against GPS.
@@ -259,7 +255,7 @@ class AutopilotCovariance:
         if is_doubted or not own.is_aided:
             self._trusted = None
         elif own.gps_sigma_m is not None and self.by_gps is not None and not self.rests_on_fixes:
-            self._trusted = self.by_gps, self._by_gps_m
+            self._trusted = self.by_gps
 
     def carry(self) -> None:
         """The vehicle was moved without its wheels: what was reckoned says nothing of where it is now."""
@@ -269,12 +265,8 @@ class AutopilotCovariance:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
         if self._trusted is None or motion is None or own.driven_m is None:
             return None
-        anchor, at_m = self._trusted
-        where = moved(anchor.lat_deg, anchor.lon_deg, *motion.since(anchor.displacement))
-        drift_m = self.drift.most * max(0.0, own.driven_m - at_m)
-        return DeadReckoningPosition(
-            *where, math.hypot(anchor.sigma_m, drift_m, motion.unknown_sigma_since(anchor.displacement))
-        )
+        where = moved(self._trusted.lat_deg, self._trusted.lon_deg, *motion.since(self._trusted.displacement))
+        return DeadReckoningPosition(*where, self._trusted.sigma_at(motion, self.drift.most, own.driven_m))
 
     def _errors(self, own: AutopilotState) -> PropagatedCovariance | None:
         if self.aiding is None or self._has_run_away or not own.is_aided or own.driven_m is None:
@@ -300,4 +292,4 @@ class AutopilotCovariance:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None
-        return self.by_gps.reckoned(fix, motion, self.drift.most, max(0.0, own.driven_m - self._by_gps_m))
+        return self.by_gps.reckoned(fix, motion, self.drift.most, own.driven_m)

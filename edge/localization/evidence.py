@@ -40,9 +40,9 @@ class Observation(OdometryDatum):
     checked_m: how far apart the positions of its drive of the map are, if all moved as that vehicle did; else 0.
     """
 
-    recording: str
-    checked_m: float
-    before: DeadReckoningOffset | None
+    recording: str = ""
+    checked_m: float = 0.0
+    before: DeadReckoningOffset | None = None
 
 
 IndependentSegment: TypeAlias = list[Observation]
@@ -94,7 +94,7 @@ class EvidenceHistory:
             drift = max(self._gates.drift_percent / 100, fix.velocity_error)
             before = None if newest is None else newest.reckoned(fix, displacement, drift)
             where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-            claim.observations.append(Observation(*where, fix.recording, fix.checked_m or 0.0, before))
+            claim.observations.append(Observation(*where, None, fix.recording, fix.checked_m or 0.0, before))
             del claim.observations[:-KEPT]
 
     def wrong(self, claim: Evidence) -> float:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,36 +99,24 @@ class FilterStep:
     bridged_m2: float = 0.0
 
 
-@dataclass(frozen=True)
-class Slot:
-    """Where the states of one drive of the map are."""
+class Slot(NamedTuple):
+    """Where the states of one drive of the map are.
 
-    row: int
+    map, whole: what wanders, east and north, and what all positions are off by. stays, changes: of matches along the
+    road, for the drive and within CORRELATION_M. aim: how looks are turned, clockwise. all: of these.
+    """
 
-    @property
-    def map(self) -> slice:
-        """What wanders, east and north."""
-        return slice(self.row, self.row + 2)
+    map: slice
+    whole: slice
+    stays: int
+    changes: int
+    aim: int
+    all: slice
 
-    @property
-    def whole(self) -> slice:
-        """What all positions are off by."""
-        return slice(self.row + 2, self.row + 4)
 
-    @property
-    def stays(self) -> int:
-        """Of matches along the road, for the drive."""
-        return self.row + 4
-
-    @property
-    def changes(self) -> int:
-        """Of matches along the road, within CORRELATION_M."""
-        return self.row + 5
-
-    @property
-    def aim(self) -> int:
-        """How looks are turned, clockwise."""
-        return self.row + 6
+def _slot(number: int) -> Slot:
+    row = OF_ALL + OF_DRIVE * number
+    return Slot(slice(row, row + 2), slice(row + 2, row + 4), row + 4, row + 5, row + 6, slice(row, row + OF_DRIVE))
 
 
 class Filter:
@@ -218,7 +207,7 @@ class Filter:
         number = next((at for at, (name, _) in enumerate(self._drives) if name == drive), None)
         if number is None:
             number = self._begin_drive(drive, errors)
-        slot = Slot(OF_ALL + OF_DRIVE * number)
+        slot = _slot(number)
         if errors is not self._drives[number][1]:
             self._grow(slot, number, errors)
         if not self._order or self._order[-1] != number:
@@ -235,11 +224,11 @@ class Filter:
         else:
             number = self._order[0]
             self._drives[number] = drive, errors
-        slot = Slot(OF_ALL + OF_DRIVE * number)
+        slot = _slot(number)
         covariance = np.zeros((OF_DRIVE, OF_DRIVE))
         covariance[:2, :2], covariance[2:4, 2:4] = errors.map_m**2 * np.eye(2), errors.whole
         covariance[range(4, 7), range(4, 7)] = np.square([errors.stays_m, errors.changes_m, errors.aim_rad])
-        self.set(slice(slot.row, slot.row + OF_DRIVE), 0.0, covariance)
+        self.set(slot.all, 0.0, covariance)
         return number
 
     def _grow(self, slot: Slot, number: int, errors: DriveErrors) -> None:
@@ -256,7 +245,7 @@ class Filter:
     @property
     def newest(self) -> Slot | None:
         """Of the drive that was matched last."""
-        return Slot(OF_ALL + OF_DRIVE * self._order[-1]) if self._order else None
+        return _slot(self._order[-1]) if self._order else None
 
     def truly(self, moved_m: Vector, doubtful_m: Vector) -> Vector:
         """Meters (2,) of a displacement without the errors that were found."""
@@ -302,7 +291,7 @@ class Filter:
         change[GPS] += step.seconds * self.mean[DRAG]
         of_map, of_line = math.exp(-driven_m / MAP_M), math.exp(-driven_m / LINE_M)
         for number, (_, errors) in enumerate(self._drives):
-            slot = Slot(OF_ALL + OF_DRIVE * number)
+            slot = _slot(number)
             changes(slot.map, of_map, errors.map_m)
             changes(slot.changes, of_line, errors.changes_m)
         transition = np.diag(kept)

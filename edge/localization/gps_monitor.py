@@ -19,7 +19,7 @@ from typing import Literal, TypeAlias
 from msgspec import structs
 
 from edge.config import GatesConfig, RigConfig
-from edge.geodesy import east_north_of, moved, moved_left
+from edge.geodesy import along_and_across, east_north_of, moved, moved_left
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import Name
@@ -90,7 +90,8 @@ class GpsMonitor:
         self._state: GpsVerdictState = "cannot say"
         self._compared_m = self._agreed_m = self._gap_m = 0.0
         self._has_agreed = self._has_gps = False
-        self._verdict = GpsVerdict()
+        self.verdict = GpsVerdict()
+        """By the frames so far."""
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_wrong = False
         """Whether GPS was called wrong, and has not agreed since."""
@@ -119,7 +120,7 @@ class GpsMonitor:
         doubt = min(1.0, max(gps, of_map) / self._call)
         self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= DOUBTFUL else 0.0)
         is_unseen = self._unseen_road.is_unseen(gps / DOUBTFUL)
-        before, off_m, before_off = self._verdict.state, tracker.gps_off_m, self._has_gps
+        before, off_m, before_off = self.verdict.state, tracker.gps_off_m, self._has_gps
         self._count(driven_m, is_compared=is_compared and off_m is not None)
         if self._state == "wrong":
             if off_m is not None and self._agrees_again(tracker, driven_m, is_compared=is_compared):
@@ -148,9 +149,9 @@ class GpsMonitor:
         if off_m is None and state != "wrong":
             state = "cannot say"
         if self._state == "wrong" and off_m is None:
-            east_m, north_m = self._verdict.east_m, self._verdict.north_m
+            east_m, north_m = self.verdict.east_m, self.verdict.north_m
         known = None if state == "cannot say" else 1.0 if state == "wrong" else doubt
-        self._verdict = GpsVerdict(state, east_m, north_m, known)
+        self.verdict = GpsVerdict(state, east_m, north_m, known)
         return state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
 
     def _wrong_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
@@ -177,11 +178,6 @@ class GpsMonitor:
         if is_compared:
             self._agreed_m = self._agreed_m + driven_m if tracker.gps_is_near else 0.0
         return self._agreed_m >= 2 * CORRELATION_M
-
-    @property
-    def verdict(self) -> GpsVerdict:
-        """By the frames so far."""
-        return self._verdict
 
     @property
     def is_doubted(self) -> bool:
@@ -294,9 +290,7 @@ def _where(gps: GpsFix | None, own: AutopilotState, frame: ImageProcessed) -> li
     """
     position, found = own.position, [] if gps is None else [gps]
     if position is not None and own.gps != "not healthy":
-        apart_s = (frame.stamp_ns - position.stamp_ns) / 1e9
-        at = moved(position.lat_deg, position.lon_deg, position.east_mps * apart_s, position.north_mps * apart_s)
-        found.append(GpsFix(*at, GPS_SIGMA_M))
+        found.append(GpsFix(*position.at(frame.stamp_ns), GPS_SIGMA_M))
     return found
 
 
@@ -304,6 +298,5 @@ def along_and_left_m(gps: GpsFix, place: Position, lane_m: float) -> tuple[float
     """How far GPS is ahead of a place, and to the left of the lane that is `lane_m` to the left of it."""
     heading_deg = place.heading_deg or 0.0
     lane = moved_left(place.lat_deg, place.lon_deg, heading_deg, lane_m)
-    east_m, north_m = east_north_of(gps.lat_deg, gps.lon_deg, lane)
-    sin, cos = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
-    return east_m * sin + north_m * cos, north_m * sin - east_m * cos
+    ahead_m, right_m = along_and_across(east_north_of(gps.lat_deg, gps.lon_deg, lane), heading_deg)
+    return ahead_m, -right_m

@@ -74,7 +74,5 @@ class GyroOdometer:
         if moved is None or turned is None:
             return None
         _, variance, *by_bias_m = turned
-        elapsed_s = (stamp_ns - self._began_ns) / 1e9
-        return replace(
-            moved, odometry_epoch=self._legs, gyros=Gyros(elapsed_s, self._compass_rad, variance, *by_bias_m)
-        )
+        gyros = Gyros((stamp_ns - self._began_ns) / 1e9, self._compass_rad, variance, *by_bias_m)
+        return replace(moved, odometry_epoch=self._legs, gyros=gyros)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from edge.config import GatesConfig
-from edge.geodesy import VehiclePosition, east_north_of, moved
+from edge.geodesy import VehiclePosition, along_and_across, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
@@ -118,9 +118,8 @@ def innovation_of(
     # One that nothing aids has run away, or is ours.
     is_known = own.position is not None and own.is_aided and place.is_position
     distance_m = distance_from(own.position, place) if own.position is not None and is_known else None
-    by_gps, wrong = (
-        (False, BOUND_WRONG) if bound.aiding is None else (bound.aiding.by_gps, bound.aiding.fault_probability)
-    )
+    aiding = bound.aiding
+    by_gps, wrong = (aiding.by_gps, aiding.fault_probability) if aiding else (False, BOUND_WRONG)
     return Innovation(distance_m, sigma_m, by_gps, wrong, cross_track)
 
 
@@ -191,14 +190,9 @@ def _wrong(place_wrong: float, reckoned: DeadReckoningOffset | None, fix: PlaceF
 
 
 def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
-    """Meters east and north from the autopilot's position at the fix's time to the fix.
-
-    The autopilot's newest position is moved to that time by its velocity.
-    """
-    apart_s = (fix.stamp_ns - position.stamp_ns) / 1e9
+    """Meters east and north from the autopilot's position at the fix's time to the fix."""
     assert fix.lat_deg is not None and fix.lon_deg is not None
-    east_m, north_m = east_north_of(fix.lat_deg, fix.lon_deg, (position.lat_deg, position.lon_deg))
-    return east_m - position.east_mps * apart_s, north_m - position.north_mps * apart_s
+    return east_north_of(fix.lat_deg, fix.lon_deg, position.at(fix.stamp_ns))
 
 
 def better_of(
@@ -257,13 +251,6 @@ def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) ->
         not keeps and abs(one_m) > max(min_move_m, times * sigma_m)
         for one_m, sigma_m, keeps in zip(off_m, sigmas_m, best.held_axes, strict=True)
     )
-
-
-def along_and_across(east_north_m: tuple[float, float], heading_deg: float) -> tuple[float, float]:
-    """Meters along a heading and to its right of meters east and north."""
-    (east_m, north_m), heading_rad = east_north_m, math.radians(heading_deg)
-    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-    return east_m * sin + north_m * cos, east_m * cos - north_m * sin
 
 
 def worse_m(

@@ -15,11 +15,11 @@ argument, and what was counted.
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass
 from statistics import NormalDist
 
+from edge.geodesy import along_and_across
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import SLOW_MPS
 from edge.localization.events import UNBOUNDED, ProtectionLevel
@@ -77,10 +77,9 @@ def protection_level(
     if reckoned is None or allowed <= wrong.bound or fix.heading_deg is None:
         return UNBOUNDED
     by_reckoning_m = _sigmas((allowed - wrong.bound) / (1 - wrong.bound) / 2) * reckoned.sigma_m
-    sin, cos = math.sin(math.radians(fix.heading_deg)), math.cos(math.radians(fix.heading_deg))
-    off_along_m = abs(reckoned.east_m * sin + reckoned.north_m * cos)
-    off_across_m = abs(reckoned.north_m * sin - reckoned.east_m * cos)
-    return ProtectionLevel(max(along_m, off_along_m + by_reckoning_m), max(across_m, off_across_m + by_reckoning_m))
+    off_along_m, off_across_m = along_and_across((reckoned.east_m, reckoned.north_m), fix.heading_deg)
+    further = abs(off_along_m) + by_reckoning_m, abs(off_across_m) + by_reckoning_m
+    return ProtectionLevel(max(along_m, further[0]), max(across_m, further[1]))
 
 
 def _sigmas(probability: float) -> float:

@@ -17,7 +17,7 @@ from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import WANDER, DriveErrors
 from edge.localization.place_fix import OdometryWindow, heads_along, line_middle, map_error_m, position_on_route
 from edge.localization.pose_measurement import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_pose
-from edge.reference_map import Position, Route
+from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 SHARP = 0.15
@@ -59,28 +59,24 @@ class RoutePoint(NamedTuple):
 class SequenceMatch:
     """A sequence match in local meters, measured at its midpoint.
 
-    checked_m: see `Drive`. midpoint: where the vehicle was at the middle of its line. along_m: of the
+    mapped: its drive of the map. midpoint: where the vehicle was at the middle of its line. along_m: of the
     vehicle now, along the drive. sigma_factor: times by which it may be wrong by more than a match whose line is sharp.
-    timestamp_sigma_m: one standard deviation along the road by that of the time of exposure. pose: what one picture
-    says, in place of a line; `midpoint` is then where the vehicle is.
+    pose: what one picture says, in place of a line; `midpoint` is then where the vehicle is.
     """
 
     match: PlaceMatch
-    segment: int
-    recording: str
-    checked_m: float
+    mapped: MapDrive
     midpoint: LocalMidpoint
     along_m: float
     sigma_m: float
     errors: DriveErrors
     sigma_factor: float
-    timestamp_sigma_m: float
     pose: PoseMeasurement | None = None
 
     @property
     def drive(self) -> tuple[int, Direction]:
         """What its errors are those of."""
-        return self.segment, self.match.direction
+        return self.mapped.segment, self.match.direction
 
     def on_course(self, course: tuple[float, float] | None) -> SequenceMatch:
         """With the course of then, see `PoseMeasurement`."""
@@ -122,7 +118,7 @@ class Georeferencer:
     def of(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
         """The line of a match in local meters; None where the map has no positions, or if the line led another way.
 
-        timestamp_sigma_m: see `SequenceMatch`.
+        timestamp_sigma_m: one standard deviation along the road by that of the time of exposure.
         """
         line = line_middle(match, self.route, self.length)
         if line is None or len(self._readings) < self.length:
@@ -138,15 +134,12 @@ class Georeferencer:
         drive = self.route.drive(match.place_index)
         return SequenceMatch(
             match=match,
-            segment=line.segment,
-            recording=line.recording,
-            checked_m=drive.checked_m,
+            mapped=drive,
             midpoint=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
             errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, timestamp_sigma_m),
             sigma_factor=faint,
-            timestamp_sigma_m=timestamp_sigma_m,
         )
 
     def pose_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
@@ -174,23 +167,15 @@ class Georeferencer:
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         whole_along_m, whole_across_m = drive.whole_sigma_m
         whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
-        look = PoseMeasurement(
-            position_m=position_m,
-            pose_covariance=pose,
-            heading_rad=heading_rad,
-            inliers=seen.points,
-        )
+        look = PoseMeasurement(position_m, pose, heading_rad, seen.points)
         return SequenceMatch(
             match=match,
-            segment=drive.segment,
-            recording=drive.recording,
-            checked_m=drive.checked_m,
+            mapped=drive,
             midpoint=LocalMidpoint(position_m, along, np.zeros(4)),
             along_m=route.route_m(seen.place_index) + forward_m,
             sigma_m=math.sqrt(float(along @ look.covariance @ along)),
             errors=self._errors(match, whole_m, along, map_error_m(row), timestamp_sigma_m),
             sigma_factor=1.0,
-            timestamp_sigma_m=timestamp_sigma_m,
             pose=look,
         )
 

@@ -188,9 +188,7 @@ class Tracker:
         """Where GPS has the vehicle at a frame; None without GPS."""
         gps = frame.gps
         if gps is None and own.gps_sigma_m is not None and own.position is not None:
-            position, apart_s = own.position, (frame.stamp_ns - own.position.stamp_ns) / 1e9
-            where = moved(position.lat_deg, position.lon_deg, position.east_mps * apart_s, position.north_mps * apart_s)
-            gps = GpsFix(*where, own.gps_sigma_m)
+            gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
         for_all = gps.sigma_m * GPS_SHARE
@@ -324,7 +322,7 @@ class Tracker:
 
     def _add(self, track: TrackScore, sighting: SequenceMatch, stamp_ns: int) -> None:
         """A match agreed."""
-        self._track, self._is_checked = track, sighting.checked_m > 0
+        self._track, self._is_checked = track, sighting.mapped.checked_m > 0
         track.add(sighting, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
             self.bank.before = None
@@ -454,16 +452,9 @@ class Tracker:
             unknown_m2 = unknown_m**2 / 3
         else:  # from first to last, a speed that was bridged is off in one way
             bridged_m2 = ((self._bridged_m + unknown_m) ** 2 - self._bridged_m**2) / 3
-        one = None if before is None or before.without_gps is None else before.without_gps
-        other = None if frame is None or frame.without_gps is None else frame.without_gps
+        one, other = before and before.without_gps, frame and frame.without_gps
         turned_rad, variance = None, 0.0
-        if (
-            one is not None
-            and other is not None
-            and one.gyros
-            and other.gyros
-            and one.odometry_epoch == other.odometry_epoch
-        ):
+        if one and other and one.gyros and other.gyros and one.odometry_epoch == other.odometry_epoch:
             turned_rad = math.remainder(other.gyros.compass_rad - one.gyros.compass_rad, math.tau)
             variance = max(0.0, other.gyros.turned_rad2 - one.gyros.turned_rad2)
         return FilterStep(moved_m[:2], moved_m[2:], max(0.0, seconds), turned_rad, variance, unknown_m2, bridged_m2)
@@ -507,9 +498,9 @@ class Tracker:
             order=match.order,
             uniqueness=match.uniqueness,
             matches=track.matches,
-            segment=newest.segment,
-            recording=newest.recording,
-            checked_m=newest.checked_m or UNSET,
+            segment=newest.mapped.segment,
+            recording=newest.mapped.recording,
+            checked_m=newest.mapped.checked_m or UNSET,
             confidence=match.confidence,
             velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
             disputed=self._is_disputed,

@@ -79,8 +79,7 @@ class ExposureQueue(Generic[T]):
 
 
 def _moved_on(before: VehiclePosition, stamp_ns: int) -> VehiclePosition:
-    seconds = (stamp_ns - before.stamp_ns) / 1e9
-    lat_deg, lon_deg = moved(before.lat_deg, before.lon_deg, before.east_mps * seconds, before.north_mps * seconds)
+    lat_deg, lon_deg = before.at(stamp_ns)
     return replace(before, stamp_ns=stamp_ns, lat_deg=lat_deg, lon_deg=lon_deg)
 
 

@@ -114,11 +114,11 @@ def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
 
 
 def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:
-    anchor = OdometryDatum(-27.0, 153.0, 3.0, Odometry(1, 10.0, 0.0))
+    anchor = OdometryDatum(-27.0, 153.0, 3.0, Odometry(1, 10.0, 0.0), 100.0)
     found = anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05)
     assert (found.east_m, found.north_m) == pytest.approx((80.0, 60.0), abs=0.01)
     assert found.sigma_m == pytest.approx(math.hypot(3.0, 5.0))
     assert found.distance_m == pytest.approx(100.0, abs=0.01)
-    assert anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05, 400.0).sigma_m == pytest.approx(math.hypot(3.0, 20.0))
+    assert anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05, 500.0).sigma_m == pytest.approx(math.hypot(3.0, 20.0))
     unheard = anchor.reckoned(FIX, Odometry(2, 90.0, 60.0, unknown_m=80.0), 0.05)
     assert unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"

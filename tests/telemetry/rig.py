@@ -44,7 +44,7 @@ class ToldEstimator(PositionEstimator):
 
     def judge(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS from now on."""
-        self._gps._verdict = verdict
+        self._gps.verdict = verdict
         self._gps._state = verdict.state if verdict.state != "not recognized" else "cannot say"
         self._judge_gps()
         self._known = None
