@@ -33,6 +33,8 @@ FEWEST_FRAMES, MOST_FRAMES = 40, 80  # most: as far as it was measured, with fra
 DEFAULT_TOML = Path(__file__).with_name("default.toml")
 START_TOML = Path(__file__).with_name("start.toml")
 GROUP = "lookback.plugins"
+RENAMED = {"rig": {"sigma_across_m": "sigma_cross_track_m"}}
+"""Keys that have their old name too, for one version."""
 SHIPPED = {
     name: EntryPoint(name, f"edge_plugins.{name}:{name.title()}Config", GROUP)
     for name in ("motion", "mapping", "recording", "home", "ros2", "nmea", "page")
@@ -215,7 +217,7 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
     sigma_reverse_same_m: NotNegative = 0.0
     sigma_reverse_swapped_m: NotNegative = 0.0
     sigma_along_m: Positive = 3.0
-    sigma_across_m: Positive = 2.5
+    sigma_cross_track_m: Positive = 2.5
     look_ahead_forward_m: Ahead = 0.0
     look_ahead_reverse_m: Ahead = 0.0
     look_sigma_m: NotNegative = 0.0
@@ -357,8 +359,28 @@ def parse_config(text: str, path: Path) -> Config:
     return change_paths(config, lambda _, value: str(path.parent / os.path.expanduser(value)))  # noqa: PTH111
 
 
+def in_todays_words(values: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The same sections with the names of today, where keys have old ones; ConfigError for a key that has both."""
+    tables = {where: values[where] for where in RENAMED if isinstance(values.get(where), dict)}
+    old = [(where, key) for where, table in tables.items() for key in RENAMED[where] if key in table]
+    today = {**values, **{where: dict(tables[where]) for where, _ in old}}
+    for where, key in old:
+        new = RENAMED[where][key]
+        if new in today[where]:
+            raise ConfigError(f"{path}: [{where}] {key}: the old name of {new}, which is there too; remove it")
+        today[where][new] = today[where].pop(key)
+    return today if old else values
+
+
 def _converted(values: dict[str, Any], path: Path) -> Config:
     """Nested tables as a config, with the sections of plug-ins that it has."""
+    today = in_todays_words(values, path)
+    if today is not values:
+        names = ", ".join(
+            f"[{where}] {old} is now {new}" for where, keys in RENAMED.items() for old, new in keys.items()
+        )
+        log.warning("%s: %s; the old name works in this version only: rename it", path, names)
+    values = today
     own = {field.name: field.type for field in msgspec.structs.fields(Config) if field.name != "plugins"}
     points = {name: found for name, found in plugin_points().items() if name not in own}
     kinds = {name: section_kind(name, points[name]) for name in values if name in points}

@@ -2,11 +2,11 @@
 What ArduPilot does when Lookback finds GPS to be wrong.
 
 Copy this file to APM/scripts on the autopilot's SD card, set SCR_ENABLE 1, and reboot. Works on ArduPilot 4.5 and newer,
-also where `[gates] doubted_gps = "report"`: Lookback sends NAMED_VALUE_FLOAT gps_doubt once a second, from 0 (agrees) to
-1 (called wrong), or -1 where it cannot say.
+also where `[gates] doubted_gps = "report"`: Lookback sends NAMED_VALUE_FLOAT gps_doubt once a second, from 0 (consistent) to
+1 (faulty), or -1 where it cannot say.
 
 LKG_ACTION   0: a line of text only (the default). 1: select the second set of sources (EK3_SRC2_...), and the first set
-             again when GPS agrees. 2: RTL. 3: both. RTL alone goes where a wrong GPS leads it.
+             again when GPS is consistent. 2: RTL. 3: both. RTL alone goes where a wrong GPS leads it.
 LKG_COUNT    so many values of 1 in a row are needed, and so many of at most 0.2 to go back.
 LKG_COMPID   component ID of Lookback ([telemetry] component_id), on this vehicle's own system
 
@@ -56,14 +56,14 @@ local function act()
   acted = true
   if action == 1 or action == 3 then
     ahrs:set_posvelyaw_source_set(SECOND_SET)
-    gcs:send_text(WARNING, "GPS is wrong: source set 2")
+    gcs:send_text(WARNING, "GPS faulty: source set 2")
   end
   if action == 2 or action == 3 then
     vehicle:set_mode(RTL_MODES[FWVersion:type()])
-    gcs:send_text(WARNING, "GPS is wrong: RTL")
+    gcs:send_text(WARNING, "GPS faulty: RTL")
   end
   if action == 0 then
-    gcs:send_text(WARNING, "GPS is wrong: no action (LKG_ACTION)")
+    gcs:send_text(WARNING, "GPS faulty: no action (LKG_ACTION)")
   end
 end
 
@@ -72,7 +72,7 @@ local function go_back()
   acted = false
   if action == 1 or action == 3 then
     ahrs:set_posvelyaw_source_set(FIRST_SET)
-    gcs:send_text(NOTICE, "GPS agrees: source set 1")
+    gcs:send_text(NOTICE, "GPS consistent: source set 1")
   end
 end
 

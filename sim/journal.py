@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar, Union
 import msgspec
 
 from edge.journal.journal import earlier_files
-from edge.journal.records import KINDS, SCHEMA, FrameUsed, JournalOpened, Record
+from edge.journal.records import KINDS, SCHEMA, FrameUsed, JournalOpened, Record, in_todays_words
 
 R = TypeVar("R", bound=Record)
 
@@ -33,7 +33,8 @@ class JournalLine(NamedTuple):
 def read_journal(path: Path, *others: type[Record]) -> Iterator[JournalLine]:
     """The records of a journal, with those of its earlier files, or of what `lookback replay` wrote, in order.
 
-    others: kinds to read besides those of edge, of plug-ins. Lines that a crash or a full disk has torn are skipped.
+    others: kinds to read besides those of edge, of plug-ins. Lines that a crash or a full disk has torn are skipped,
+    and keys of schema 2 have the names of today.
     What is of another kind is an `UnknownRecord`: of plug-ins that are not asked for or not installed, of other
     versions, and everything that a run with a newer schema has written.
     """
@@ -59,7 +60,7 @@ _decode_fields = msgspec.json.Decoder(dict[str, Any]).decode
 def _as_record(fields: dict[str, Any], known: Any) -> Record | UnknownRecord:
     # The lines of replay are frames without a tag.
     try:
-        record: Record = msgspec.convert(fields, known if "event" in fields else FrameUsed)
+        record: Record = msgspec.convert(in_todays_words(fields), known if "event" in fields else FrameUsed)
         return record
     except msgspec.ValidationError:
         return UnknownRecord(fields)

@@ -95,6 +95,17 @@ def test_every_mistake_is_one_line_with_file_and_key(text: str, told: str) -> No
     assert "\n" not in message
 
 
+def test_an_old_name_of_a_key_works_and_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
+    assert parse_config("[rig]\nsigma_across_m = 4", HERE).rig.sigma_cross_track_m == 4
+    assert caplog.messages == [
+        f"{HERE}: [rig] sigma_across_m is now sigma_cross_track_m; the old name works in this version only: rename it"
+    ]
+    with pytest.raises(ConfigError, match=r"\[rig\] sigma_across_m: the old name of sigma_cross_track_m.*remove it"):
+        parse_config("[rig]\nsigma_across_m = 4\nsigma_cross_track_m = 3", HERE)
+    with pytest.raises(ConfigError, match="rig"):
+        parse_config("rig = 'sigma_across_m'", HERE)
+
+
 def test_each_mistake_has_its_line() -> None:
     text = "[camera]\nfps = 'fast'\nwidth = 3\n[gates]\nmax_movem = 3\n[mapping.camera]\nfps = 9"
     with pytest.raises(ConfigError) as caught:

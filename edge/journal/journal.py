@@ -24,7 +24,7 @@ import msgspec
 import edge
 from edge.errors import ConfigError, reason
 from edge.files import DISK_ERRORS
-from edge.journal.records import SCHEMA, JournalOpened, JournalResumed, Record, as_written
+from edge.journal.records import RENAMED, SCHEMA, JournalOpened, JournalResumed, Record, as_written
 
 log = logging.getLogger(__name__)
 FILES = 10
@@ -59,7 +59,7 @@ class Journal:
                 raise ConfigError(f"[telemetry] journal: {path}: cannot append to it: {error.strerror}") from None
             self._report_lost(reason(error))
         else:
-            self.write(JournalOpened(SCHEMA, edge.__version__))
+            self.write(JournalOpened(SCHEMA, edge.__version__, RENAMED))
 
     def _open(self) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,7 @@ class Journal:
             return
         os.close(full)
         self._rotate_at = self._file_bytes
-        self.write(JournalOpened(SCHEMA, edge.__version__))
+        self.write(JournalOpened(SCHEMA, edge.__version__, RENAMED))
 
     @property
     def now_s(self) -> float:
@@ -125,7 +125,7 @@ class Journal:
         except OSError as error:
             self._report_lost(reason(error))
             return False
-        return self.write(JournalOpened(SCHEMA, edge.__version__))
+        return self.write(JournalOpened(SCHEMA, edge.__version__, RENAMED))
 
     def _report_lost(self, why: str) -> None:
         if not self.lost:

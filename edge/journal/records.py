@@ -17,8 +17,36 @@ from typing import Annotated, Any, Literal, get_type_hints
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-SCHEMA = 2
-"""1: journals without `journal_opened`, in which `map_excluded` was called `map_left_out`."""
+SCHEMA = 3
+"""1: journals without `journal_opened`, in which `map_excluded` was called `map_left_out`. 2: with the keys and words
+of RENAMED."""
+RENAMED = {
+    "sigma_across_m": "sigma_cross_track_m",
+    "level_across_m": "level_cross_track_m",
+    "keeps": "held_axes",
+}
+"""Keys of schema 2, as they are called now."""
+HELD_AXES = {"along": "along-track", "across": "cross-track"}
+GPS_STATES = {
+    "agrees": "consistent",
+    "doubtful": "suspect",
+    "disagrees": "inconsistent",
+    "wrong": "faulty",
+    "map wrong": "map faulty",
+}
+"""Values of schema 2, as they are called now."""
+
+
+def in_todays_words(fields: dict[str, Any]) -> dict[str, Any]:
+    """The keys and words of a record of schema 2 as those of today; any other as it is."""
+    if fields.get("event") == "gps_judged":
+        return {**fields, "state": GPS_STATES.get(fields.get("state", ""), fields.get("state"))}
+    if RENAMED.keys().isdisjoint(fields):
+        return fields
+    today = {RENAMED.get(key, key): value for key, value in fields.items()}
+    if isinstance(held := today.get("held_axes"), str):
+        today["held_axes"] = HELD_AXES.get(held, held)
+    return today
 
 
 def unit(name: str, about: str, digits: int | None = None) -> Meta:
@@ -40,9 +68,9 @@ Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from
 Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none", 3)]
 Points = Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")]
 SigmaAlong = Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)]
-Keeps = Annotated[
-    Literal["along", "across"] | UnsetType,
-    unit("", "the direction in which the position is the autopilot's own; absent: in none"),
+HeldAxes = Annotated[
+    Literal["along-track", "cross-track"] | UnsetType,
+    unit("", "the axis on which the position is the autopilot's own; absent: on none"),
 ]
 
 
@@ -72,6 +100,9 @@ class JournalOpened(Record, frozen=True, tag="journal_opened"):
 
     schema: Annotated[int, unit("", "version of the records that follow")]
     lookback: Annotated[str, unit("", "version of Lookback that writes them")]
+    renamed: Annotated[
+        dict[str, str] | UnsetType, unit("", "keys of the schema before, and their names now; for one version")
+    ] = UNSET
 
 
 class JournalResumed(Record, frozen=True, tag="journal"):
@@ -149,7 +180,7 @@ class PlaceFix(Record, frozen=True, tag="place"):
     lon_deg: Longitude
     heading_deg: Heading
     sigma_along_m: Annotated[float, unit("m", "one standard deviation along the route", 2)]
-    sigma_across_m: Annotated[float, unit("m", "one standard deviation across the route", 2)]
+    sigma_cross_track_m: Annotated[float, unit("m", "one standard deviation cross-track", 2)]
     direction: Direction
     order: Order
     uniqueness: Annotated[float, unit("", "uniqueness of the newest accepted match, see `frame`", 4)]
@@ -163,7 +194,7 @@ class PlaceFix(Record, frozen=True, tag="place"):
     confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1", 3)] = 0.0
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it", 4)] = 0.0
     disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
-    by_lane: Annotated[bool, unit("", "whether nothing but the lane says where across the route it is")] = False
+    by_lane: Annotated[bool, unit("", "whether nothing but the lane says where cross-track it is")] = False
     points: Annotated[
         int | UnsetType, unit("", "keypoints of the newest match that agree where the camera was; absent of a line")
     ] = UNSET
@@ -171,14 +202,14 @@ class PlaceFix(Record, frozen=True, tag="place"):
     @property
     def sigma_m(self) -> float:
         """Of the distance from the truth: autopilots use one number for every direction."""
-        return math.hypot(self.sigma_along_m, self.sigma_across_m)
+        return math.hypot(self.sigma_along_m, self.sigma_cross_track_m)
 
     @property
     def is_position(self) -> bool:
         """Whether it has a position on the earth and a finite accuracy: no null, no NaN, nothing out of range."""
         if self.lat_deg is None or self.lon_deg is None:
             return False
-        has_sigma = 0 < self.sigma_along_m < math.inf and 0 < self.sigma_across_m < math.inf
+        has_sigma = 0 < self.sigma_along_m < math.inf and 0 < self.sigma_cross_track_m < math.inf
         return has_sigma and abs(self.lat_deg) <= 90 and abs(self.lon_deg) <= 180
 
 
@@ -214,10 +245,10 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     level_along_m: Annotated[
         float | None, unit("m", "protection level along the route, null where nothing bounds the position", 2)
     ] = None
-    level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
+    level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
     points: Points = UNSET
     sigma_along_m: SigmaAlong = UNSET
-    keeps: Keeps = UNSET
+    held_axes: HeldAxes = UNSET
 
 
 class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
@@ -231,10 +262,10 @@ class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
     distance_m: Distance
     map: MapName = UNSET
     level_along_m: Annotated[float | None, unit("m", "protection level along the route, as in `fix_sent`", 2)] = None
-    level_across_m: Annotated[float | None, unit("m", "protection level across the route", 2)] = None
+    level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
     points: Points = UNSET
     sigma_along_m: SigmaAlong = UNSET
-    keeps: Keeps = UNSET
+    held_axes: HeldAxes = UNSET
 
 
 class FixAnswered(Record, frozen=True, tag="fix_answered"):
@@ -264,11 +295,13 @@ class SourceSetAnswered(Record, frozen=True, tag="source_set"):
 class GpsJudged(Record, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 
-    state: Annotated[str, unit("", "cannot say, agrees, doubtful, disagrees, wrong, map wrong, or not recognized")]
+    state: Annotated[
+        str, unit("", "cannot say, consistent, suspect, inconsistent, faulty, map faulty, or not recognized")
+    ]
     east_m: Annotated[float | None, unit("m", "GPS less places, to the east, null where not known", 1)] = None
     north_m: Annotated[float | None, unit("m", "the same to the north", 1)] = None
     doubt: Annotated[
-        float | None, unit("", "evidence that GPS is wrong, as a share of what it takes to call it so, 0 to 1", 2)
+        float | None, unit("", "evidence that GPS is faulty, as a share of what it takes to declare it so, 0 to 1", 2)
     ] = None
 
 

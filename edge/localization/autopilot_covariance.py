@@ -84,9 +84,9 @@ class PropagatedCovariance:
         place = fix.place
         assert place.heading_deg is not None
         axes = _axes(place.heading_deg)
-        keeps, sigmas_m = np.array(fix.held_axes), np.maximum([place.sigma_along_m, place.sigma_across_m], left_m)
-        kept, set_by = axes[keeps].T @ axes[keeps], axes[~keeps].T @ np.diag(sigmas_m[~keeps] ** 2) @ axes[~keeps]
-        by_way = axes[keeps].T @ np.diag(np.linalg.norm(axes[keeps] @ self.by_way, axis=1)) @ axes[keeps]
+        held, sigmas_m = np.array(fix.held_axes), np.maximum([place.sigma_along_m, place.sigma_cross_track_m], left_m)
+        kept, set_by = axes[held].T @ axes[held], axes[~held].T @ np.diag(sigmas_m[~held] ** 2) @ axes[~held]
+        by_way = axes[held].T @ np.diag(np.linalg.norm(axes[held] @ self.by_way, axis=1)) @ axes[held]
         return PropagatedCovariance(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
 
     def _covariance(self, drift: Drift) -> Matrix:

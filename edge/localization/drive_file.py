@@ -22,9 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge import __version__
-from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
+from edge.config import (
+    CameraConfig,
+    Config,
+    GatesConfig,
+    RigConfig,
+    SamplingConfig,
+    SequenceConfig,
+    TrackingConfig,
+    in_todays_words,
+)
 from edge.errors import ConfigError, FeedError, reason
 from edge.files import BackgroundWorker
+from edge.journal.records import RENAMED
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
@@ -172,9 +182,10 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
         sections = msgspec.msgpack.decode(first)
         for section, keys in GONE.items():
             sections[section] = {key: value for key, value in sections[section].items() if key not in keys}
-        header = msgspec.convert(sections, Header)
+        today = in_todays_words(sections, path)
+        header = msgspec.convert(today, Header)
         decoder = msgspec.msgpack.Decoder(_ListEntry, dec_hook=_decoded)
-        written = [decoder.decode(chunk) for chunk in chunks]
+        written = [_read_entry(chunk) if today is not sections else decoder.decode(chunk) for chunk in chunks]
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:
         raise FeedError(f"{path}: no list of a drive: {error}") from None
     return header.config, [(one.t_ns, one.entry) for one in written]
@@ -190,6 +201,19 @@ def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[i
             drive.restore(t_ns, entry.kept)
         else:
             drive.update(t_ns, entry)
+
+
+def _read_entry(chunk: bytes) -> _ListEntry:
+    """An entry of a list whose positions have the keys of schema 2 of the journal."""
+    return msgspec.convert(_renamed(msgspec.msgpack.decode(chunk)), _ListEntry, dec_hook=_decoded)
+
+
+def _renamed(value: Any) -> Any:
+    if isinstance(value, list):
+        return list(map(_renamed, value))
+    if isinstance(value, dict):
+        return {RENAMED.get(key, key): _renamed(one) for key, one in value.items()}
+    return value
 
 
 def _chunks(path: Path) -> Iterator[bytes]:

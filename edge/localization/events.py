@@ -147,12 +147,12 @@ class ProtectionLevel(Struct, frozen=True, rename={"along_track_m": "along_m", "
 UNBOUNDED = ProtectionLevel(math.inf, math.inf)
 
 
-class Fix(Struct, frozen=True, tag=True, rename={"held_axes": "keeps"}):
+class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
     the autopilot's, once that has used it. motion: see `ImageProcessed`, at its moment. held_axes: whether the
-    autopilot's own position is kept along the way, and across it.
+    autopilot's own position is kept along-track, and cross-track.
     """
 
     place: PlaceFix

@@ -1,7 +1,8 @@
 """What the places say of GPS, whether it is ignored then, and what is left of a report without it. Pure.
 
-GPS is wrong once a hypothesis of it (`hypotheses`) is likelier than that all is right, by Wald's boundary, and likelier
-than that the map is elsewhere. It agrees again where it has been where the vehicle is for two correlation lengths.
+GPS is faulty once a hypothesis of it (`hypotheses`) is likelier than that all is right, by Wald's boundary, and
+likelier than that the map is elsewhere. It is consistent again where it has been where the vehicle is for two
+correlation lengths.
 
 An autopilot that steers by a GPS that is dragged across the road leaves the road, and GPS stays on it. Then no place is
 believed that could contradict GPS. What is left is that GPS goes on along the mapped drive of the last believed place,
@@ -29,23 +30,23 @@ from edge.reference_map import Position, Route
 from edge.sequence import PlaceMatch
 
 GpsVerdictState: TypeAlias = Literal[
-    "cannot say", "agrees", "doubtful", "disagrees", "wrong", "map wrong", "not recognized"
+    "cannot say", "consistent", "suspect", "inconsistent", "faulty", "map faulty", "not recognized"
 ]
-DOUBTFUL = 3.0
-"""Evidence (20 to 1) from which GPS is doubtful, and from which own motion speaks for one of two witnesses."""
+SUSPECT = 3.0
+"""Evidence (20 to 1) from which GPS is suspect, and from which own motion speaks for one of two witnesses."""
 AGREED_M = 30.0
 """Of places that were compared with GPS, without evidence against it, from which on they agree."""
 LONGEST_GAP_M = 240.0
 """Without a place or without GPS, after which nothing is known of it."""
 DEPARTS_M = 25.0
-"""How far GPS is off a recording that keeps its shape before it is wrong by that alone, if no looks show the place: by
+"""How far GPS is off a recording that keeps its shape before it is faulty by that alone, if no looks show the place: by
 looks, a vehicle on a road that leads away is seen aside."""
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
 At 0.979, two of five simulated drives in snow that were hardly recognized were warned of."""
 UNSEEN_M = 80.0
-"""What is not recognized before that is said; down to half of it where the last places made GPS doubtful. With honest
+"""What is not recognized before that is said; down to half of it where the last places made GPS suspect. With honest
 GPS it is said in none of 35 drives home by night, and in 9 of 91 in the map's direction at dusk, in rain and snow."""
 BESIDE_SIGMAS = 2.0
 """Beside the lane, of the road, the map and GPS: as far GPS is on the drive."""
@@ -58,7 +59,7 @@ class GpsVerdict:
     """What the places say of GPS now.
 
     east_m, north_m: GPS less places, by the newest sightings; None where there are none. doubt: evidence that GPS is
-    wrong, as a share of what it takes to call it so: 0 to 1, None where nothing is known.
+    faulty, as a share of what it takes to call it so: 0 to 1, None where nothing is known.
     """
 
     state: GpsVerdictState = "cannot say"
@@ -81,7 +82,7 @@ class GpsVerdict:
 
 
 class GpsMonitor:
-    """Fault detection of GPS against the places of one map. A faulty GPS stays so until it agrees again."""
+    """Fault detection of GPS against the places of one map. A faulty GPS stays so until it is consistent again."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._acts = gates.doubted_gps != "report"
@@ -93,10 +94,10 @@ class GpsMonitor:
         self.verdict = GpsVerdict()
         """By the frames so far."""
         self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
-        self.is_wrong = False
-        """Whether GPS was called wrong, and has not agreed since."""
+        self.is_faulty = False
+        """Whether GPS was declared faulty, and has not been consistent since."""
         self.published = GpsVerdict()
-        """What the places say of GPS, "wrong" until it agrees again."""
+        """What the places say of GPS, "faulty" until it is consistent again."""
 
     def use_maps(self, route: Route, rig: RigConfig) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
@@ -118,43 +119,43 @@ class GpsMonitor:
         bank, match = tracker.bank, frame.match.alone if frame.match else None
         gps, of_map = bank.evidence("gps dragged", "gps elsewhere"), bank.evidence("map elsewhere")
         doubt = min(1.0, max(gps, of_map) / self._call)
-        self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= DOUBTFUL else 0.0)
-        is_unseen = self._unseen_road.is_unseen(gps / DOUBTFUL)
+        self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= SUSPECT else 0.0)
+        is_unseen = self._unseen_road.is_unseen(gps / SUSPECT)
         before, off_m, before_off = self.verdict.state, tracker.gps_off_m, self._has_gps
         self._count(driven_m, is_compared=is_compared and off_m is not None)
-        if self._state == "wrong":
+        if self._state == "faulty":
             if off_m is not None and self._agrees_again(tracker, driven_m, is_compared=is_compared):
-                self._state = "agrees"
+                self._state = "consistent"
                 tracker.follows_gps = True
-        elif max(gps, of_map) >= self._call or (is_unseen and gps >= DOUBTFUL):
-            self._state = self._wrong_one(frame, tracker, self._call if is_unseen else gps, of_map)
-            if self._state == "wrong":
+        elif max(gps, of_map) >= self._call or (is_unseen and gps >= SUSPECT):
+            self._state = self._faulty_one(frame, tracker, self._call if is_unseen else gps, of_map)
+            if self._state == "faulty":
                 names: tuple[Name, ...] = ("gps dragged", "gps elsewhere")
                 tracker.call_gps(max(names, key=bank.evidence))
                 self._agreed_m = 0.0
                 off_m = tracker.gps_off_m
-        elif max(gps, of_map) >= DOUBTFUL:
-            self._state = "doubtful"
+        elif max(gps, of_map) >= SUSPECT:
+            self._state = "suspect"
         elif self._compared_m >= AGREED_M:
-            self._state, self._has_agreed = "agrees", True
+            self._state, self._has_agreed = "consistent", True
         elif self._gap_m > LONGEST_GAP_M:
             self._state = "cannot say"
-        if off_m is not None and self._state in ("disagrees", "map wrong"):
+        if off_m is not None and self._state in ("inconsistent", "map faulty"):
             off_m = tracker.gps_from_places_m
         elif off_m is None and before_off:
             self._has_agreed = True  # GPS was right until then, unless something else says otherwise
         self._has_gps = tracker.gps_off_m is not None
         east_m, north_m = (None, None) if off_m is None else (float(off_m[0]), float(off_m[1]))
-        state: GpsVerdictState = "not recognized" if is_unseen and self._state != "wrong" else self._state
-        if off_m is None and state != "wrong":
+        state: GpsVerdictState = "not recognized" if is_unseen and self._state != "faulty" else self._state
+        if off_m is None and state != "faulty":
             state = "cannot say"
-        if self._state == "wrong" and off_m is None:
+        if self._state == "faulty" and off_m is None:
             east_m, north_m = self.verdict.east_m, self.verdict.north_m
-        known = None if state == "cannot say" else 1.0 if state == "wrong" else doubt
+        known = None if state == "cannot say" else 1.0 if state == "faulty" else doubt
         self.verdict = GpsVerdict(state, east_m, north_m, known)
-        return state in ("disagrees", "wrong") and before not in ("disagrees", "wrong")
+        return state in ("inconsistent", "faulty") and before not in ("inconsistent", "faulty")
 
-    def _wrong_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
+    def _faulty_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
         """GPS, or the map, if they have agreed before, and own motion in which GPS has no part tells them apart.
 
         Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
@@ -163,9 +164,9 @@ class GpsMonitor:
         is_drag = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
         departs = is_far and is_drag and tracker.is_checked
         is_known = frame.without_gps is not None
-        if self._has_agreed and gps >= self._call and gps - of_map >= DOUBTFUL and (is_known or departs):
-            return "wrong"
-        return "map wrong" if self._has_agreed and of_map - gps >= DOUBTFUL and is_known else "disagrees"
+        if self._has_agreed and gps >= self._call and gps - of_map >= SUSPECT and (is_known or departs):
+            return "faulty"
+        return "map faulty" if self._has_agreed and of_map - gps >= SUSPECT and is_known else "inconsistent"
 
     def _count(self, driven_m: float, *, is_compared: bool) -> None:
         """Meters of places that were compared with GPS, and since the last one."""
@@ -182,26 +183,26 @@ class GpsMonitor:
     @property
     def is_doubted(self) -> bool:
         """Whether places speak against GPS now."""
-        return self._state in ("doubtful", "disagrees", "wrong")
+        return self._state in ("suspect", "inconsistent", "faulty")
 
     @property
     def is_ignored(self) -> bool:
         """Whether positions are published as if GPS were lost."""
-        return self.is_wrong and self._acts
+        return self.is_faulty and self._acts
 
     def use_verdict(self, *, follows_gps: bool) -> None:
-        """Go by the newest verdict from now on; it stays "wrong" until GPS agrees again.
+        """Go by the newest verdict from now on; it stays "faulty" until GPS is consistent again.
 
         follows_gps: whether the autopilot's own position still rests on GPS.
         """
         verdict = self.verdict
-        self.is_wrong = verdict.state == "wrong" or (self.is_wrong and verdict.state != "agrees")
-        if not self.is_wrong:
+        self.is_faulty = verdict.state == "faulty" or (self.is_faulty and verdict.state != "consistent")
+        if not self.is_faulty:
             self._error_m, self.published = None, verdict
             return
         if follows_gps and verdict.east_m is not None and verdict.north_m is not None:
             self._error_m = verdict.east_m, verdict.north_m
-        self.published = replace(verdict, state="wrong", doubt=1.0)
+        self.published = replace(verdict, state="faulty", doubt=1.0)
 
     def bound(self) -> None:
         """The autopilot is where a position has put it: the error of GPS is no longer in it."""
@@ -239,7 +240,7 @@ class UnseenRoad:
         """The answer to one more frame.
 
         by_gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
-        steers by it, and lags a receiver that is dragged off. doubt: see `GpsVerdict`; 0 where GPS is not doubtful.
+        steers by it, and lags a receiver that is dragged off. doubt: see `GpsVerdict`; 0 where GPS is not suspect.
         """
         if match is None:
             self.reset()  # a sequence begins anew, and cannot be recognized yet
@@ -271,7 +272,7 @@ class UnseenRoad:
             return
         offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
         ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
-        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_across_m, map_error_m(here), by_gps[0].sigma_m):
+        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), by_gps[0].sigma_m):
             # For long, it has turned off; a filter that catches up with a dragged receiver is back soon.
             self._beside_m += self._route.drive(last.place_index).spacing_m
             if self._beside_m > UNSEEN_M:

@@ -210,31 +210,31 @@ def better_of(
     heading_rad = math.radians(fix.heading_deg)
     sin, cos = math.sin(heading_rad), math.cos(heading_rad)
     off_m = along_and_across(offset_m(own.position, fix), fix.heading_deg)
-    sigmas_m = fix.sigma_along_m, fix.sigma_across_m
+    sigmas_m = fix.sigma_along_m, fix.sigma_cross_track_m
     if any(
         abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
     ):
         return FixCandidate(fix)  # what bounds the autopilot is wrong
-    own_along_m, own_across_m = axes_m
+    own_along_m, own_cross_m = axes_m
     grows = 1.0 if by_gps else GROWS
-    keeps_along = fix.sigma_along_m > _most_m(own_along_m, grows)
+    holds_along = fix.sigma_along_m > _most_m(own_along_m, grows)
     # One that steers itself by its own position has that on the lane, wherever the vehicle is.
-    is_beside = own.drives_itself or own_across_m <= BESIDE_M
-    keeps_across = fix.sigma_across_m > _most_m(own_across_m, grows) or (fix.by_lane and is_beside)
-    if keeps_along and keeps_across:
+    is_beside = own.drives_itself or own_cross_m <= BESIDE_M
+    holds_cross = fix.sigma_cross_track_m > _most_m(own_cross_m, grows) or (fix.by_lane and is_beside)
+    if holds_along and holds_cross:
         return None
-    if not keeps_along and not keeps_across:
+    if not holds_along and not holds_cross:
         return FixCandidate(fix)
-    kept, kept_m = ((cos, -sin), off_m[1]) if keeps_across else ((sin, cos), off_m[0])
+    kept, kept_m = ((cos, -sin), off_m[1]) if holds_cross else ((sin, cos), off_m[0])
     lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -kept_m * kept[0], -kept_m * kept[1])
     place = replace(
         fix,
         lat_deg=lat_deg,
         lon_deg=lon_deg,
-        sigma_along_m=own_along_m if keeps_along else fix.sigma_along_m,
-        sigma_across_m=own_across_m if keeps_across else fix.sigma_across_m,
+        sigma_along_m=own_along_m if holds_along else fix.sigma_along_m,
+        sigma_cross_track_m=own_cross_m if holds_cross else fix.sigma_cross_track_m,
     )
-    return FixCandidate(place, (keeps_along, keeps_across))
+    return FixCandidate(place, (holds_along, holds_cross))
 
 
 def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) -> bool:
@@ -245,11 +245,11 @@ def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) ->
     if not min_move_m or own.position is None or best.place.heading_deg is None:
         return True
     off_m = along_and_across(offset_m(own.position, best.place), best.place.heading_deg)
-    sigmas_m = best.place.sigma_along_m, best.place.sigma_across_m
+    sigmas_m = best.place.sigma_along_m, best.place.sigma_cross_track_m
     times = AGREE_SIGMAS if best.place.by_lane else OFF_SIGMAS
     return any(
-        not keeps and abs(one_m) > max(min_move_m, times * sigma_m)
-        for one_m, sigma_m, keeps in zip(off_m, sigmas_m, best.held_axes, strict=True)
+        not is_held and abs(one_m) > max(min_move_m, times * sigma_m)
+        for one_m, sigma_m, is_held in zip(off_m, sigmas_m, best.held_axes, strict=True)
     )
 
 

@@ -92,7 +92,7 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
         lon_deg=position.lon_deg if position else None,
         heading_deg=position.heading_deg if position else None,
         sigma_along_m=math.hypot(max(rig.sigma_m(match.direction, match.order), UNTRACKED_SIGMA_M), map_m),
-        sigma_across_m=math.hypot(rig.sigma_across_m, map_m),
+        sigma_cross_track_m=math.hypot(rig.sigma_cross_track_m, map_m),
         direction=match.direction,
         order=match.order,
         uniqueness=match.uniqueness,

@@ -48,7 +48,7 @@ from edge.reference_map import Route
 from edge.sequence import DeadReckoningPosition
 
 CALLED_SIGMA_M = 10.0
-"""Of the autopilot's position less the error of GPS, when GPS is called wrong."""
+"""Of the autopilot's position less the error of GPS, when GPS is declared faulty."""
 
 
 class FixResult(Struct, frozen=True, tag="Asked", rename={"request": "limits"}):
@@ -75,10 +75,10 @@ class EstimatorState:
     """What the events so far show, for those who publish it.
 
     position: at the exposure of the last match that agreed, None while the vehicle is lost. gps: what the places say of
-    GPS, "wrong" until it agrees again. ignores_gps: whether positions are published as if GPS were lost. own_sigma_m:
-    one standard deviation of the autopilot's own position, None where nothing has ever bound it. is_bounded: whether
-    GPS or a position of ours has bounded that since the autopilot's boot. rests_on_fixes: whether a position that was
-    sent may have moved it since GPS bounded it last. heading_error: see `Tracker`.
+    GPS, "faulty" until it is consistent again. ignores_gps: whether positions are published as if GPS were lost.
+    own_sigma_m: one standard deviation of the autopilot's own position, None where nothing has ever bound it.
+    is_bounded: whether GPS or a position of ours has bounded that since the autopilot's boot. rests_on_fixes: whether a
+    position that was sent may have moved it since GPS bounded it last. heading_error: see `Tracker`.
     """
 
     position: PlaceFix | None
@@ -236,7 +236,7 @@ class PositionEstimator:
         ignored, bound = self._gps.is_ignored, self._bound.aiding
         is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
         self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)
-        is_no_bound = is_lost and is_bound_by_gps and self._gps.is_wrong
+        is_no_bound = is_lost and is_bound_by_gps and self._gps.is_faulty
         if is_no_bound or (self._gps.is_ignored and not ignored):
             # What GPS has contradicted so far is not contradicted any more.
             self._bind(CALLED_SIGMA_M)

@@ -67,7 +67,7 @@ def protection_level(
     by_shift = MODEL_ERROR * _sigmas(SHARE * of_a_stretch / STRETCH_WRONG)
     along_m, across_m = (
         max(by_errors * sigma_m, UNNOTICED_M + by_shift * sigma_m)
-        for sigma_m in (fix.sigma_along_m, fix.sigma_across_m)
+        for sigma_m in (fix.sigma_along_m, fix.sigma_cross_track_m)
     )
     # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
     by_place = 3 * SHARE * of_a_stretch / max(wrong.place, sys.float_info.min)

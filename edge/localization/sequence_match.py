@@ -204,7 +204,9 @@ class Georeferencer:
             line_m = max(line_m, OPPOSED_M)
         whole = sum((m**2 * np.outer(way, way) for m, way in zip(whole_m, ways, strict=True)), start=np.zeros((2, 2)))
         whole += (1 - WANDERS) * map_m**2 * np.eye(2)
-        return DriveErrors(math.sqrt(WANDERS) * map_m, whole, STAYS * line_m, line_m, self.rig.sigma_across_m, AIM_RAD)
+        return DriveErrors(
+            math.sqrt(WANDERS) * map_m, whole, STAYS * line_m, line_m, self.rig.sigma_cross_track_m, AIM_RAD
+        )
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m

@@ -69,7 +69,7 @@ place."""
 UNDATED_M = 5.0
 """A match whose place is uncertain by more, since its picture has no time, is evidence for no hypothesis."""
 NEAR = 4.0
-"""Square of the standard deviations within which a GPS that was called wrong agrees again: drags are called 5 m off."""
+"""Square of the standard deviations within which a faulty GPS is consistent again: drags are declared 5 m off."""
 GPS_FAR_M = 2 * ELSEWHERE_M
 """GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
 MISLED_RAD = math.radians(15)
@@ -117,7 +117,7 @@ class Tracker:
         self._assumed = self._config.scale_error_percent / 100
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
-        """Whether GPS counts as a measurement: it was not called wrong."""
+        """Whether GPS counts as a measurement: it was not declared faulty."""
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self.reset()
 
@@ -493,7 +493,7 @@ class Tracker:
             lon_deg=lon_deg,
             heading_deg=math.degrees(heading_rad) % 360,
             sigma_along_m=math.sqrt(along_var),
-            sigma_across_m=math.sqrt(float(np.trace(covariance)) - along_var),
+            sigma_cross_track_m=math.sqrt(float(np.trace(covariance)) - along_var),
             direction=match.direction,
             order=match.order,
             uniqueness=match.uniqueness,

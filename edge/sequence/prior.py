@@ -41,8 +41,8 @@ MEAN_OF = 1000
 STRAY_SHARE, STRAY = 0.01, 4.0
 """Share of reckonings that are worse than they say, and how many times. On 30 recorded drives of real autopilots none
 was off by more than 1.1 standard deviations, but one at a reboot (2.2); on four whose GPS was dragged, before it was
-called wrong, by up to 22. A tenth that are 3 times worse gave a recall of .80 instead of .78 in snow, and a road 20 m
-beside the map's, by GPS, odds of 4.5 instead of 0.9."""
+declared faulty, by up to 22. A tenth that are 3 times worse gave a recall of .80 instead of .78 in snow, and a road
+20 m beside the map's, by GPS, odds of 4.5 instead of 0.9."""
 
 Floats = NDArray[np.float64]
 

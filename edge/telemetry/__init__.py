@@ -28,8 +28,8 @@ class LinkStatus:
     velocity_aid: what measures velocity without GPS by its parameters, "none" where nothing does. wheels: by how much
     these measure too little, in words, by this drive and those before. gps_verdict, gps_off_m, gps_off, gps_doubt:
     what the places say of GPS, see GpsVerdict; gps_off in words. sent_ns: CLOCK_MONOTONIC of the newest position that
-    was sent, or with which the autopilot agreed; sent_sigma_m: its standard deviation; level_along_m, level_across_m:
-    its protection level, None where nothing bounds it.
+    was sent, or with which the autopilot agreed; sent_sigma_m: its standard deviation; level_along_m,
+    level_cross_track_m: its protection level, None where nothing bounds it.
     """
 
     state: str
@@ -50,7 +50,7 @@ class LinkStatus:
     sent_ns: int | None = None
     sent_sigma_m: float | None = None
     level_along_m: float | None = None
-    level_across_m: float | None = None
+    level_cross_track_m: float | None = None
 
 
 def open_link(connection: str) -> Link:

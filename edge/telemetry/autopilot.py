@@ -42,7 +42,7 @@ from edge.telemetry.wheel_store import WheelStore, in_percent
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
-DOUBTED = ("doubtful", "disagrees", "wrong")  # verdicts on GPS
+DOUBTED = ("suspect", "inconsistent", "faulty")  # verdicts on GPS
 GPS_SPEED_NS = 500_000_000  # older, the speed is of another moment
 log = logging.getLogger(__name__)
 
@@ -120,14 +120,14 @@ class AutopilotConnection:
 
     def judge_gps(self, verdict: GpsVerdict) -> None:
         """What the places say of GPS now."""
-        disagreed = self._gps_news.verdict.state == "disagrees"
+        disagreed = self._gps_news.verdict.state == "inconsistent"
         is_ignored = self._gps_news.publish(verdict) and self.drive.state.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
         elif is_ignored and not self.positions.selects_sources:
             self.positions.sources.warn_that_gps_stays()
         _, missing = self.vehicle.velocity.witness(self.clock_ns())
-        if verdict.state == "disagrees" and not disagreed and missing:
+        if verdict.state == "inconsistent" and not disagreed and missing:
             self._warn(f"Lookback: who is right? no {missing}")
 
     @property
@@ -140,7 +140,7 @@ class AutopilotConnection:
     @property
     def gps_fault(self) -> str:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
-        return "GPS faulty" if self.drive.state.gps.state == "wrong" else ""
+        return "GPS faulty" if self.drive.state.gps.state == "faulty" else ""
 
     def gps_speed_mps(self) -> float | None:
         """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
@@ -174,7 +174,7 @@ class AutopilotConnection:
             sent_ns=sent[0] if sent else None,
             sent_sigma_m=round(sent[1].place.sigma_m, 2) if sent else None,
             level_along_m=along_m,
-            level_across_m=across_m,
+            level_cross_track_m=across_m,
         )
 
     @property
@@ -247,9 +247,9 @@ class AutopilotConnection:
     def restore_sources(self) -> None:
         """Have the autopilot use GPS again, if we may have taken it away; waits for the answer.
 
-        Not unless GPS agrees with the places: the vehicle would follow it as soon as this program ends.
+        Not unless GPS is consistent with the places: the vehicle would follow it as soon as this program ends.
         """
-        if self.drive.state.ignores_gps:  # it agreed before, and has been called wrong since
+        if self.drive.state.ignores_gps:  # it agreed before, and has been declared faulty since
             return
         for _ in range(RESTORE_TRIES):
             messages = self.positions.sources.restore(self.clock_ns()) if self.state == "up" else []

@@ -122,7 +122,7 @@ def protection_values(level: ProtectionLevel | None, boot_ms: int) -> list[Messa
 
 
 def gps_values(doubt: float | None, off_m: float | None, boot_ms: int) -> list[Message]:
-    """NAMED_VALUE_FLOAT: whether GPS is doubted, 0 to 1, where 1 is called wrong, and by how many meters it is off.
+    """NAMED_VALUE_FLOAT: whether GPS is doubted, 0 to 1, where 1 is declared faulty, and by how many meters it is off.
 
     doubt: None where nothing is known, which is sent as -1; off_m: None is not sent.
     """

@@ -26,10 +26,10 @@ QUEUE_LINES = 8
 PEER_SILENT_NS = 5_000_000_000
 VALUES_NS = 1_000_000_000
 GPS_TEXTS = {
-    "wrong": "Lookback: GPS faulty: {}",
-    "agrees": "Lookback: GPS consistent with the map again",
-    "disagrees": "Lookback: GPS inconsistent: {}",
-    "map wrong": "Lookback: map faulty here, GPS {}",
+    "faulty": "Lookback: GPS faulty: {}",
+    "consistent": "Lookback: GPS consistent with the map again",
+    "inconsistent": "Lookback: GPS inconsistent: {}",
+    "map faulty": "Lookback: map faulty here, GPS {}",
     "not recognized": "Lookback: not recognized where GPS says we are",
 }
 
@@ -129,15 +129,15 @@ class GpsNews:
         self._had_gps: Session | None = None  # in which a receiver worked last
 
     def publish(self, verdict: GpsVerdict) -> bool:
-        """Publish a verdict where it is another one; True where GPS was just called wrong."""
+        """Publish a verdict where it is another one; True where GPS was just declared faulty."""
         self.verdict, before = verdict, self._published
         if verdict.state == before or (not before and verdict.state == "cannot say"):
             return False
         self._published = verdict.state
         self._publisher.record(GpsJudged(verdict.state, verdict.east_m, verdict.north_m, verdict.doubt))
-        if verdict.state in GPS_TEXTS and (verdict.state != "agrees" or before == "wrong"):
+        if verdict.state in GPS_TEXTS and (verdict.state != "consistent" or before == "faulty"):
             self._publisher.warn(GPS_TEXTS[verdict.state].format(verdict.where))
-        return verdict.state == "wrong"
+        return verdict.state == "faulty"
 
     def warn_of_lost(self, session: Session, now_ns: int, *, is_bounded: bool) -> None:
         """Where GPS is lost, and the autopilot had not used it yet. is_bounded: see `EstimatorState`."""

@@ -181,7 +181,7 @@ class PositionSender:
                 *level_m(fix.level),
                 place.points,
                 place.sigma_along_m,
-                kept(fix),
+                held_axes(fix),
             )
         )
 
@@ -247,7 +247,7 @@ class PositionSender:
                 *level_m(sent.fix.level),
                 fix.points,
                 fix.sigma_along_m,
-                kept(sent.fix),
+                held_axes(sent.fix),
             )
         )
 
@@ -255,7 +255,9 @@ class PositionSender:
         """The fix with a larger sigma: all within a correlation length have one error, and share its information."""
         speed_mps = self._vehicle.motion.speed_mps(now_ns) or 0.0
         times = math.sqrt(max(1.0, CORRELATION_M / max(speed_mps * period_s, 1.0)))
-        return replace(fix, sigma_along_m=times * fix.sigma_along_m, sigma_across_m=times * fix.sigma_across_m)
+        return replace(
+            fix, sigma_along_m=times * fix.sigma_along_m, sigma_cross_track_m=times * fix.sigma_cross_track_m
+        )
 
     def read_acknowledgement(self, command: int, result: int, now_ns: int) -> None:
         """COMMAND_ACK that was addressed to us."""
@@ -274,7 +276,7 @@ class PositionSender:
         return messages
 
     def _choose_sources(self, *, works: bool) -> None:
-        """Without GPS where it is ignored and positions are sent in its place; with it once it agrees again.
+        """Without GPS where it is ignored and positions are sent in its place; with it once it is consistent again.
 
         Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
         """
@@ -282,14 +284,14 @@ class PositionSender:
         if known.ignores_gps:
             if self.selects_sources and self._vehicle.session.firmware.gps_switch:
                 self.sources.wanted = SET_WITHOUT_GPS
-        elif works and known.gps.state == "agrees":
+        elif works and known.gps.state == "consistent":
             self.sources.wanted = GPS_SET
 
 
-def kept(fix: Fix) -> Literal["along", "across"] | UnsetType:
-    """The direction in which a position is the autopilot's own, for the journal."""
-    along, across = fix.held_axes
-    return "along" if along else "across" if across else UNSET
+def held_axes(fix: Fix) -> Literal["along-track", "cross-track"] | UnsetType:
+    """The axis on which a position is the autopilot's own, for the journal."""
+    along, cross = fix.held_axes
+    return "along-track" if along else "cross-track" if cross else UNSET
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:

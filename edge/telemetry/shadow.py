@@ -57,7 +57,7 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     lon_deg: Longitude = None
     heading_deg: Heading = None
     sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along the route", 2)] = None
-    sigma_across_m: Annotated[float | None, unit("m", "one standard deviation across the route", 2)] = None
+    sigma_cross_track_m: Annotated[float | None, unit("m", "one standard deviation across the route", 2)] = None
     direction: Direction | None = None
     order: Order | None = None
     map: MapName = UNSET
@@ -145,7 +145,7 @@ def _compared(one: _PendingRecord, own: VehiclePosition | None) -> ShadowPositio
         lon_deg=place.lon_deg,
         heading_deg=place.heading_deg,
         sigma_along_m=place.sigma_along_m,
-        sigma_across_m=place.sigma_across_m,
+        sigma_cross_track_m=place.sigma_cross_track_m,
         direction=place.direction,
         order=place.order,
         map=place.map,

@@ -1,8 +1,8 @@
 """Whether the autopilot's filter uses GPS, selected by command until that is known to be done. No I/O.
 
-With `doubted_gps = "switch"` GPS is taken away when it is called wrong, and given back when it agrees again: only where
-this program has taken it away before, which a file remembers over a crash. What the pilot has selected stays. A
-command is sent again while it is not done, and in every session: the autopilot may have rebooted.
+With `doubted_gps = "switch"` GPS is taken away when it is declared faulty, and given back when it is consistent again:
+only where this program has taken it away before, which a file remembers over a crash. What the pilot has selected
+stays. A command is sent again while it is not done, and in every session: the autopilot may have rebooted.
 
 ArduPilot  42007 selects set 2 of its sources, or set 1; done when acknowledged, since it reports nothing of it
 PX4        43006 sets GPS off or on, which it keeps when it reboots; done when FusionStatus (514) says so
@@ -76,7 +76,7 @@ class SourceSelection:
         return self._select(wanted, now_ns)
 
     def restore(self, now_ns: int) -> list[Message]:
-        """The command for set 1 at the end of the program, where GPS agrees and set 2 may still be selected by us."""
+        """The command for set 1 at the end, where GPS is consistent and set 2 may still be selected by us."""
         return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET != self.in_use else []
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:

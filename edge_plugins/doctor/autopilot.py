@@ -150,7 +150,7 @@ def _judge_witness(examined: DoctorContext, witness: str, missing: str) -> Found
     if not missing:
         return good(f"{doubted}: the witness is heard: {witness}")
     remedy = "it needs RAW_IMU (ArduPilot) or ATTITUDE, and wheel encoders, ODOMETRY of another program, or [motion]"
-    return bad(f"{doubted} does nothing: GPS that the places contradict is called wrong only with {missing}", remedy)
+    return bad(f"{doubted} does nothing: GPS that the places contradict is declared faulty only with {missing}", remedy)
 
 
 def _judge_velocity_aid(examined: DoctorContext, vehicle: Vehicle) -> Iterator[Found]:
@@ -225,7 +225,7 @@ def _judge_gps_of_px4(examined: DoctorContext, vehicle: Vehicle) -> Iterator[Fou
     doubted_gps, is_on = examined.settings.gates.doubted_gps, vehicle.session.gps.is_fusion_on
     if is_on is False and examined.has_receiver:
         words = "PX4 is set not to use its GPS, which works"
-        yield bad(words, "add 1 to EKF2_SENS_EN; after a crash Lookback does so once GPS agrees with the places")
+        yield bad(words, "add 1 to EKF2_SENS_EN; after a crash Lookback does so once GPS is consistent with the places")
     if _takes_gps_from_px4(examined, vehicle) and is_on is not None:
         yield good('[gates] doubted_gps = "switch": PX4 reports that its GPS can be switched')
     elif doubted_gps != "report":

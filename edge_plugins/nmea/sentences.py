@@ -40,7 +40,7 @@ def sentences(unix_ns: int, fix: PlaceFix | None, speed_mps: float | None = None
 
 def _ellipse(fix: PlaceFix) -> tuple[str, str, str, str, str]:
     """Meters along both axes of the error ellipse, how the longer one lies, and meters north and east: 1 sigma each."""
-    along_m, across_m = fix.sigma_along_m, fix.sigma_across_m
+    along_m, across_m = fix.sigma_along_m, fix.sigma_cross_track_m
     if fix.heading_deg is None:
         along_m = across_m = max(along_m, across_m)
     heading_rad = math.radians(fix.heading_deg or 0.0)

@@ -55,18 +55,19 @@ def _metrics(status: Status) -> Iterator[Metric]:
     yield _counter("camera_reopened", "How often a lost camera came back", camera.reopened)
     yield _gauge("link_up", "Whether an autopilot is heard", float(link.state == "up"))
     yield _gauge("gps_healthy", "Whether the autopilot uses a good GPS fix", float(link.gps == "healthy"))
-    is_wrong = link.gps_verdict == "wrong"
-    yield _gauge("gps_wrong", "Whether GPS is called wrong", float(is_wrong))
+    is_faulty = link.gps_verdict == "faulty"
+    yield _gauge("gps_faulty", "Whether GPS is declared faulty", float(is_faulty))
+    yield _gauge("gps_wrong", "The old name of lookback_gps_faulty, in this version only", float(is_faulty))
     if link.gps_doubt is not None:
-        # Enough evidence in one place is not called yet: then it is rounded down, so that both metrics agree.
-        doubt = 1.0 if is_wrong else min(link.gps_doubt, 0.99)
-        yield _gauge("gps_doubt", "Evidence that GPS is wrong, from 0; 1 where that is said", doubt)
+        # Enough evidence in one place is not declared yet: then it is rounded down, so that both metrics agree.
+        doubt = 1.0 if is_faulty else min(link.gps_doubt, 0.99)
+        yield _gauge("gps_doubt", "Evidence that GPS is faulty, from 0; 1 where that is declared", doubt)
     if link.gps_off_m is not None:
         yield _gauge("gps_off_meters", "How far GPS is from the places", link.gps_off_m)
     if link.sent_ns is not None:
         age_s = (status.stamp_ns - link.sent_ns) / 1e9
         yield _gauge("position_age_seconds", "Time since the newest position was sent", age_s)
-        both = {"along": link.level_along_m, "across": link.level_across_m}
+        both = {"along": link.level_along_m, "cross-track": link.level_cross_track_m}
         levels = {direction: math.inf if level_m is None else level_m for direction, level_m in both.items()}
         about_levels = "Of the newest position that was sent; +Inf where nothing bounds it"
         yield _gauge("protection_level_meters", about_levels, levels, "direction")

@@ -197,7 +197,7 @@ class Ros2:
 
 def _variances(fix: PlaceFix) -> tuple[tuple[float, float], float]:
     """East and north, and their covariance, from standard deviations along and across the road."""
-    along, across = fix.sigma_along_m**2, fix.sigma_across_m**2
+    along, across = fix.sigma_along_m**2, fix.sigma_cross_track_m**2
     if fix.heading_deg is None:
         return (max(along, across), max(along, across)), 0.0
     sin, cos = math.sin(math.radians(fix.heading_deg)), math.cos(math.radians(fix.heading_deg))

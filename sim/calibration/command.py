@@ -164,7 +164,7 @@ def rig_lines(offsets: Sequence[Offset]) -> Lines:
     looks = [look_key(one) for one in offsets if not np.isnan(one.look_m)]
     keys += [*looks, "look_sigma_m"] if looks else []
     if keys:
-        keys += ["sigma_along_m", "sigma_across_m"]
+        keys += ["sigma_along_m", "sigma_cross_track_m"]
     return {("rig", key): getattr(rig, key) for key in keys}
 
 

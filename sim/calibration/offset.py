@@ -114,19 +114,19 @@ def _deviation(values: NDArray[np.float64]) -> float:
 def rig_config(offsets: Sequence[Offset]) -> RigConfig:
     """The [rig] section, rounded to 0.1 m; 0 for what no drive has measured.
 
-    sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_across_m is at least
-    LANE_SIGMA_M, however well these drives kept their lane.
+    sigma_along_m, of directions and orders that were not measured, is the largest that was. sigma_cross_track_m is at
+    least LANE_SIGMA_M, however well these drives kept their lane.
     """
     keys = {rig_key(offset): round(offset.ahead_m, 1) for offset in offsets}
     keys |= {sigma_key(offset): round(offset.sigma_m, 1) for offset in offsets}
     along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
     keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
-    across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_across_m)
+    across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_cross_track_m)
     looks = [offset for offset in offsets if not np.isnan(offset.look_m)]
     keys |= {look_key(offset): round(offset.look_m, 1) for offset in looks}
     if looks:
         keys["look_sigma_m"] = round(max(offset.look_sigma_m for offset in looks), 1)
-    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_across_m=round(max(LANE_SIGMA_M, across_m), 1))
+    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_cross_track_m=round(max(LANE_SIGMA_M, across_m), 1))
 
 
 def rig_key(offset: Offset) -> str:

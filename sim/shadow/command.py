@@ -176,7 +176,9 @@ def verdict(found: Report) -> Iterator[str]:
         yield f"{state} by {light}: {good_m:.0f} of {all_m:.0f} m of road; up to {drives} drives, {driven_m:.0f} m"
         for axis, one in small:
             keys = (
-                f"{positions.keys} (where none was set, sigma_along_m)" if positions and axis == 0 else "sigma_across_m"
+                f"{positions.keys} (where none was set, sigma_along_m)"
+                if positions and axis == 0
+                else "sigma_cross_track_m"
             )
             yield f"  Multiply [rig] {keys} by {one.best:.1f}, drive again, and judge with --since"
 

@@ -154,7 +154,7 @@ def _drive(records: Records) -> ShadowDrive:
         gps_m=np.where(is_gps, gps_m, np.nan),
         light=lights(unix_s, *at_deg.T),
         off_m=np.array([_off_m(one) for one in ones]),
-        sigma_m=np.array([(_known(one.sigma_along_m), _known(one.sigma_across_m)) for one in ones]),
+        sigma_m=np.array([(_known(one.sigma_along_m), _known(one.sigma_cross_track_m)) for one in ones]),
         late_m=LATE_S * speed_mps,
         way=np.array([_way(one) for one in ones]),
     )

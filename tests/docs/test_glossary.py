@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import re
 from collections import Counter
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from msgspec import Struct
+
+from edge.config import RigConfig
+from edge.journal.records import GPS_STATES, KINDS, RENAMED
+from edge.localization.gps_monitor import GpsVerdictState
+from edge.telemetry import LinkStatus
+from edge.telemetry.shadow import ShadowPosition
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("edge", "edge_plugins", "sim", "lookback")
@@ -41,6 +50,28 @@ def classes() -> Counter[str]:
 def is_used(term: str, text: str) -> bool:
     """Whether a text has a term, whatever its line breaks and capitals."""
     return re.search(r"\b" + r"[\s-]+".join(re.split(r"[\s-]", term)), text, re.IGNORECASE) is not None
+
+
+def test_states_and_keys_are_called_as_the_glossary_says() -> None:
+    words = dict(re.findall(r"`([\w ]+)` \(([\w ]+)\)", GLOSSARY.read_text("utf-8").partition("## States")[2]))
+    kinds: tuple[type[Struct], ...] = (*KINDS, ShadowPosition, RigConfig)
+    keys = {field for kind in kinds for field in kind.__struct_fields__}
+    keys |= {field.name for field in dataclasses.fields(LinkStatus)}
+    states = set(get_args(GpsVerdictState))
+    assert words == {**{new: old for old, new in GPS_STATES.items()}, **{new: old for old, new in RENAMED.items()}}
+    assert words.keys() <= keys | states and not set(words.values()) & (keys | states)
+    page = (ROOT / "edge_plugins/page/page.html").read_text("utf-8")
+    shown = re.search(r"const GPS_KINDS = {(.*)};", page)
+    assert shown and set(re.findall(r'([a-z][a-z ]*)"?: "', shown[1])) == states - {"cannot say"}
+
+
+REPLACED = re.compile(r"(called|calls GPS) wrong|GPS (agrees|disagrees|is doubtful)\b")
+
+
+def test_no_page_code_or_message_says_of_gps_what_the_glossary_replaced() -> None:
+    files = [file for package in (*PACKAGES, "firmware_config") for file in (ROOT / package).rglob("*")]
+    texts = [file for file in files if file.suffix in {".py", ".toml", ".html", ".lua", ".md", ".param"}]
+    assert [str(file) for file in (*texts, *OTHER_PAGES) if REPLACED.search(file.read_text("utf-8"))] == []
 
 
 def test_the_glossary_is_read_whole() -> None:

@@ -29,7 +29,7 @@ SECTIONS: list[tuple[str, str, Any]] = [
     ("sequence", "directions", "sideways"),
     ("acceptance", "uniqueness_min", 0.99),
     ("rig", "ahead_forward_same_m", 501),
-    ("rig", "sigma_across_m", "2 m"),
+    ("rig", "sigma_cross_track_m", "2 m"),
     ("tracking", "heading_error_deg", 31),
     ("gates", "risk", 0),
     ("gates", "with_gps", 1),

@@ -1,4 +1,4 @@
-"""The Lua script that acts where Lookback calls GPS wrong."""
+"""The Lua script that acts where Lookback declares GPS faulty."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_the_pilot_chooses_what_it_does(action: int, sets: list[int], modes: lis
     autopilot = opened(action)
     hear(autopilot, 1.0, 10)
     assert (autopilot.sets, autopilot.modes) == (sets, modes)
-    assert any(text.startswith("GPS is wrong") for text in autopilot.texts)
+    assert any(text.startswith("GPS faulty") for text in autopilot.texts)
 
 
 @pytest.mark.parametrize("wide", [False, True])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from edge.errors import ConfigError
 from edge.journal.journal import Journal, QueuedJournal, earlier_files, rotate
 from edge.journal.records import (
     KINDS,
+    RENAMED,
     SCHEMA,
     FixAnswered,
     FixChecked,
@@ -68,7 +70,8 @@ def test_each_record_is_a_line_and_openings_append(path: Path) -> None:
     write(path, "one", "two\nlines")
     write(path, "three")
     assert path.read_text().splitlines()[:2] == [
-        f'{{"unix_s":1700000000.123,"event":"journal_opened","schema":{SCHEMA},"lookback":"{edge.__version__}"}}',
+        f'{{"unix_s":1700000000.123,"event":"journal_opened","schema":{SCHEMA},"lookback":"{edge.__version__}",'
+        f'"renamed":{json.dumps(RENAMED, separators=(",", ":"))}}}',
         '{"unix_s":1700000000.123,"event":"state","state":"one","why":""}',
     ]
     assert path.read_text().count("\n") == 2 + 3
@@ -233,7 +236,7 @@ EVERY_KIND: tuple[Record, ...] = (
     FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
-    GpsJudged("wrong", -3.5, 12.0, 1.0),
+    GpsJudged("faulty", -3.5, 12.0, 1.0),
     HomeAnswered(True, "uploaded and verified: 300 m back along drive 1 (out), 12 waypoints for 151 places", 13),
     SourceSetAnswered(2, "ACCEPTED"),
     ShadowPosition(5, 8.5, 12.0, "standing", 48.1, 11.5, 0.5, "rtk_fixed"),
@@ -250,7 +253,7 @@ def test_every_kind_of_record_is_read_as_it_was_written(path: Path) -> None:
     assert all(journal.write(record) for record in EVERY_KIND)
     journal.close()
     opened, *lines = read_journal(path, *OTHERS)
-    assert opened.record == JournalOpened(SCHEMA, edge.__version__)
+    assert opened.record == JournalOpened(SCHEMA, edge.__version__, RENAMED)
     assert lines == [JournalLine(1.5, record) for record in EVERY_KIND]
     others = [line.record for line in read_journal(path) if isinstance(line.record, UnknownRecord)]
     assert [one.fields["event"] for one in others] == ["mapping", "motion", "velocity", "home", "shadow"], (
@@ -313,6 +316,20 @@ def test_a_newer_schema_may_mean_something_else(path: Path) -> None:
         JournalOpened,
         StateChanged,
     ]
+
+
+def test_the_names_of_an_older_schema_are_read_as_those_of_today(path: Path) -> None:
+    """Each key and each word that schema 3 has renamed."""
+    sent = FixSent(3, "external_position", -27.0, 153.0, 1.5, 12.0, 0.1, 2.0, level_cross_track_m=4.0)
+    today = [msgspec.structs.replace(sent, held_axes=axis) for axis in ("along-track", "cross-track")]
+    path.parent.mkdir()
+    old = [f"{msgspec.json.encode(one).decode()}\n".replace("cross_track_m", "across_m") for one in today]
+    old = [line.replace("held_axes", "keeps").replace("-track", "").replace('"cross"', '"across"') for line in old]
+    words = "agrees", "doubtful", "disagrees", "wrong", "map wrong", "cannot say", "not recognized"
+    judged = [f'{{"event":"gps_judged","state":"{word}"}}\n' for word in words]
+    path.write_text("".join([*old, *judged]))
+    states = "consistent", "suspect", "inconsistent", "faulty", "map faulty", "cannot say", "not recognized"
+    assert [line.record for line in read_journal(path)] == [*today, *map(GpsJudged, states)]
 
 
 def test_the_output_of_replay_is_read_as_frames(path: Path) -> None:

@@ -73,12 +73,12 @@ class Bounded(NamedTuple):
     along_m: float
     across_m: float
     level_along_m: float
-    level_across_m: float
+    level_cross_track_m: float
 
     @property
     def is_exceeded(self) -> bool:
         """Whether an error is above its level."""
-        return self.along_m > self.level_along_m or self.across_m > self.level_across_m
+        return self.along_m > self.level_along_m or self.across_m > self.level_cross_track_m
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Bench:
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(
             sigma_along_m=SAME_M,
-            sigma_across_m=2.5,
+            sigma_cross_track_m=2.5,
             look_sigma_m=0.05,
             look_ahead_reverse_m=REVERSE_AHEAD_M,
         )

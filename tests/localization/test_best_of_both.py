@@ -19,7 +19,7 @@ from tests.localization.events_of import Road, Vehicle
 from tests.localization.route_course import HOME, Stretch
 
 FIX = PlaceFix(
-    S, 1, *HOME, 90.0, sigma_along_m=4.0, sigma_across_m=3.0, direction="forward", order="same", uniqueness=1.2
+    S, 1, *HOME, 90.0, sigma_along_m=4.0, sigma_cross_track_m=3.0, direction="forward", order="same", uniqueness=1.2
 )
 
 
@@ -52,7 +52,7 @@ def test_in_each_direction_the_better_of_both_is_sent(
     found = better_of(replace(FIX, by_lane=by_lane), own(7.0, 5.0), axes_m, by_gps=False)
     assert found is not None and found.held_axes == keeps
     assert placed(found.place) == pytest.approx(place_m, abs=0.01)
-    sigmas_m = found.place.sigma_along_m, found.place.sigma_across_m
+    sigmas_m = found.place.sigma_along_m, found.place.sigma_cross_track_m
     expected_m = [one_m if keep else fix_m for one_m, keep, fix_m in zip(axes_m, keeps, (4.0, 3.0), strict=True)]
     assert sigmas_m == pytest.approx(expected_m, abs=0.01)
 
@@ -132,4 +132,4 @@ def test_where_only_the_lane_says_how_far_across_the_autopilots_own_across_is_se
     one.own()
     answer = one.ask(is_reset=True)
     assert isinstance(answer, Fix) and answer.held_axes == (False, True)
-    assert answer.place.by_lane and answer.place.sigma_across_m > answer.place.sigma_along_m
+    assert answer.place.by_lane and answer.place.sigma_cross_track_m > answer.place.sigma_along_m

@@ -90,7 +90,7 @@ def looked(at_m: float, west_m: float, north_m: float, *, is_look: bool) -> Plac
     return match(place + 2, "reverse", order="same", seen=seen)
 
 
-def called_m(said: list[Called], state: str = "wrong") -> float:
+def called_m(said: list[Called], state: str = "faulty") -> float:
     """How far GPS was off when it was called."""
     return next((one.off_m for one in said if one.state == state), math.inf)
 
@@ -118,7 +118,7 @@ def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long
         shown = looked(one.north_m, -aside_m, 0.0, is_look=frame % EVERY == 0 and aside_m < 7.0)
         found.append(Called(one.show(shown, gps_at(one.north_m)).state, aside_m))
     assert called_m(found) < 14.0
-    assert found[-1].state == "wrong", "no line speaks for GPS soon after looks did not"
+    assert found[-1].state == "faulty", "no line speaks for GPS soon after looks did not"
 
 
 @pytest.mark.parametrize("drag_s", [12.0, 20.0])
@@ -154,12 +154,12 @@ def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer:
     """Also where own motion, 10 % wrong, is held against it between looks."""
     for seed in (1, 2):
         said = drive(long_road, HONEST[kind](), seed, odometer, blind_s=blind_s)
-        assert called_m(said) == called_m(said, "map wrong") == math.inf
+        assert called_m(said) == called_m(said, "map faulty") == math.inf
 
 
 @pytest.mark.parametrize("turns_dps", [0.3, -1.0])
 def test_gyros_that_have_another_bias_make_no_gps_wrong(long_road: Road, turns_dps: float) -> None:
-    """By 1 degree a second headings were 35 degrees off, and GPS was called wrong 11 s later."""
+    """By 1 degree a second headings were 35 degrees off, and GPS was declared faulty 11 s later."""
     assert called_m(drive(long_road, HONEST["open sky"](), 1, turns_dps=turns_dps)) == math.inf
 
 

@@ -121,7 +121,7 @@ def ahead(by_m: float, at_m: float) -> GpsFix:
 
 def test_where_gps_was_doubtful_less_must_be_unrecognized(road: Road) -> None:
     one, off_m = recognized(road, 160.0), 0.0
-    while one.drive.state.gps.state != "doubtful":
+    while one.drive.state.gps.state != "suspect":
         off_m += 0.5
         drive(one, [seen(one.north_m + SPACING_M)], partial(ahead, off_m))
     doubt = one.drive.state.gps.doubt
@@ -142,8 +142,8 @@ def test_what_begins_anew_is_not_unrecognized(road: Road, happens: str) -> None:
 def test_gps_that_was_called_wrong_stays_wrong_where_nothing_is_recognized(road: Road) -> None:
     one = recognized(road)
     drive(one, [seen(at_m) for at_m in places(FROM_M, 240.0)], lambda at_m: gps_at(at_m, 200.0))
-    assert one.drive.state.gps.state == "wrong"
-    assert warned_m(one) is None and one.drive.state.gps.state == "wrong"
+    assert one.drive.state.gps.state == "faulty"
+    assert warned_m(one) is None and one.drive.state.gps.state == "faulty"
 
 
 def honest(north_m: float) -> GpsFix:
@@ -158,9 +158,9 @@ def bursts(north_m: float) -> GpsFix:
 @pytest.mark.parametrize(
     ("aside", "odometer", "gps", "state"),
     [
-        pytest.param(0.125, 1.0, honest, "wrong", id="1 m/s at 8 m/s"),
-        pytest.param(0.25, 1.0, honest, "wrong", id="1 m/s at 4 m/s"),
-        pytest.param(0.25, 0.92, honest, "wrong", id="wheels 8 % wrong"),
+        pytest.param(0.125, 1.0, honest, "faulty", id="1 m/s at 8 m/s"),
+        pytest.param(0.25, 1.0, honest, "faulty", id="1 m/s at 4 m/s"),
+        pytest.param(0.25, 0.92, honest, "faulty", id="wheels 8 % wrong"),
         pytest.param(0.0, 1.0, honest, "not recognized", id="a road that was rebuilt"),
         pytest.param(0.0, 1.0, bursts, "not recognized", id="multipath"),
         pytest.param(0.0, 0.88, honest, "not recognized", id="wheels that slip"),
@@ -183,13 +183,13 @@ def test_gps_by_which_the_vehicle_leaves_the_road_is_wrong_where_own_motion_says
         one.move()
         shown = seen(one.north_m) if aside_m < 16.0 and one.north_m < 560.0 else unseen(one.north_m)
         found = one.show(shown, gps(one.north_m)).state
-        assert found in ("cannot say", "agrees", "doubtful", state)
-        called_m = aside_m if found == "wrong" else None
+        assert found in ("cannot say", "consistent", "suspect", state)
+        called_m = aside_m if found == "faulty" else None
     assert found == state
     assert called_m is None or called_m < 35.0
 
 
-@pytest.mark.parametrize(("timestamp_sigma_s", "state"), [(0.0, "wrong"), (1.5, "cannot say")])
+@pytest.mark.parametrize(("timestamp_sigma_s", "state"), [(0.0, "faulty"), (1.5, "cannot say")])
 def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(
     road: Road, timestamp_sigma_s: float, state: str
 ) -> None:

@@ -1,4 +1,4 @@
-"""GPS against recognized places: what is called wrong, what is not, and how soon."""
+"""GPS against recognized places: what is declared faulty, what is not, and how soon."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.localization.route_course import SPACING_M, Stretch
 
 GPS_M, MATCH_M = 2.0, 4.5
 """Of GPS in each direction, and of a match along the road."""
-SETTINGS = settings(RigConfig(sigma_along_m=MATCH_M, sigma_across_m=2.5), GatesConfig())
+SETTINGS = settings(RigConfig(sigma_along_m=MATCH_M, sigma_cross_track_m=2.5), GatesConfig())
 Offset = Callable[[float], tuple[float, float] | None]
 """East and north, by which GPS is wrong at some meters driven; None without GPS."""
 MakeRoad = Callable[..., Road]
@@ -86,14 +86,14 @@ def states(verdicts: list[GpsVerdict], from_m: float = 0.0, to_m: float = math.i
 
 
 def called_at_m(verdicts: list[GpsVerdict], *states: str) -> float:
-    """Meters driven until GPS is called wrong, or until one of those states."""
-    return next((row * SPACING_M for row, one in enumerate(verdicts) if one.state in (states or ("wrong",))), math.inf)
+    """Meters driven until GPS is declared faulty, or until one of those states."""
+    return next((row * SPACING_M for row, one in enumerate(verdicts) if one.state in (states or ("faulty",))), math.inf)
 
 
 def test_an_honest_gps_agrees(long_road: Road) -> None:
     found = [state for seed in range(3) for state in states(drive(long_road, right, 1990.0, seed))]
-    assert "wrong" not in found
-    assert np.mean([state == "agrees" for state in found]) > 0.9
+    assert "faulty" not in found
+    assert np.mean([state == "consistent" for state in found]) > 0.9
 
 
 def test_bursts_of_multipath_are_no_call(long_road: Road) -> None:
@@ -117,9 +117,9 @@ def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> N
             return east_m, north_m
 
         verdicts = drive(long_road, drag, 300.0 + 60.0 / share, seed)
-        assert 0 < share * (called_at_m(verdicts, "wrong", "disagrees") - 300.0) < 40
+        assert 0 < share * (called_at_m(verdicts, "faulty", "inconsistent") - 300.0) < 40
         offs_m.append(share * (called_at_m(verdicts) - 300.0))
-        called = next(one for one in verdicts if one.state == "wrong")
+        called = next(one for one in verdicts if one.state == "faulty")
         assert (called.east_m, called.north_m) == pytest.approx(offs_m[-1] * towards, abs=25.0)
     assert max(offs_m) < 50
 
@@ -133,21 +133,21 @@ def test_a_jump_is_called_within_two_sightings(long_road: Road, off_m: float) ->
 def test_it_agrees_again_when_gps_is_right_again_and_not_before(long_road: Road) -> None:
     verdicts = drive(long_road, lambda at_m: (60.0 if 300.0 <= at_m < 700.0 else 0.0, 0.0), 1200.0)
     found = states(verdicts)
-    assert 700 < (len(found) - found[::-1].index("wrong")) * SPACING_M < 900
-    assert found[-1] == "agrees"
-    assert set(states(verdicts, 450, 700)) == {"wrong"}
+    assert 700 < (len(found) - found[::-1].index("faulty")) * SPACING_M < 900
+    assert found[-1] == "consistent"
+    assert set(states(verdicts, 450, 700)) == {"faulty"}
 
 
 @pytest.mark.parametrize("odometer", [0.97, None])
 def test_where_they_have_never_agreed_neither_is_called_wrong(long_road: Road, odometer: float | None) -> None:
     verdicts = drive(long_road, lambda at_m: (0.0, 40.0), 800.0, odometer=odometer)
-    assert called_at_m(verdicts, "wrong", "map wrong") == math.inf
-    assert verdicts[-1].state == "disagrees"
+    assert called_at_m(verdicts, "faulty", "map faulty") == math.inf
+    assert verdicts[-1].state == "inconsistent"
     assert verdicts[-1].north_m == pytest.approx(40.0, abs=15.0)
     assert " m off to the N" in verdicts[-1].where
 
 
-@pytest.mark.parametrize(("odometer", "last"), [(0.97, "wrong"), (None, "disagrees")])
+@pytest.mark.parametrize(("odometer", "last"), [(0.97, "faulty"), (None, "inconsistent")])
 @pytest.mark.parametrize("gap_m", [0.0, 300.0])
 def test_without_own_motion_nobody_is_called_wrong(
     long_road: Road, odometer: float | None, last: str, gap_m: float
@@ -173,8 +173,8 @@ def test_after_a_gap_the_vehicle_s_own_motion_says_whether_gps_or_the_map_is_wro
     road = mapped(part(0, 400, recording="out"), part(650, 1100, -off_m if is_map else 0.0, recording))
     gps_off_m = 0.0 if is_map else off_m
     found = states(drive(road, lambda at_m: (gps_off_m if at_m >= 650.0 else 0.0, 0.0), 1090.0, 4))
-    assert ("wrong" in found, "map wrong" in found) == (not is_map, is_map)
-    assert is_map or found[-1] == "wrong"
+    assert ("faulty" in found, "map faulty" in found) == (not is_map, is_map)
+    assert is_map or found[-1] == "faulty"
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -185,8 +185,8 @@ def test_after_a_gap_gps_is_held_against_where_it_was_when_it_agreed(mapped: Mak
         one.move()
         off_m = side * (8.0 if one.north_m < 598.0 else -30.0)
         found.append(one.show(one.road.match(one.north_m), gps_at(one.north_m, off_m)).state)
-    assert found[199] == "agrees"
-    assert found[-1] == "wrong"
+    assert found[199] == "consistent"
+    assert found[-1] == "faulty"
 
 
 def test_gps_that_is_jammed_first_is_called_when_it_is_back(long_road: Road) -> None:
@@ -208,15 +208,15 @@ def test_gps_that_no_place_has_judged_is_right_until_it_was_lost(mapped: MakeRoa
     for _ in range(100):
         one.move()
         found.append(one.show(one.road.match(one.north_m), gps_at(one.north_m, 0.0 if is_map else 150.0)).state)
-    assert ("wrong" in found) != is_map
+    assert ("faulty" in found) != is_map
 
 
 @pytest.mark.parametrize(
     ("stretches", "from_m", "further_m", "odometer", "last"),
     [
         ((part(0, 1000), part(1000, 1400)), 400.0, 660.0, 0.97, ""),
-        ((part(0, 400), part(460, 760, 130.0)), 500.0, 0.0, 1.0, "map wrong"),
-        ((part(0, 400), part(460, 760, 130.0)), 500.0, 0.0, None, "disagrees"),
+        ((part(0, 400), part(460, 760, 130.0)), 500.0, 0.0, 1.0, "map faulty"),
+        ((part(0, 400), part(460, 760, 130.0)), 500.0, 0.0, None, "inconsistent"),
     ],
     ids=["on another track", "beside the road", "beside the road, own motion unknown"],
 )
@@ -232,7 +232,7 @@ def test_a_false_place_where_the_vehicle_did_not_drive_is_no_evidence_against_gp
         return None if 400.0 < at_m <= from_m else road.match(at_m)
 
     found = states(drive(road, right, 980.0 if further_m else 700.0, 5, sees, odometer))
-    assert "wrong" not in found
+    assert "faulty" not in found
     assert last in ("", found[-1])
 
 
@@ -257,11 +257,11 @@ def test_gps_that_departs_from_a_recording_that_keeps_its_shape_is_wrong(
     """Also where own motion is not known; a recording of whose shape nothing is known is no witness."""
     road = mapped(replace(part(0, 1500), has_odometer=has_odometer))
     verdicts = departs(road, lambda at_m: (share * max(0.0, at_m - 600.0), 0.0))
-    assert "map wrong" not in states(verdicts)
+    assert "map faulty" not in states(verdicts)
     if has_odometer:
         assert share * (called_at_m(verdicts) - 600.0) < 85.0
     else:
-        assert verdicts[-1].state == "disagrees"
+        assert verdicts[-1].state == "inconsistent"
 
 
 @pytest.mark.parametrize("off_m", [25.0, 60.0])
@@ -274,8 +274,8 @@ def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(mapped: MakeRoad
         return None if 600.0 < at_m <= 600.0 + gap_m else road.match(at_m)
 
     found = states(departs(road, lambda at_m: (off_m if at_m > 600.0 else 0.0, 0.0), sees))
-    assert "wrong" not in found
-    assert found[-1] == "disagrees"
+    assert "faulty" not in found
+    assert found[-1] == "inconsistent"
 
 
 def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(mapped: MakeRoad) -> None:
@@ -285,7 +285,7 @@ def test_a_road_that_leads_away_slowly_makes_no_gps_wrong(mapped: MakeRoad) -> N
     def sees(at_m: float) -> PlaceMatch | None:
         return road.match(at_m) if at_m < 600.0 + 6 * 20.0 else None
 
-    assert "wrong" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees, 1 / 6))
+    assert "faulty" not in states(departs(road, lambda at_m: (max(0.0, at_m - 600.0) / 6, 0.0), sees, 1 / 6))
 
 
 @pytest.mark.parametrize("share", [1.0, pytest.param(0.75, marks=pytest.mark.long)])
@@ -303,7 +303,7 @@ def test_a_recording_that_is_25_m_off_in_part_makes_no_gps_wrong(mapped: MakeRoa
             one.move()
             gps = gps_at(one.north_m + math.sqrt(1 - share) * error[1], math.sqrt(1 - share) * error[0])
             states_of.append(one.show(road.match(one.north_m + share * error[1]), gps).state)
-        found.append("wrong" in states_of)
+        found.append("faulty" in states_of)
     assert not any(found)
 
 
@@ -322,7 +322,7 @@ def test_gps_that_is_dragged_and_jammed_before_it_is_called_bounds_nothing(
     assert found
     for answer in found:
         place = answer.place
-        assert place.lat_deg is not None and abs(left_m(place)) < 3 * place.sigma_across_m
+        assert place.lat_deg is not None and abs(left_m(place)) < 3 * place.sigma_cross_track_m
 
 
 def test_a_street_beside_that_is_entered_without_gps_makes_no_gps_wrong(mapped: MakeRoad) -> None:
@@ -332,5 +332,5 @@ def test_a_street_beside_that_is_entered_without_gps_makes_no_gps_wrong(mapped: 
     for frame in range(200):
         one.aside_m = 0.5 if frame < 50 else 0.0
         one.go(2)
-        assert one.drive.state.gps.state != "wrong"
+        assert one.drive.state.gps.state != "faulty"
     assert not any(isinstance(answer, Fix) for answer in one.answers(100))

@@ -35,7 +35,9 @@ UNCONFIRMED, ALERT = "not confirmed by another place yet", "its protection level
 
 def exact(**gates: Any) -> Config:
     """Of a rig and an odometer that are exact: what is not certain of a position, is so of the map."""
-    return settings(RigConfig(sigma_along_m=0.1, sigma_across_m=0.3), GatesConfig(**gates), scale_error_percent=0.5)
+    return settings(
+        RigConfig(sigma_along_m=0.1, sigma_cross_track_m=0.3), GatesConfig(**gates), scale_error_percent=0.5
+    )
 
 
 def part(begins_m: float, ends_m: float, off_m: float = 0.0, recording: str = "", **stated: Any) -> Stretch:
@@ -422,7 +424,7 @@ def test_stretches_that_agree_make_a_level_of_the_errors_alone(long_road: Road) 
     newest = one.answers(790)[-1]
     assert isinstance(newest, Fix)
     along_m, across_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_track_m, newest.level.cross_track_m))
-    assert along_m / newest.place.sigma_along_m == pytest.approx(across_m / newest.place.sigma_across_m)
+    assert along_m / newest.place.sigma_along_m == pytest.approx(across_m / newest.place.sigma_cross_track_m)
 
 
 def test_a_level_holds_wherever_a_shifted_stretch_begins(mapped: MakeRoad) -> None:

@@ -151,7 +151,7 @@ def test_looks_say_where_a_vehicle_is_along_and_across_whatever_its_line_says(ro
     assert (north_m(one.place), left_m(one.place)) == pytest.approx((one.north_m, 1.5), abs=0.05)
     assert (one.place.points, one.place.by_lane) == (40, False)
     assert one.place.heading_deg == pytest.approx(180.0, abs=0.01)
-    assert 0.8 <= one.place.sigma_across_m < 1.1, "the map's own error, and little besides"
+    assert 0.8 <= one.place.sigma_cross_track_m < 1.1, "the map's own error, and little besides"
 
 
 def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> None:
@@ -172,7 +172,7 @@ def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_know
     measured = homeward(road, settings(RigConfig(look_ahead_reverse_m=1.2, look_sigma_m=0.1)))
     assert north_m(measured.place) == pytest.approx(measured.north_m + 1.2, abs=0.05)
     unknown = homeward(road, settings()).place
-    assert unknown is not None and unknown.sigma_along_m >= 3.0 and unknown.sigma_across_m < 1.1
+    assert unknown is not None and unknown.sigma_along_m >= 3.0 and unknown.sigma_cross_track_m < 1.1
 
 
 def test_looks_alone_are_enough_where_no_line_is_known(road: Road) -> None:
@@ -196,7 +196,7 @@ def test_looks_close_together_share_what_they_say(road: Road) -> None:
             one.t_ns += 200_000_000
             one.show(sees(one.north_m))
         assert one.place is not None
-        sigmas.append(math.sqrt(one.place.sigma_across_m**2 - 1.0))
+        sigmas.append(math.sqrt(one.place.sigma_cross_track_m**2 - 1.0))
     first, ten, standing = sigmas
     assert first == pytest.approx(math.sqrt(4 * 12 / (4 + 12)), abs=0.1), "two, of which one counts a third"
     assert 0.4 * first < ten < 0.8 * first
@@ -268,7 +268,7 @@ def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_a
         assert place is not None
         expected_m = math.hypot(before.sigma_along_m, 0.6 * frame / math.sqrt(3))
         assert place.sigma_along_m == pytest.approx(expected_m, rel=0.1)
-        assert place.sigma_across_m < before.sigma_across_m + 0.3
+        assert place.sigma_cross_track_m < before.sigma_cross_track_m + 0.3
     ahead = one.place_at(S // 2, 4.0, unknown_m=one.motion.unknown_m + 3.0)
     one.go(SPACING_M, looks(road, 1.5))
     after = one.place_at()

@@ -121,7 +121,7 @@ def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road
     one.use(fix, left_m=40.0)
     assert one.drive.state.own_sigma_m == 40.0 and one.drive.state.rests_on_fixes
     one.use(fix, left_m=0.1)
-    assert one.drive.state.own_sigma_m == pytest.approx(max(fix.place.sigma_along_m, fix.place.sigma_across_m))
+    assert one.drive.state.own_sigma_m == pytest.approx(max(fix.place.sigma_along_m, fix.place.sigma_cross_track_m))
     one.own(is_aided=False)
     one.use(fix, left_m=0.1)
     assert known(one).own_sigma_m is None, "of one that nothing aids, nobody knows"
@@ -159,7 +159,7 @@ def test_no_position_rests_on_frames_from_before_a_blindness(kind: Any, road: Ro
     one = Vehicle(road)
     one.go(250, gps=True)
     one.drive.update(one.t_ns, Discontinuity(kind))
-    assert one.place is None and one.drive.state.gps.state == "agrees" and one.drive.state.is_bounded
+    assert one.place is None and one.drive.state.gps.state == "consistent" and one.drive.state.is_bounded
     reasons = one.go(2 * LENGTH + 2)
     assert reasons.index(None) == LENGTH - 1, "a line of new frames"
 
@@ -171,7 +171,7 @@ def test_maps_that_grow_change_nothing_and_others_begin_anew(road: Road) -> None
     one.drive.update(one.t_ns, MapUpdate(road.maps, has_grown=True))
     assert one.place == place is not None
     one.drive.update(one.t_ns, MapUpdate(road.maps))
-    assert one.place is None and one.drive.state.gps.state == "agrees"
+    assert one.place is None and one.drive.state.gps.state == "consistent"
 
 
 def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(road: Road) -> None:
@@ -179,11 +179,11 @@ def test_a_match_that_turns_where_the_vehicle_goes_on_says_nothing_of_gps(road: 
     one, turns_m, states = Vehicle(road), 220.0, []
     one.frame = {}
     one.go(turns_m, gps=True)
-    assert one.drive.state.gps.state == "agrees"
+    assert one.drive.state.gps.state == "consistent"
     for _ in range(40):
         one.go(2, lambda at_m: one.road.match(2 * turns_m - at_m, "reverse"), gps=True)
         states.append(one.drive.state.gps.state)
-    assert not {"map wrong", "wrong"} & set(states)
+    assert not {"map faulty", "faulty"} & set(states)
 
 
 @pytest.mark.parametrize("acts", ["report", "send"])
@@ -193,7 +193,7 @@ def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_
     """It is dragged 40 m off; the places have the vehicle where it is, and bound the autopilot where GPS is ignored."""
     one = Vehicle(road, settings(gates=GatesConfig(doubted_gps=acts)))
     one.go(140, gps=True)
-    while one.drive.state.gps.state != "wrong":
+    while one.drive.state.gps.state != "faulty":
         one.off_m += 1.0
         one.go(2, gps=True)
     verdict, ignores = one.drive.state.gps, acts == "send"
@@ -257,7 +257,7 @@ def test_the_vehicle_is_reckoned_by_gps_and_its_motion_and_by_no_place(road: Roa
 def test_nothing_is_reckoned_by_a_gps_that_places_speak_against(road: Road) -> None:
     one = Vehicle(road)
     one.go(140, gps=True)
-    while one.drive.state.gps.state not in ("doubtful", "disagrees", "wrong"):
+    while one.drive.state.gps.state not in ("suspect", "inconsistent", "faulty"):
         one.off_m += 1.0
         one.go(2, gps=True)
         assert one.off_m < 60.0
@@ -295,7 +295,7 @@ def test_gps_is_judged_by_what_the_votes_alone_say_of_another_place(road: Road) 
     for _ in range(60):
         one.off_m += 1.0
         one.go(2, by_gps, gps=True)
-    assert one.drive.state.gps.state == "wrong"
+    assert one.drive.state.gps.state == "faulty"
 
 
 def test_the_list_of_a_drive_has_the_words_of_earlier_versions() -> None:

@@ -18,7 +18,7 @@ from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 
 FIX = PlaceFix(
-    stamp_ns=0, place=3, lat_deg=-27.0, lon_deg=153.0, heading_deg=90.0, sigma_along_m=2.0, sigma_across_m=1.0,
+    stamp_ns=0, place=3, lat_deg=-27.0, lon_deg=153.0, heading_deg=90.0, sigma_along_m=2.0, sigma_cross_track_m=1.0,
     direction="forward", order="same", uniqueness=1.2,
 )  # fmt: skip
 

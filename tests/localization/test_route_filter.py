@@ -75,7 +75,7 @@ def test_where_the_time_of_exposure_is_uncertain_the_position_is_so_along_the_ro
     dated, undated = warm(road), warm(road, timestamp_sigma_s=0.4)
     known, unknown = placed(dated), placed(undated)
     assert unknown.sigma_along_m == pytest.approx(math.hypot(known.sigma_along_m, 4.0), abs=0.02), "at 10 m/s"
-    assert unknown.sigma_across_m == pytest.approx(known.sigma_across_m)
+    assert unknown.sigma_cross_track_m == pytest.approx(known.sigma_cross_track_m)
     later = undated.place_at(S, 8.0)
     assert later is not None and later.sigma_along_m >= unknown.sigma_along_m
     assert north_m(known) == pytest.approx(north_m(unknown))
@@ -243,7 +243,7 @@ def test_matches_elsewhere_than_reckoning_are_disputed_until_they_have_agreed_fo
 
 def test_far_beside_the_road_no_match_corrects_a_position(road: Road) -> None:
     """By its own reckoning the vehicle goes 26 m to the side."""
-    config = settings(RigConfig(sigma_across_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
+    config = settings(RigConfig(sigma_cross_track_m=4.0), lost_after_m=1000.0, lost_after_s=60.0)
     one = warm(road, config)
     one.aside_m = 1.3
     one.go(40, nothing)
@@ -257,7 +257,7 @@ def test_far_beside_the_road_no_match_corrects_a_position(road: Road) -> None:
 
 def bounded_beside(road: Road) -> Vehicle:
     """A vehicle 2 m beside where the map expects it, as only GPS has said."""
-    one = Vehicle(road, settings(RigConfig(sigma_across_m=4.0)), 80.0)
+    one = Vehicle(road, settings(RigConfig(sigma_cross_track_m=4.0)), 80.0)
     one.go(LINE_M - 2, nothing)
     one.move()
     where = replace(one.position, lon_deg=one.position.lon_deg - 2.0 / 99_255)
@@ -267,7 +267,7 @@ def bounded_beside(road: Road) -> Vehicle:
 
 
 def test_the_first_match_without_gps_corrects_a_position_that_gps_bounded(road: Road) -> None:
-    with_gps, without = bounded_beside(road), warm(road, settings(RigConfig(sigma_across_m=4.0)), 80.0, meters=0)
+    with_gps, without = bounded_beside(road), warm(road, settings(RigConfig(sigma_cross_track_m=4.0)), 80.0, meters=0)
     for one, expected_m in ((with_gps, 2.0), (without, 0.0)):
         one.go(6)
         assert left_m(one.place) == pytest.approx(expected_m, abs=0.5)

@@ -237,7 +237,7 @@ class Rig:
             "lon_deg": lon_deg,
             "heading_deg": 60.0,
             "sigma_along_m": 2.4,
-            "sigma_across_m": 1.8,
+            "sigma_cross_track_m": 1.8,
             "direction": "reverse",
             "order": "same",
             "uniqueness": 1.31,

@@ -126,7 +126,7 @@ def test_an_external_position_moves_the_autopilot_to_the_truth(rig: Rig) -> None
     [
         {"lat_deg": None, "lon_deg": None},
         {"lon_deg": math.nan},
-        {"sigma_across_m": math.nan},
+        {"sigma_cross_track_m": math.nan},
         {"age_s": 6.0},
         {"age_s": -0.2},
     ],

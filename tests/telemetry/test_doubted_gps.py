@@ -45,9 +45,9 @@ def test_a_call_is_published_once_and_its_values_each_second(open_rig: OpenRig) 
     assert texts(rig).count("Lookback: GPS faulty: 60 m off to the E") == 1
     assert values(rig, "gps_doubt")[-5:] == [1.0] * 5
     assert values(rig, "gps_off")[-5:] == pytest.approx([60.0] * 5)
-    assert rig.journalled(GpsJudged) == [GpsJudged("agrees", 0.5, 0.5, 0.0), GpsJudged("wrong", 60.0, 0.0, 1.0)]
+    assert rig.journalled(GpsJudged) == [GpsJudged("consistent", 0.5, 0.5, 0.0), GpsJudged("faulty", 60.0, 0.0, 1.0)]
     assert rig.connection.gps_fault == "GPS faulty", "without meters, which change with every frame"
-    assert rig.connection.status().gps_verdict == "wrong"
+    assert rig.connection.status().gps_verdict == "faulty"
     rig.judge_gps(AGREES)
     rig.run(1.0)
     assert texts(rig)[-1] == "Lookback: GPS consistent with the map again"
@@ -62,7 +62,7 @@ def test_not_recognized_is_a_warning_and_no_call(open_rig: OpenRig) -> None:
         assert values(rig, "gps_doubt")[-1] <= 0.0
         assert rig.connection.gps_fault == ""
     assert [text for text in texts(rig) if "GPS" in text] == ["Lookback: not recognized where GPS says we are"]
-    assert [one.state for one in rig.journalled(GpsJudged)] == ["agrees", "not recognized", "agrees"]
+    assert [one.state for one in rig.journalled(GpsJudged)] == ["consistent", "not recognized", "consistent"]
 
 
 def test_what_cannot_be_said_is_minus_one_and_a_call_stays(open_rig: OpenRig) -> None:

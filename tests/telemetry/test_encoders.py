@@ -37,7 +37,7 @@ def carried(message: Any) -> Any:
         {"lat_deg": 90.1},
         {"sigma_along_m": math.inf},
         {"sigma_along_m": math.nan},
-        {"sigma_across_m": math.nan},
+        {"sigma_cross_track_m": math.nan},
         {"sigma_along_m": 0.0},
     ],
 )

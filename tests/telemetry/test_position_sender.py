@@ -178,7 +178,7 @@ def test_the_protection_level_of_one_stretch_grows_with_the_distance_from_gps(op
     rig.autopilot.gps = False
     offer_for(rig, 3.0)
     first = rig.journalled(FixSent)[-1]
-    assert first.level_along_m is not None and first.level_across_m is not None
+    assert first.level_along_m is not None and first.level_cross_track_m is not None
     assert first.sigma_m < first.level_along_m < 60.0
     status = rig.connection.status()
     assert status.level_along_m == first.level_along_m

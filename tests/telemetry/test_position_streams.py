@@ -74,7 +74,7 @@ def test_a_reset_never_makes_a_position_less_accurate(open_rig: OpenRig, firmwar
     rig.run(6.0)
     rig.autopilot.gps = False
     rig.run(10.0)
-    uncertain = {"age_s": 0.0, "sigma_along_m": 28.3, "sigma_across_m": 28.3}
+    uncertain = {"age_s": 0.0, "sigma_along_m": 28.3, "sigma_cross_track_m": 28.3}
     assert rig.send_position(rig.fix(**uncertain)) == (firmware == "px4")
     reasons = [record.reason for record in rig.journalled(FixWithheld)]
     assert reasons == ["less accurate than the autopilot"] * (firmware == "ardupilot")

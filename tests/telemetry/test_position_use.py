@@ -24,7 +24,7 @@ def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTrans
     """A position so many meters north of the autopilot's."""
     lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
     fix = PlaceFix(
-        stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_across_m=sigma_m,
+        stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_cross_track_m=sigma_m,
         direction="forward", order="same", uniqueness=1.2, matches=9, segment=0, recording="drive",
         confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
     )  # fmt: skip

@@ -42,7 +42,7 @@ def test_two_drives_beside_a_receiver_show_what_the_wheels_are_worth_in_the_next
 def test_a_drive_whose_gps_is_doubted_teaches_nothing(rig: Rig) -> None:
     for _ in range(2):
         rig.run(1.0)
-        rig.judge_gps(GpsVerdict("doubtful", 0.0, 9.0, 0.6))
+        rig.judge_gps(GpsVerdict("suspect", 0.0, 9.0, 0.6))
         drive(rig)
     rig.run(6.0)
     assert rig.connection.vehicle.velocity.shown.learned is None

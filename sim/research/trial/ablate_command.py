@@ -239,7 +239,7 @@ def _hardly(row: str, whole: str) -> bool:
 def _row(drives: Sequence[AblationAnswers]) -> str:
     positions = np.array([one for drive in drives for one in drive.positions]).reshape(-1, 4)
     error_m, sigmas, *levels = positions.T
-    calls = [sum(state in drive.verdicts for drive in drives) for state in ("wrong", "not recognized")]
+    calls = [sum(state in drive.verdicts for drive in drives) for state in ("faulty", "not recognized")]
     above = int((np.maximum(*levels) > 1).sum())
     largest = f"{error_m.max(initial=0.0):.1f} m, {sigmas.max(initial=0.0):.1f} sigma"
     beyond = f"{int((sigmas > 3).sum())}, {int((sigmas > 4).sum())}"

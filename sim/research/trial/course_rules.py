@@ -237,14 +237,14 @@ def first_in_time(run: CourseRun) -> str:
 
 
 def called_before_50_m(run: CourseRun) -> str:
-    """GPS is called wrong before the autopilot, which follows it, is 50 m wrong."""
+    """GPS is declared faulty before the autopilot, which follows it, is 50 m wrong."""
     called_s = _called_s(run)
     worst_m = run.track.error_m[run.track.time_s <= called_s].max()
     return f"{worst_m:.0f} m before a call" if worst_m >= CALLED_M else ""
 
 
 def called_soon(run: CourseRun) -> str:
-    """GPS is called wrong within 200 m of the moment at which the autopilot is 20 m wrong."""
+    """GPS is declared faulty within 200 m of the moment at which the autopilot is 20 m wrong."""
     wrong = np.flatnonzero(run.track.error_m > CALLED_M * 0.4)
     if not len(wrong):
         return ""
@@ -254,12 +254,12 @@ def called_soon(run: CourseRun) -> str:
 
 
 def called_on_map(run: CourseRun) -> str:
-    """Once GPS is wrong, it is called so by the end of the drive."""
+    """Once GPS is wrong, it is declared faulty by the end of the drive."""
     return "not called" if math.isinf(_called_s(run)) else ""
 
 
 def never_called(run: CourseRun) -> str:
-    """GPS is not called wrong, nor the vehicle said to be unrecognized where GPS has it."""
+    """GPS is not declared faulty, nor the vehicle said to be unrecognized where GPS has it."""
     for what, at_s in (("called", _called_s(run)), ("warned", _called_s(run, UNRECOGNIZED))):
         if not math.isinf(at_s):
             return f"{what} at {at_s:.0f} s"
@@ -267,7 +267,7 @@ def never_called(run: CourseRun) -> str:
 
 
 def warned_before_50_m(run: CourseRun) -> str:
-    """GPS is called wrong, or the pilot warned, before the autopilot, which steers by it, is 50 m wrong."""
+    """GPS is declared faulty, or the pilot warned, before the autopilot, which steers by it, is 50 m wrong."""
     warned_s = min(_called_s(run), _called_s(run, UNRECOGNIZED))
     worst_m = run.track.error_m[run.track.time_s <= warned_s].max()
     return "no warning" if math.isinf(warned_s) else f"{worst_m:.0f} m before it" if worst_m >= CALLED_M else ""

@@ -31,7 +31,7 @@ class SentPosition(msgspec.Struct, frozen=True):
     """A position that was sent, or that confirmed the autopilot's own: how far from the truth, ahead and to the right.
 
     message: the number of the command or message, 0 of one that was not sent. time_s: since GPS was lost, driven_m:
-    since then. sigma_m, levels, sigma_along_m, keeps: as in the journal, None where it has none for this one (of a
+    since then. sigma_m, levels, sigma_along_m, held_axes: as in the journal, None where it has none for this one (of a
     stream it has one a second). own_m, moves_m: how far the autopilot was from the truth at the moment of a reset, and
     from the reset; None of a stream. by_look: whether a single picture says it.
     Errors are NaN where nothing says where the vehicle was.
@@ -45,9 +45,9 @@ class SentPosition(msgspec.Struct, frozen=True):
     across_m: float
     sigma_m: float | None = None
     level_along_m: float | None = None
-    level_across_m: float | None = None
+    level_cross_track_m: float | None = None
     sigma_along_m: float | None = None
-    keeps: str | None = None
+    held_axes: str | None = None
     own_m: float | None = None
     moves_m: float | None = None
     by_look: bool = False
@@ -64,9 +64,9 @@ class SentPosition(msgspec.Struct, frozen=True):
         """Error over standard deviation, where the position is not the autopilot's own; NaN where that is not known."""
         if not self.sigma_m:
             return math.nan
-        if self.keeps is None or self.sigma_along_m is None:
+        if self.held_axes is None or self.sigma_along_m is None:
             return self.error_m / self.sigma_m
-        if self.keeps == "across":
+        if self.held_axes == "cross-track":
             return abs(self.along_m) / self.sigma_along_m
         return abs(self.across_m) / math.sqrt(self.sigma_m**2 - self.sigma_along_m**2)
 
@@ -97,7 +97,7 @@ class Score(msgspec.Struct, frozen=True):
         sigmas = np.array([one.sigmas for one in self.positions])
         sigmas = sigmas[~np.isnan(sigmas)]
         median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
-        bounded = [one for one in self.positions if one.level_along_m and one.level_across_m]
+        bounded = [one for one in self.positions if one.level_along_m and one.level_cross_track_m]
         looks, lines = ([one for one in self.positions if one.by_look is by_look] for by_look in (True, False))
         return {
             "sent": len(self.positions),
@@ -111,7 +111,7 @@ class Score(msgspec.Struct, frozen=True):
             "beyond_4": int((sigmas > 4).sum()),
             "levels": len(bounded),
             "over_along": sum(abs(one.along_m) > (one.level_along_m or 0.0) for one in bounded),
-            "over_across": sum(abs(one.across_m) > (one.level_across_m or 0.0) for one in bounded),
+            "over_across": sum(abs(one.across_m) > (one.level_cross_track_m or 0.0) for one in bounded),
             **{
                 f"{way}_by_{kind}": sum(one.is_further is is_further for one in resets)
                 for kind, resets in (("looks", looks), ("lines", lines))
@@ -183,8 +183,13 @@ def _confirmed(drive: RecordedDrive, one: FixConfirmed) -> SentPosition:
 
 def _said(fix: FixSent | FixConfirmed) -> dict[str, Any]:
     """What the journal says of a position."""
-    levels = {"level_along_m": fix.level_along_m, "level_across_m": fix.level_across_m}
-    return {"sigma_m": fix.sigma_m, "sigma_along_m": fix.sigma_along_m or None, "keeps": fix.keeps or None, **levels}
+    levels = {"level_along_m": fix.level_along_m, "level_cross_track_m": fix.level_cross_track_m}
+    return {
+        "sigma_m": fix.sigma_m,
+        "sigma_along_m": fix.sigma_along_m or None,
+        "held_axes": fix.held_axes or None,
+        **levels,
+    }
 
 
 def _judged(

@@ -23,7 +23,7 @@ from edge.localization.place_fix import untracked_fix
 from edge.localization.position_estimator import Entry, FixResult
 from edge.reference_map import Route
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
-from edge.telemetry.position_sender import level_m
+from edge.telemetry.position_sender import held_axes, level_m
 from edge.telemetry.shadow import Shadow
 from sim.bundle import drive_list
 from sim.research.trial.flight_score import Score, SentPosition, scored
@@ -71,9 +71,9 @@ class ListedDrive:
         driven_m = float(np.interp(at_s, *self._driven_m.T) - self._driven_m[0, 1]) if len(self._driven_m) else 0.0
         error_m, along_m, across_m = (round(one, 3) for one in self._off_m(fix.place))
         of_place = error_m, along_m, across_m, fix.place.sigma_m
-        keeps = "along" if fix.held_axes[0] else "across" if fix.held_axes[1] else None
+        held = held_axes(fix) or None
         at = round(since_s, 3), driven_m, EXTERNAL_POSITION_ESTIMATE
-        return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m, keeps)
+        return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m, held)
 
     def _off_m(self, place: PlaceFix) -> tuple[float, float, float]:
         """From where GPS had the vehicle then: in all, ahead, and to the right; NaN where it did not."""

@@ -190,7 +190,7 @@ class _Drive:
             return
         _, along_m, across_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
         self._of(f"{self._firmware}: estimate along, m").add(along_m, at_m, place.sigma_along_m)
-        self._of(f"{self._firmware}: estimate across, m").add(across_m, at_m, place.sigma_across_m)
+        self._of(f"{self._firmware}: estimate across, m").add(across_m, at_m, place.sigma_cross_track_m)
 
     def _off(self, sightings: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
         """Along and across of meters from the origin of local ones, less the truth."""

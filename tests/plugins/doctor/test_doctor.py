@@ -224,7 +224,7 @@ def test_whether_a_wrong_gps_can_be_taken_from_px4_is_named(diagnose: Diagnose, 
     ("firmware", "motion", "level", "words"),
     [
         ("ardupilot", "off", "good", "the witness is heard: gyros and wheels"),
-        ("px4", "off", "bad", "is called wrong only with a speed without GPS"),
+        ("px4", "off", "bad", "is declared faulty only with a speed without GPS"),
         ("px4", "odometer", "good", "gyros, and the camera while it sees the road"),
     ],
 )

@@ -153,7 +153,7 @@ def test_places_without_a_frame_are_where_the_vehicle_went(tmp_path: Path) -> No
         (30, {"source": "place_fixes"}, ""),
         (30, {}, "GPS is wrong by the places"),
     ],
-    ids=["too long", "no heading", "by places", "GPS called wrong"],
+    ids=["too long", "no heading", "by places", "GPS faulty"],
 )
 def test_what_is_not_bridged(tmp_path: Path, places: int, changes: dict[str, Any], fault: str) -> None:
     points, mapped = gps_drive(3), live(tmp_path)

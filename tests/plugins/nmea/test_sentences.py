@@ -38,7 +38,7 @@ def test_a_position_comes_with_its_time_its_accuracy_and_says_that_it_is_estimat
 
 
 def test_the_longer_axis_may_lie_across_the_road_and_a_heading_may_not_be_known() -> None:
-    across = read(sentences(UNIX_NS, replace(FIX, sigma_along_m=1.0, sigma_across_m=3.0, heading_deg=359.97)))
+    across = read(sentences(UNIX_NS, replace(FIX, sigma_along_m=1.0, sigma_cross_track_m=3.0, heading_deg=359.97)))
     assert (across[2].std_dev_major, across[2].std_dev_minor, across[2].orientation) == (3.0, 1.0, 90.0)
     assert across[1].true_course == 0.0 and across[0].altitude is None and across[1].spd_over_grnd is None
     unknown = read(sentences(UNIX_NS, replace(FIX, heading_deg=None)))

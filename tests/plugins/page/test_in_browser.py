@@ -243,7 +243,7 @@ def test_its_state_is_that_of_health_and_it_says_how_far_a_search_goes_and_what_
 
 def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: Path) -> None:
     """And each verdict on GPS has a color."""
-    inexact, kinds = "recognized, but not exactly", {"agrees": "good", "wrong": "bad"}
+    inexact, kinds = "recognized, but not exactly", {"consistent": "good", "faulty": "bad"}
     shown: list[PageSnapshot] = []
 
     def show(why: str, gps: str, sent_ns: int | None = None, emit: str = "auto", verdict: str = "cannot say") -> None:

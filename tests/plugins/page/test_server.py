@@ -215,15 +215,15 @@ def test_alerts_and_dashboard_name_metrics_labels_and_states_that_exist(file: st
 
 def test_doubt_and_verdict_of_gps_agree() -> None:
     """Doubt was 1, at which it is said, while nothing was said."""
-    link = LinkStatus("up", "serial:/dev/none:57600", "report", gps_verdict="doubtful", gps_doubt=1.0)
+    link = LinkStatus("up", "serial:/dev/none:57600", "report", gps_verdict="suspect", gps_doubt=1.0)
     said = {}
-    for verdict in ("doubtful", "wrong"):
+    for verdict in ("suspect", "faulty"):
         status = msgspec.structs.replace(snapshot(1).status, link=dataclasses.replace(link, gps_verdict=verdict))
         for family in text_string_to_metric_families(as_metrics(status).decode()):
             for sample in family.samples:
                 said[verdict, sample.name] = sample.value
-    assert (said["doubtful", "lookback_gps_doubt"] < 1, said["doubtful", "lookback_gps_wrong"]) == (True, 0)
-    assert (said["wrong", "lookback_gps_doubt"], said["wrong", "lookback_gps_wrong"]) == (1, 1)
+    assert (said["suspect", "lookback_gps_doubt"] < 1, said["suspect", "lookback_gps_faulty"]) == (True, 0)
+    assert (said["faulty", "lookback_gps_doubt"], said["faulty", "lookback_gps_faulty"]) == (1, 1)
 
 
 @pytest.mark.parametrize(("state", "ready"), [("on the map", 200), ("off the map", 200), ("degraded", 503)])

@@ -42,8 +42,8 @@ def test_the_rig_is_told_the_middle_of_it_for_each_direction() -> None:
     rig = rig_config(measure_offsets([*home, *again, *lost]))
     assert rig.left_reverse_m == pytest.approx(3.5, abs=0.4)
     assert rig.left_forward_m == 0.3
-    assert rig.sigma_across_m == pytest.approx(3.0, abs=0.4)
-    assert rig_config(measure_offsets(again)).sigma_across_m == 2.5, "no lane is kept better"
+    assert rig.sigma_cross_track_m == pytest.approx(3.0, abs=0.4)
+    assert rig_config(measure_offsets(again)).sigma_cross_track_m == 2.5, "no lane is kept better"
 
 
 def test_looks_measure_how_far_cameras_are_from_their_antennas() -> None:

@@ -261,7 +261,7 @@ def test_drives_beside_gps_that_went_this_way_in_this_light_replace_the_rehearsa
             one = ShadowPosition(row * 10**9, 8.0, 8.0 * row, "off the map", *at, 0.5, "rtk_fixed")
             if row >= 25:
                 one = msgspec.structs.replace(one, withheld="", lat_deg=at[0], lon_deg=at[1], heading_deg=0.0)
-                one = msgspec.structs.replace(one, sigma_along_m=2.0, sigma_across_m=2.0)
+                one = msgspec.structs.replace(one, sigma_along_m=2.0, sigma_cross_track_m=2.0)
             journal.write(one)
         journal.close()
     journals = [str(tmp_path / f"{number}.jsonl") for number in range(4)]

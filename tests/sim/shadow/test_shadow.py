@@ -78,7 +78,7 @@ class Diary:
                     lon_deg=lon_deg,
                     heading_deg=90.0,
                     sigma_along_m=self.sigmas_m[0],
-                    sigma_across_m=self.sigmas_m[1],
+                    sigma_cross_track_m=self.sigmas_m[1],
                     direction="reverse",
                     order="same",
                 )

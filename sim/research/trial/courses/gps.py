@@ -100,15 +100,15 @@ def _gps_back(draft: CourseDraft) -> None:
 
 @course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0, rules=(*HONEST, called_on_map))
 def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
-    """GPS agrees with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
+    """GPS is consistent with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
     _wrong_in_gap(draft, 250.0, value)
     draft.doubted_gps = "switch"
 
 
 @course("D", "gps-30-m-off-after-{}", "gap", "far-gap", "gap-unaided", least_m=1600.0)
 def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
-    """GPS agrees with the map for 400 m; in a gap of the map of 250 m or 800 m it begins to be 30 m off, also where
-    nothing but GPS measures the velocity. A person drives, who must read of it soon."""
+    """GPS is consistent with the map for 400 m; in a gap of the map of 250 m or 800 m it begins to be 30 m off, also
+    where nothing but GPS measures the velocity. A person drives, who must read of it soon."""
     gap_m = 800.0 if value == "far-gap" else 250.0
     _wrong_in_gap(draft, gap_m, 30.0)
     draft.rules = (*HONEST, told_after(400.0 + gap_m))
@@ -138,7 +138,7 @@ def _gps_turned_twice(draft: CourseDraft) -> None:
 
 @course("D", "gps-{}", "multipath", "rtk-2-cm", rules=(never_called,))
 def _gps_honest(draft: CourseDraft, value: str) -> None:
-    """An honest GPS, with bursts of multipath and outages or with RTK, must not be called wrong."""
+    """An honest GPS, with bursts of multipath and outages or with RTK, must not be declared faulty."""
     follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
     draft.steers = False
 

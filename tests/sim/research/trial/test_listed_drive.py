@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import zipfile
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 
 from edge.commands.parser import build_parser
 from edge.localization import MapUpdate, PositionEstimator
-from edge.localization.drive_file import DriveFile
+from edge.localization.drive_file import LENGTH, DriveFile, read_drive
+from edge.localization.position_estimator import FixResult
 from sim.bundle import LIST
 from sim.research.trial.listed_drive import ListedDrive
 from tests.localization.events_of import Road, Vehicle, gps_at, settings
@@ -50,6 +52,28 @@ def test_of_a_drive_that_sent_nothing_gps_judges_what_would_be(tmp_path: Path) -
     row = found.now.row()
     assert 50 < row["known"] < row["sent"]
     assert row["median_m"] == pytest.approx(3, abs=1), "by how much GPS is ahead"
+
+
+def test_a_list_in_the_words_of_the_version_before_is_read(tmp_path: Path) -> None:
+    """Positions and the config had other keys."""
+    path = bundle(tmp_path, reports_only=False).with_suffix(".drive")
+    config, entries = read_drive(path)
+    old = gzip.decompress(path.read_bytes())
+    parts, at = [], 0
+    while at < len(old):
+        size = LENGTH.unpack_from(old, at)[0]
+        one = old[at + LENGTH.size : at + LENGTH.size + size]
+        for today, old_name in ((b"\xb3sigma_cross_track_m", b"\xaesigma_across_m"), (b"\xa9held_axes", b"\xa5keeps")):
+            one = one.replace(today, old_name)
+        parts.append(LENGTH.pack(len(one)) + one)
+        at += LENGTH.size + size
+    assert b"".join(parts) != old
+    path.write_bytes(gzip.compress(b"".join(parts)))
+    before, read = read_drive(path)
+    assert before == config
+    assert [msgspec.json.encode(one) for _, one in read if isinstance(one, FixResult)] == [
+        msgspec.json.encode(one) for _, one in entries if isinstance(one, FixResult)
+    ]
 
 
 def test_the_command_has_a_row_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

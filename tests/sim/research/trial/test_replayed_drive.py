@@ -53,7 +53,7 @@ def position(drive: RecordedDrive, at_s: float, ahead_m: float, right_m: float) 
 def sent(message: mavlink.MAVLink_command_int_message, along_m: float | None) -> FixSent:
     """What the journal has of it."""
     at = message.x / 1e7, message.y / 1e7
-    return FixSent(0, "external_position", *at, 2.0, 0.0, 0.5, 1.0, level_along_m=along_m, level_across_m=along_m)
+    return FixSent(0, "external_position", *at, 2.0, 0.0, 0.5, 1.0, level_along_m=along_m, level_cross_track_m=along_m)
 
 
 def test_positions_are_judged_by_the_truth_at_their_own_moment(drive: RecordedDrive) -> None:
@@ -99,9 +99,9 @@ def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counte
     assert "by looks 0 are nearer to the truth than it was and 1 further, by lines 0 and 0" in page([flown])
 
 
-@pytest.mark.parametrize(("keeps", "sigmas"), [(None, math.sqrt(1.25)), ("across", 2.0), ("along", 0.75)])
-def test_where_a_position_is_the_autopilots_own_its_error_is_not_ours(keeps: str | None, sigmas: float) -> None:
-    one = SentPosition(1.0, 5.0, 0, 5.0, -4.0, 3.0, math.hypot(2.0, 4.0), sigma_along_m=2.0, keeps=keeps)
+@pytest.mark.parametrize(("held", "sigmas"), [(None, math.sqrt(1.25)), ("cross-track", 2.0), ("along-track", 0.75)])
+def test_where_a_position_is_the_autopilots_own_its_error_is_not_ours(held: str | None, sigmas: float) -> None:
+    one = SentPosition(1.0, 5.0, 0, 5.0, -4.0, 3.0, math.hypot(2.0, 4.0), sigma_along_m=2.0, held_axes=held)
     assert one.sigmas == pytest.approx(sigmas)
 
 
