@@ -124,7 +124,7 @@ notebook: $(VENV)/.dev
 
 benchmark: $(VENV)/.dev
 	$(BIN)/lookback compare benchmark --network fc6=fc6 -o build/benchmark
-	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/benchmark.md
+	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/tables/benchmark.md
 
 bench: $(VENV)/.dev
 	$(BIN)/lookback dev bench --stages -o docs/bench.md
@@ -136,7 +136,7 @@ bench-quick: $(VENV)/.dev
 RECORDED := ../shared/flights_b0903bde ../shared/flights_386c0d62 ../shared/flights_eca2e43 ../shared/flights_b06f79e
 flights: $(VENV)/.dev
 	$(BIN)/lookback dev flights $(RECORDED) --model grid --keypoints -o .flights --jobs 2 --page docs/flights.md
-	$(BIN)/lookback dev ablate .flights $(RECORDED) --jobs 2 --page docs/integrity.md
+	$(BIN)/lookback dev ablate .flights $(RECORDED) --jobs 2 --page docs/tables/integrity.md
 
 # What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
 dist: $(VENV)/.dev

@@ -42,6 +42,9 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
     def outside(found: re.Match[str]) -> str:
         words, path = found.groups()
+        inside = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_uri), path))
+        if path.startswith("../") and not inside.startswith("../"):
+            return found[0]  # from a folder of the docs to a page of them
         if not address or path.startswith(SETUP["IN_REPOSITORY"]):
             return words
         folder = "" if page.file.src_uri == "index.md" else posixpath.dirname(f"docs/{page.file.src_uri}")

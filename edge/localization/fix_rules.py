@@ -88,14 +88,14 @@ RULES = (
     ),
     Rule(
         "recognized, but not exactly",
-        "the newest place is recognized, and no line shows to a few meters where: its sharpness is below 5 %, another "
-        "place fits the newest frame better, or the vehicle goes another way",
+        "no sequence match shows to a few meters where: its sharpness is below 5 %, another place fits the newest "
+        "frame better, or it leads another way than the vehicle goes",
         "test_a_line_that_is_not_sharp_is_not_used",
         lambda now: now.place is None and now.is_blurred,
     ),
     Rule(
         NO_PLACES,
-        "no place was recognized lately, or where it was the vehicle is not any more",
+        "no place was recognized lately, or the vehicle has left it",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place is None,
     ),
@@ -132,7 +132,7 @@ RULES = (
     ),
     Rule(
         "the newest matches disagree",
-        "matches or reckoning contradict the estimate",
+        "matches or dead reckoning contradict the estimate",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place is not None and now.place.disputed,
     ),
@@ -152,14 +152,14 @@ RULES = (
     ),
     Rule(
         "its protection level is above the alert limit",
-        "`alert_limit_m` is set, and the level along or across is above it",
+        "`alert_limit_m` is set, and the level along-track or cross-track is above it",
         "test_a_position_above_the_alert_limit_is_not_published",
         lambda now: not now.level.is_within(now.gates.alert_limit_m or math.inf),
         is_certain=True,
     ),
     Rule(
         "less accurate than the autopilot",
-        "a reset that is less certain than the autopilot along the road and across it: by over a fifth, or over 10 m "
+        "a reset that is less certain than the autopilot along-track and cross-track: by over a fifth, or over 10 m "
         "and not twice as certain; any of over 10 m where nothing measures the velocity",
         "test_a_reset_never_makes_a_position_less_accurate",
         lambda now: now.worse_m is not None,
@@ -168,8 +168,8 @@ RULES = (
     ),
     Rule(
         AGREES,
-        "a reset by less than `min_move_m`, or two of its standard deviations (three where only lines measure), in "
-        "each direction that it measures: it would cost the autopilot's filter more than it corrects",
+        "a reset by less than `min_move_m`, or two of its standard deviations (three by sequence matches alone), in "
+        "each direction that it measures",
         "test_an_autopilot_that_agrees_with_the_places_is_not_reset",
         lambda now: not now.is_needed,
         is_certain=True,

@@ -26,13 +26,15 @@ class FigureSource(NamedTuple):
 
 
 def published(folder: Path) -> Iterator[FigureSource]:
-    """Of every page in a folder, in the order of their names: paragraphs with a table next, or that say "Made by"."""
-    for page in sorted(folder.glob("*.md")):
+    """Of every page below a folder, by their names: paragraphs with a table next, or that say "Made by"."""
+    for page in sorted(folder.rglob("*.md")):
         lines = page.read_text(encoding="utf-8").splitlines()
         for number, text in enumerate(lines):
             found = MADE.match(text)
             if found and (found["made"] or found["version"] or TABLE.match(_next_paragraph(lines[number:]))):
-                yield FigureSource(page.name, number + 1, found["command"], found["version"] or "")
+                yield FigureSource(
+                    page.relative_to(folder).as_posix(), number + 1, found["command"], found["version"] or ""
+                )
 
 
 def _next_paragraph(lines: list[str]) -> str:

@@ -1,6 +1,7 @@
 """The figures of the docs: `python -m tests.docs.figures` makes the architecture anew, and draws what has changed.
 
-A figure is a block of Mermaid whose first line names its picture. Drawing needs Chromium and npm, which brings Mermaid.
+A figure is Mermaid, on a page or in a file, whose first line names its picture. Drawing needs Chromium and npm, which
+brings Mermaid.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import edge
-from sim.research.trial.table import put_between
 from tests.chromium import browser
 
 DOCS = Path(__file__).parents[2] / "docs"
-METHOD = DOCS / "method.md"
+ARCHITECTURE = DOCS / "pictures/architecture.mmd"
 FIGURE = re.compile(r"^```mermaid\n(%% (pictures/\w+\.svg): .*\n(?:.*\n)*?)```$", re.MULTILINE)
 STAGE = re.compile(r"^    (\w+)/ +(-> )?(.*)$", re.MULTILINE)
 MERMAID = "mermaid@11.17.2"
@@ -36,16 +36,15 @@ def architecture() -> str:
         link = before and f"{before} {'-->' if hands_on or handed_on else '~~~'} "
         lines.append(f'  {link}{name}["{name}/<br>{text}"]')
         before, handed_on = name, hands_on
-    return "```mermaid\n" + "\n".join(lines) + "\n```"
+    return "\n".join([*lines, ""])
 
 
 def figures() -> dict[str, tuple[str, str]]:
     """Each picture's Mermaid, and the comment that its file must begin with."""
-    found = {}
-    for page in sorted(DOCS.glob("*.md")):
-        for text, picture in FIGURE.findall(page.read_text(encoding="utf-8")):
-            found[picture] = text, f"<!-- Drawn by {MERMAID} of {hashlib.sha256(text.encode()).hexdigest()} -->\n"
-    return found
+    pages = "".join(page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("*.md")))
+    found = [*FIGURE.findall(pages), (ARCHITECTURE.read_text(encoding="utf-8"), "pictures/architecture.svg")]
+    head = "<!-- Drawn by {} of {} -->\n"
+    return {picture: (text, head.format(MERMAID, hashlib.sha256(text.encode()).hexdigest())) for text, picture in found}
 
 
 def stale() -> list[str]:
@@ -68,5 +67,5 @@ def draw(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    put_between("architecture", METHOD, architecture())
+    ARCHITECTURE.write_text(architecture(), encoding="utf-8")
     draw(stale())

@@ -52,7 +52,7 @@ CAR_PARK_M = 15.0
 FORK_RAD = 0.5
 OFF_MAP = slice(FIRST_FRAME, None)
 SHOWN: tuple[Cut, ...] = ("whole", "thirds")
-"""Parts of the road that have a column; the last column is of all."""
+"""Parts of the road that have a row."""
 Layout = Callable[[Floats, DriveDescriptors, DriveDescriptors], tuple[DriveDescriptors, slice]]
 """A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction
 of travel, a drive over it, and a drive over another road."""
@@ -119,8 +119,8 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far the place belief can be trusted: parts of the roads mapped, then roads that are on no map."""
     roads = args.seeds, args.length, args.cache
     seen = {name: list(worlds(*roads, Network.load(Path(name)))) for name in args.networks}
-    yield f"| network, drive | {' | '.join(SHOWN)} | lowest |"
-    yield "|---|" + "---|" * (len(SHOWN) + 1)
+    yield "| network, drive | mapped | recall, votes alone | with GPS | first belief, votes alone | with GPS | lowest |"
+    yield "|---|---|---|---|---|---|---|"
     wrong = []
     for name, of_network in seen.items():
         judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore]]]] = {}
@@ -157,13 +157,16 @@ def wrong_frames(judged: BeliefScore) -> int:
 
 def _rows(name: str, judged: dict[Case, list[tuple[BeliefScore, list[BeliefScore]]]]) -> Iterator[str]:
     for words, way, lights in GROUPS:
-        cells, lowest = [], 1.0
-        for cut in CUTS:
+        drives = [
+            one for light in lights for cut in CUTS for _, of_drive in judged[way, light, cut] for one in of_drive
+        ]
+        lowest = min(map(_recall, drives))
+        for cut in SHOWN:
             found = [one for light in lights for one in judged[way, light, cut]]
             alone, drawn = [one for one, _ in found], [one for _, of_drive in found for one in of_drive]
-            cells += [f"{cell(alone)} -> {cell(drawn)}"] * (cut in SHOWN)
-            lowest = min(lowest, *map(_recall, drawn))
-        yield f"| {name}, {words} | {' | '.join(cells)} | {lowest:.2f} |"
+            recalls = f"{_recall_of(alone):.3f} | {_recall_of(drawn):.3f}"
+            first = f"{_first_m(alone)} m | {_first_m(drawn)} m"
+            yield f"| {name}, {words} | {cut} | {recalls} | {first} | {lowest:.2f} |"
 
 
 def _recall(judged: BeliefScore) -> float:
@@ -172,10 +175,18 @@ def _recall(judged: BeliefScore) -> float:
 
 def cell(judged: Sequence[BeliefScore]) -> str:
     """Recall at the default threshold, and the median meters to the first right belief on each part of the map."""
-    recall = at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
+    return f"{_recall_of(judged):.3f}; {_first_m(judged)} m"
+
+
+def _recall_of(judged: Sequence[BeliefScore]) -> float:
+    return at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
+
+
+def _first_m(judged: Sequence[BeliefScore]) -> str:
+    """The median meters to the first right belief on each part of the map."""
     parts = max(len(one.first_m) for one in judged)
     first_m = [np.median([one.first_m[part] for one in judged if len(one.first_m) > part]) for part in range(parts)]
-    return f"{recall:.3f}; {', '.join(f'{one:.0f}' for one in first_m)} m"
+    return ", ".join(f"{one:.0f}" for one in first_m)
 
 
 def _off_map(seen: Sequence[World], layouts: Sequence[Layout], lost_m: float) -> tuple[Floats, Floats]:

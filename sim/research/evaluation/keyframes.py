@@ -150,8 +150,8 @@ class Tables:
 
     def on_map(self, only: Sequence[LightName] | None = None) -> Iterator[str]:
         """Rows of the table by drive and light; only: some lights."""
-        yield "| drive | light | first belief after, median, 90 % | standing | believed | wrong |"
-        yield "|---|---|---|---|---|---|"
+        yield "| drive | light | first belief | with keypoints | at rest | believed | with keypoints | wrong |"
+        yield "|---|---|---|---|---|---|---|---|"
         for drive, lights in LIGHTS.items():
             for light in (one for one in lights if only is None or one in only):
                 seen = [one for draw in self._draws for one in self._mapped(drive, (light,), draw)]
@@ -218,11 +218,11 @@ def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterato
             found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
             wrong[True] += int((off_m > TOLERANCE_M).any())
             standing[found] += 1
-    yield " -> ".join(f"{np.median(one):.0f}, {np.percentile(one, 90):.0f} m" for one in first_m)
+    yield from (f"{np.median(one):.0f}, {np.percentile(one, 90):.0f} m" for one in first_m)
     shares = np.cumsum(standing)[:-1] / standing.sum()
     yield ", ".join(f"{share:.2f}" for share in shares[1:])
-    yield " -> ".join(f"{one / frames:.3f}" for one in believed)
-    yield " -> ".join(map(str, wrong)) + f" of {frames}"
+    yield from (f"{one / frames:.3f}" for one in believed)
+    yield f"{', '.join(map(str, wrong))} of {frames}"
 
 
 def _standing(

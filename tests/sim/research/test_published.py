@@ -36,10 +36,10 @@ def test_every_table_that_a_command_made_is_known() -> None:
     found = {(one.page, one.command.split(" -")[0][:24]) for one in published.published(docs)}
     assert {
         ("bench.md", "make bench"),
-        ("benchmark.md", "make benchmark"),
+        ("tables/benchmark.md", "make benchmark"),
         ("flights.md", "lookback dev flights fli"),
-        ("integrity.md", "lookback dev sim fixes"),
-        ("integrity.md", "lookback dev ablate LIST"),
-        ("trial.md", "lookback dev sim fixes"),
+        ("tables/integrity.md", "lookback dev sim fixes"),
+        ("tables/integrity.md", "lookback dev ablate LIST"),
+        ("tables/trial.md", "lookback dev sim fixes"),
     } <= found
     assert len(list(published.published(docs))) >= 8
