@@ -43,10 +43,19 @@ def in_todays_words(fields: dict[str, Any]) -> dict[str, Any]:
         return {**fields, "state": GPS_STATES.get(fields.get("state", ""), fields.get("state"))}
     if RENAMED.keys().isdisjoint(fields):
         return fields
-    today = {RENAMED.get(key, key): value for key, value in fields.items()}
+    today: dict[str, Any] = with_todays_keys(fields)
     if isinstance(held := today.get("held_axes"), str):
         today["held_axes"] = HELD_AXES.get(held, held)
     return today
+
+
+def with_todays_keys(value: Any) -> Any:
+    """Lists and dictionaries, at any depth, with RENAMED keys as they are called now."""
+    if isinstance(value, list):
+        return list(map(with_todays_keys, value))
+    if isinstance(value, dict):
+        return {RENAMED.get(key, key): with_todays_keys(one) for key, one in value.items()}
+    return value
 
 
 def unit(name: str, about: str, digits: int | None = None) -> Meta:

@@ -22,19 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge import __version__
-from edge.config import (
-    CameraConfig,
-    Config,
-    GatesConfig,
-    RigConfig,
-    SamplingConfig,
-    SequenceConfig,
-    TrackingConfig,
-    in_todays_words,
-)
+from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingConfig, SequenceConfig, TrackingConfig
 from edge.errors import ConfigError, FeedError, reason
 from edge.files import BackgroundWorker
-from edge.journal.records import RENAMED
+from edge.journal.records import with_todays_keys
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
@@ -182,10 +173,11 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
         sections = msgspec.msgpack.decode(first)
         for section, keys in GONE.items():
             sections[section] = {key: value for key, value in sections[section].items() if key not in keys}
-        today = in_todays_words(sections, path)
-        header = msgspec.convert(today, Header)
-        decoder = msgspec.msgpack.Decoder(_ListEntry, dec_hook=_decoded)
-        written = [_read_entry(chunk) if today is not sections else decoder.decode(chunk) for chunk in chunks]
+        header = msgspec.convert(with_todays_keys(sections), Header)
+        read = (
+            _read_old if b"sigma_across_m" in first else msgspec.msgpack.Decoder(_ListEntry, dec_hook=_decoded).decode
+        )
+        written = list(map(read, chunks))
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:
         raise FeedError(f"{path}: no list of a drive: {error}") from None
     return header.config, [(one.t_ns, one.entry) for one in written]
@@ -203,17 +195,9 @@ def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[i
             drive.update(t_ns, entry)
 
 
-def _read_entry(chunk: bytes) -> _ListEntry:
+def _read_old(chunk: bytes) -> _ListEntry:
     """An entry of a list whose positions have the keys of schema 2 of the journal."""
-    return msgspec.convert(_renamed(msgspec.msgpack.decode(chunk)), _ListEntry, dec_hook=_decoded)
-
-
-def _renamed(value: Any) -> Any:
-    if isinstance(value, list):
-        return list(map(_renamed, value))
-    if isinstance(value, dict):
-        return {RENAMED.get(key, key): _renamed(one) for key, one in value.items()}
-    return value
+    return msgspec.convert(with_todays_keys(msgspec.msgpack.decode(chunk)), _ListEntry, dec_hook=_decoded)
 
 
 def _chunks(path: Path) -> Iterator[bytes]:
