@@ -192,8 +192,8 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     assert list(SITUATIONS) == [rule.reason for rule in RULES]
     root = Path(__file__).parents[2]
     tests = "".join(path.read_text(encoding="utf-8") for path in root.glob("tests/**/test_*.py"))
-    argument, page = ((root / "docs" / name).read_text(encoding="utf-8") for name in ("integrity.md", "positions.md"))
-    named = {rule.test for rule in RULES} | set(re.findall(r"`(test_\w+)`", argument))
+    argument, page = ((root / "docs" / name).read_text(encoding="utf-8") for name in ("hazards.csv", "positions.md"))
+    named = {rule.test for rule in RULES} | set(re.findall(r"\btest_\w+", argument))
     assert {name for name in named if f"def {name}(" not in tests} == set()
     assert as_list() in page, "write it anew: python -m tests.docs.refusals_list"
 
