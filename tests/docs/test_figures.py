@@ -20,7 +20,7 @@ def test_the_flights_of_readme_are_those_of_their_page() -> None:
     by_night = dict(re.findall(r"^\| \d+ (\w+), night \| \d+ \| ([\d.]+) /", flights, re.MULTILINE))
     sent, known = (f"{int(number):,}" for number in now)
     assert f"{sent} positions, at night {by_night['ArduPilot']} m (ArduPilot) and {by_night['PX4']} m (PX4)" in README
-    assert f"of {known} none beyond 3 sigma" in README
+    assert f"of {known} with a known sigma none is beyond 3" in README
 
 
 def test_each_drive_of_readme_is_one_of_the_page() -> None:

@@ -1,6 +1,6 @@
 """Measure a table of the docs on simulated roads, and write it between the marks of its name on a page.
 
-    python -m sim.research.evaluation belief --seeds 9203 9311 --cache FOLDER [--page docs/evaluation.md]
+    python -m sim.research.evaluation belief --seeds 9203 9311 --cache FOLDER [--page docs/tables/evaluation.md]
 
 What is rendered and described stays in the cache, and is not made again.
 """
