@@ -39,7 +39,7 @@ CORRELATION_M = 60.0
 LINE_M = 45.0
 """Correlation length of the error of sequence matches that changes, measured on three roads in five lights."""
 GATE = {1: 9.0, 2: 11.83}
-"""Square of that, by the number of dimensions."""
+"""Square of the standard deviations beyond which a measurement is an outlier, by the number of dimensions."""
 MAP_M = 200.0
 """Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
 HEADING_M, COMPASS_M, SCALE_M = 250.0, 400.0, 700.0

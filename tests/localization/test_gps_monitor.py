@@ -73,13 +73,22 @@ def test_gps_beside_its_lane_by_its_usual_error_is_on_the_road(road: Road) -> No
         pytest.param(lambda at_m: gps_at(2 * FROM_M - at_m), id="comes back"),
         pytest.param(lambda at_m: gps_at(FROM_M), id="creeps"),
         pytest.param(lambda at_m: None, id="no GPS"),
-        pytest.param(lambda at_m: gps_at(FROM_M + (at_m - FROM_M) // 40 * 40), id="few frames"),
     ],
 )
 def test_an_honest_gps_that_does_not_go_on_along_the_drive_is_not_warned_of(
     road: Road, gps: Callable[[float], GpsFix | None]
 ) -> None:
     assert warned_m(recognized(road), gps) is None
+
+
+def test_what_was_driven_without_frames_says_nothing(road: Road) -> None:
+    """One frame every 30 m."""
+    one, states = recognized(road), []
+    for _ in range(5):
+        for _ in range(round(30.0 / SPACING_M)):
+            one.move()
+        states.append(one.show(unseen(one.north_m), gps_at(one.north_m)).state)
+    assert set(states) == {"agrees"}
 
 
 def test_nothing_is_said_beyond_the_end_of_the_map(road: Road) -> None:

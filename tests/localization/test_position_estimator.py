@@ -127,6 +127,19 @@ def test_a_position_that_was_used_bounds_the_autopilot_as_it_did_move(road: Road
     assert known(one).own_sigma_m is None, "of one that nothing aids, nobody knows"
 
 
+def test_a_position_that_was_sent_is_in_the_autopilots_own_for_10_s_of_gps(road: Road) -> None:
+    """A filter that weighs both forgets ours only gradually; until then its position is no evidence for a map."""
+    one, rests = Vehicle(road, settings(gates=GatesConfig(risk=1.0))), []
+    one.go(100)
+    fix = one.ask()
+    assert isinstance(fix, Fix)
+    one.use(fix)
+    for _ in range(2):
+        one.go(80, gps=True)
+        rests.append(one.drive.state.rests_on_fixes)
+    assert rests == [True, False], "after 8 and 16 s"
+
+
 def test_after_a_reboot_nothing_bounds_the_autopilot_and_gps_had_the_vehicle_where_it_was(road: Road) -> None:
     one = Vehicle(road)
     one.go(100, gps=True)
