@@ -84,7 +84,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         for way, case, judged in _judged(world, args.draws):
             found.setdefault((way, case), []).append(judged)
     heads = [f"{words}: {part}" for words, _, _ in GROUPS for part in PARTS]
-    yield f"| lines | {' | '.join(heads)} | wrong |"
+    yield f"| sequences of | {' | '.join(heads)} | wrong |"
     yield "|---|" + "---|" * (len(heads) + 1)
     for way in WAYS:
         cells = []

@@ -74,14 +74,14 @@ def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, r
 
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
-    """How far off along the road believed lines are: for each direction and light, and for each direction in all."""
+    """How far off along-track believed sequence matches are: by direction and light, and by direction in all."""
     rig = RigConfig(left_reverse_m=HOME_LEFT_M)
     found: dict[tuple[Direction, LightName, int], SequenceErrors] = {}
     for number, (road, drives) in enumerate(worlds(args.seeds, args.length, args.cache, Network.load(Path("grid")))):
         for way in DIRECTIONS:
             for light in (CALIBRATION, *LIGHTS[way]):
                 found[way, light, number] = errors_of(road, drives[light, way], way, rig)
-    heads = "lines; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
+    heads = "sequence matches; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
     spans = f"below {SHARPNESS[1]:g}, to {SHARPNESS[2]:g}, above"
     lags = ", ".join(map(str, LAGS_M))
     yield f"| direction, light | {heads} | alike {lags} m apart | rms by sharpness: {spans} |"

@@ -1,4 +1,4 @@
-"""One look at a map with keypoints, on simulated roads, as the tables of docs/keypoints.md: poses, or what is believed.
+"""One keypoint pose on a map, on simulated roads, as the tables of docs/keypoints.md: poses, or what is believed.
 
 Poses: one frame each, without any filter: of the five places nearest to the truth the one on which most points agree.
 What is believed: see `keyframes`.
@@ -46,9 +46,9 @@ DRAWS = 100
 
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
-    """What the poses of looks are off by, without any filter."""
+    """What keypoint poses are off by, without any filter."""
     mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
-    yield "| drive | with a pose | along | across | heading | rms over sigma |"
+    yield "| drive | with a pose | along-track | cross-track | heading | rms over sigma |"
     yield "|---" * 6 + "|"
     for drive, light in product(DRIVES, args.light or LIGHTS):
         yield _row(f"{drive}, {light}", [_of_road(args.cache, drive, light, road, *mounts) for road in args.seeds])

@@ -137,7 +137,9 @@ def compare(runs: dict[DrivePlan, CourseRun]) -> list[CourseScore]:
     found: dict[str, list[CourseRun]] = {}
     for one, run in runs.items():
         odometer = "" if one.odometer is None else f", {one.odometer:g} %"
-        found.setdefault(f"{one.course}{odometer}, {'looks' if one.keypoints else 'lines'}", []).append(run)
+        found.setdefault(
+            f"{one.course}{odometer}, {'keypoint poses' if one.keypoints else 'sequence matches'}", []
+        ).append(run)
     names = [one.course for one in runs]
     of_course = sorted(found, key=lambda name: names.index(name.split(", ")[0]))
     return [CourseScore(name, tuple(found[name])) for name in of_course]

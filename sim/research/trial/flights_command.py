@@ -29,7 +29,7 @@ from sim.trial.views import RoadLibrary
 
 OF_POSITIONS = (
     *("positions", "error, median / 95 % / largest", "over sigma, rms / largest", "beyond 3, 4"),
-    "levels, exceeded along, across",
+    "levels, exceeded along-track, cross-track",
 )
 COLUMNS = (
     *("drive", *OF_POSITIONS, "first after", "longest silence", "frames used, believed, false"),
@@ -312,9 +312,9 @@ def _together(scores: Sequence[Score]) -> str:
     resets = [sum(one[key] for one in found) for key in RESETS]
     return (
         "{sent} positions; of {known} whose standard deviation the journal has, {beyond_3} beyond three and {beyond_4}"
-        " beyond four of them; of {levels} with finite levels, {} beyond that along and {} beyond that across;"
-        f" of resets that move the autopilot by {MOVES_M:.0f} m, by looks {{}} are nearer to the truth than it was"
-        " and {} further, by lines {} and {}"
+        " beyond four of them; of {levels} with finite levels, {} beyond that along-track and {} cross-track;"
+        f" of resets that move the autopilot by {MOVES_M:.0f} m, by keypoint poses {{}} are nearer to the truth than"
+        " it was and {} further, by sequence matches {} and {}"
     ).format(*over, *resets, **sums)
 
 

@@ -163,7 +163,7 @@ class _Drive:
         self._leg = at_s, moved_m, leg, compass_rad
 
     def _use_match(self, sightings: Georeferencer, frame: ImageProcessed, at_s: float, at_m: float) -> None:
-        """A look by its covariance and the map's, and a line along the road, at its middle."""
+        """A keypoint pose by its covariance and the map's, and a sequence match along-track, at its midpoint."""
         match = frame.match
         if match is None or not match.accepted:
             return
@@ -174,14 +174,16 @@ class _Drive:
             map_m = math.hypot(looked.errors.map_m, math.sqrt(float(np.trace(looked.errors.whole)) / 2))
             spread = looked.pose.covariance + map_m**2 * np.eye(2)
             off_m = self._off(sightings, looked.pose.position_m, at_s)
-            for axis, name in enumerate(("along", "across")):
-                self._of(f"looks {name}, {where}, m").add(off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2))
+            for axis, name in enumerate(("along-track", "cross-track")):
+                self._of(f"keypoint poses {name}, {where}, m").add(
+                    off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2)
+                )
         if line is not None:
             middle_s = at_s - float(line.midpoint.since_m[4])
             along_m = self._off(sightings, line.midpoint.place_m, middle_s)[0]
             errors = line.errors
             sigma_m = math.hypot(errors.stays_m, line.sigma_factor * errors.changes_m, errors.map_m)
-            self._of(f"lines along, {where}, m").add(along_m, at_m, sigma_m)
+            self._of(f"sequence matches along-track, {where}, m").add(along_m, at_m, sigma_m)
 
     def _use_estimate(self, frame: ImageProcessed, at_s: float, at_m: float) -> None:
         """What the filter says of where the vehicle is."""
@@ -189,8 +191,8 @@ class _Drive:
         if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
             return
         _, along_m, across_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
-        self._of(f"{self._firmware}: estimate along, m").add(along_m, at_m, place.sigma_along_m)
-        self._of(f"{self._firmware}: estimate across, m").add(across_m, at_m, place.sigma_cross_track_m)
+        self._of(f"{self._firmware}: estimate along-track, m").add(along_m, at_m, place.sigma_along_m)
+        self._of(f"{self._firmware}: estimate cross-track, m").add(across_m, at_m, place.sigma_cross_track_m)
 
     def _off(self, sightings: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
         """Along and across of meters from the origin of local ones, less the truth."""

@@ -40,7 +40,14 @@ TABLES = {
     "odometers": ("course", "autopilot's error 95 %, alone", "cross-track 95 %, alone"),
     "known": ("course", "drives", "place believed after", "positions", "in sigmas, rms / largest", "places wrong"),
     "keypoints": (
-        *("course", "positions", "from the taught lane: along", "across", "heading, rms", "in sigmas, rms / largest"),
+        *(
+            "course",
+            "positions",
+            "from the taught lane: along-track",
+            "cross-track",
+            "heading, rms",
+            "in sigmas, rms / largest",
+        ),
         *("cross-track 95 %, alone", "first after", "believed", "wrong"),
     ),
 }
@@ -128,8 +135,8 @@ class CourseScore:
             "cross-track 95 %, alone": _beside([(run.track.cross_track_m, run.alone.cross_track_m) for run in runs]),
             "share sent": _mean([run.share_sent for run in runs if run.expected.any()]),
             "why not": "; ".join(self.failures),
-            "from the taught lane: along": _halves(lane_m[:, 0]),
-            "across": _halves(lane_m[:, 1]),
+            "from the taught lane: along-track": _halves(lane_m[:, 0]),
+            "cross-track": _halves(lane_m[:, 1]),
             "heading, rms": f"{_rms(turned_deg):.2f} deg" if len(turned_deg) else "-",
             "first after": _meters(
                 np.median([m for run in runs if not math.isnan(m := run.first_after_m)] or [math.nan])

@@ -47,7 +47,7 @@ def test_what_a_velocity_is_wrong_by_is_found(found: Noises) -> None:
 
 def test_lines_are_as_far_off_as_they_were_drawn(found: Noises) -> None:
     """One drive of 1,200 m is 24 correlation lengths of their errors."""
-    lines = found["lines along, dusk, again, m"]
+    lines = found["sequence matches along-track, dusk, again, m"]
     assert math.sqrt(np.mean(np.square(lines.off))) == pytest.approx(OPPOSITE_M, rel=0.4)
     assert 0.5 < math.sqrt(np.mean(np.square(np.divide(lines.off, lines.sigmas)))) < 1.6
 

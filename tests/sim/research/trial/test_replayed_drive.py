@@ -96,7 +96,9 @@ def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counte
     flown = Flight(
         "night", "", score(drive, [], [], []), score(drive, [(at_s, messages[0])], journal, []), [], [], [], 0.0
     )
-    assert "by looks 0 are nearer to the truth than it was and 1 further, by lines 0 and 0" in page([flown])
+    assert "by keypoint poses 0 are nearer to the truth than it was and 1 further, by sequence matches 0 and 0" in page(
+        [flown]
+    )
 
 
 @pytest.mark.parametrize(("held", "sigmas"), [(None, math.sqrt(1.25)), ("cross-track", 2.0), ("along-track", 0.75)])

@@ -330,7 +330,7 @@ def test_keypoints_are_compared_course_by_course_with_lines() -> None:
     planned = command.plan(_options(["--course", "home,person", "--runs", "2", "--keypoints"]))
     lane_m = np.column_stack([np.full(50, 0.2), np.full(50, -0.1)])
     runs = {one: run_of(lane_m=lane_m if one.keypoints else 10 * lane_m) for one in planned}
-    names = [f"{name}, {what}" for name in ("home", "person") for what in ("lines", "looks")]
+    names = [f"{name}, {what}" for name in ("home", "person") for what in ("sequence matches", "keypoint poses")]
     table = [row.split(" | ") for row in shown(command.compare(runs), TABLES["keypoints"]).splitlines()[2:]]
     assert [row[0].lstrip("| ") for row in table] == names
     assert [row[2:4] for row in table[:2]] == [
@@ -358,7 +358,7 @@ def test_odometers_are_compared_course_by_course() -> None:
     track = replace(straight(), error_m=np.full(600, 4.0))
     runs = {one: run_of(track=track) if one.odometer == 8.0 else run_of() for one in planned}
     table = [row.split(" | ") for row in shown(command.compare(runs), TABLES["odometers"]).splitlines()[2:]]
-    names = [f"| {name}, {odometer} %, lines" for name in ("home", "person") for odometer in ("0.3", "8")]
+    names = [f"| {name}, {odometer} %, sequence matches" for name in ("home", "person") for odometer in ("0.3", "8")]
     assert [row[0] for row in table] == names
     assert [row[1] for row in table[:2]] == ["5.0 m, 5.0 m", "4.0 m, 5.0 m"]
 
