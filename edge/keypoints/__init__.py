@@ -1,7 +1,7 @@
 """Where in the picture two views agree: points that a network finds, their matches, and what geometry says of them.
 
-    image (H, W, 3) --network--> Keypoints --matching--> Verified
-    a drive's Keypoints --drive_points--> Points of each row --pose, with what is seen--> Pose
+    image (H, W, 3) --network--> Keypoints --matching--> InlierMatches
+    a drive's Keypoints --drive_points--> MapPoints of each row --pose, with what is seen--> RelativePose
 
 A camera that looks the same way as the map's finds the place in one picture. Where the views are opposite, nothing
 here is loaded.
