@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.geodesy import east_north, east_north_of, first_known, unwrapped, wrapped
+from edge.reference_map.gps_motion import crept_m2
 from edge.reference_map.map_set import MapSet
 from edge.reference_map.place_index import PlaceIndex
 from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
@@ -49,7 +50,7 @@ class MapDrive:
     NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. checked_m:
     how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. whole_sigma_m: along
     and across, of what all its positions are off by together. Arrays: of the places with a position, in their order;
-    lon_deg has no jump at 180 degrees, and heading_deg is the course where the map has none.
+    lon_deg has no jump at 180 degrees, heading_deg is the course where the map has none. crept_m2: see `gps_motion`.
     """
 
     segment: int
@@ -65,6 +66,11 @@ class MapDrive:
     lon_deg: NDArray[np.float64]
     heading_deg: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
+    crept_m2: NDArray[np.float64]
+
+    def crept_at(self, along_m: float) -> float:
+        """How far its positions have crept up to some meters of its route_m: a variance, square meters."""
+        return float(np.interp(along_m, self.route_m, self.crept_m2)) if self.route_m.size else 0.0
 
 
 @runtime_checkable
@@ -161,13 +167,14 @@ class Route:
         if np.isnan(heading_deg).any():
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
-        lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigmas_m(known)
+        sigma_m, points_m = sigmas_m(known), east_north(lat_deg, lon_deg)
         # An odometer that agrees shows the shape of a drive, and not when its pictures were taken.
         checked_m, whole_m = 0.0, self._index.whole_sigma_m(segment)
         if self._index.moved_as_driven(segment):
-            checked_m = float(np.hypot(*east_north(lat_deg, lon_deg).T).max(initial=0.0))
+            checked_m = float(np.hypot(*points_m.T).max(initial=0.0))
         whole_sigma_m = UNKNOWN_WHOLE_M if whole_m is None else (whole_m, 0.0)
         about = segment, self._index.recording(segment), checked_m, whole_sigma_m, len(records)
+        lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigma_m, crept_m2(points_m, sigma_m, route_m, heading_deg)
         return MapDrive(*about, *extent_m, spacing_m, *lines)
 
 

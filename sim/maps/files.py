@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 from collections.abc import Callable
 from datetime import datetime, timezone
 from pathlib import Path
@@ -16,9 +17,9 @@ import numpy as np
 
 from edge.errors import FrameError, MapError
 from edge.feed import decode_picture
-from edge.reference_map import ReferenceMap, maps_in, open_map, open_map_set
+from edge.reference_map import ReferenceMap, Route, maps_in, open_map, open_map_set
 from edge.reference_map.map_folder import KEEP, is_retired
-from edge.reference_map.map_set import name_of
+from edge.reference_map.map_set import MapSet, name_of
 from edge.reference_map.store import HEADER, MapHeader
 from edge_plugins.layers.stored import StoredMap, stored_maps
 from edge_plugins.mapping.builder import spell_accuracy
@@ -108,8 +109,11 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
             print(f"          {line}")
     if header.tile is not None:
         print(f"tile      of the map {header.tile.map_sha256[:12]}, from its place {header.tile.start} on")
+    route = Route(MapSet.of(reference_map))
     for segment in header.segments:
         of = f"{segment.source}, {segment.view} view{COURSE if segment.heading_is_course else ''}"
+        crept_m = math.sqrt(route.drive(segment.start).crept_at(math.inf))
+        of += f"; its GPS moved by some {crept_m:.0f} m otherwise than the vehicle" if crept_m >= 1 else ""
         print(f"segment   {segment.start} to {segment.end - 1}: {of}")
     print(
         f"size      {_size_mb(header):.1f} MB, {header.files['descriptors.i8'].bytes / 1e6:.1f} MB of it for matching"

@@ -29,6 +29,7 @@ class Stretch:
     that it comes from, by default one of its own. has_odometer: whether its meters were measured. whole_sigma_m: see
     `Segment`. late_m: by how much its positions, and the heading of a log with an odometer, are further
     along the road than its pictures. backward: it was driven the other way, its camera looked ahead, so the same way.
+    crept: first and last meter of the road between which its GPS moved away, and by how much to the east and north.
     """
 
     begins_m: float
@@ -42,6 +43,13 @@ class Stretch:
     whole_sigma_m: float | None = 0.0
     late_m: float = 0.0
     backward: bool = False
+    crept: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+
+    def off_m(self, at_m: float) -> Points:
+        """East and north (2,), by which a position is wrong."""
+        begins_m, ends_m, east_m, north_m = self.crept
+        share = min(max((at_m - begins_m) / (ends_m - begins_m), 0.0), 1.0)
+        return np.array([self.east_m + share * east_m, self.north_m + share * north_m])
 
 
 @dataclass(frozen=True)
@@ -114,7 +122,7 @@ def build_maps(
             for row, s in enumerate(at_m):
                 logged = min(int(s + stretch.late_m), len(line) - 1)
                 looks = heading[logged if stretch.has_odometer else int(s)]  # wheels, heading, positions: of one log
-                east_m, north_m = line[logged] + [stretch.east_m, stretch.north_m]
+                east_m, north_m = line[logged] + stretch.off_m(s)
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
                 known = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.__main__ import main
 from edge.geodesy import east_north, moved
-from edge.reference_map.gps_motion import disagreements, moved_as_driven
+from edge.reference_map.gps_motion import crept_m2, disagreements, moved_as_driven
 from edge.reference_map.place_records import PLACE
+from tests.localization.events_of import Road
+from tests.localization.route_course import Stretch
 from tests.tlog import messages_of
 
 STEP_M, PLACES, FROM = 2.0, 600, 150
@@ -113,6 +117,30 @@ def test_a_drag_is_found_and_what_follows_stays_rejected(drag_mps: float, side: 
         assert FROM < rows[0] < FROM + 60, "within 120 m"
         last = rows[0] + 200
         assert len([row for row in rows if row < last]) > 0.95 * (last - rows[0]), "an offset that stays is no excuse"
+
+
+def crept_m(points_m: NDArray[np.float64], driven_m: NDArray[np.float64], heading_deg: NDArray[np.float64]) -> float:
+    """By how much the last position may be off against the first."""
+    return math.sqrt(crept_m2(points_m, np.full(len(points_m), 2**0.5 * SIGMA_M), driven_m, heading_deg)[-1])
+
+
+@pytest.mark.parametrize("side", ["left", "ahead"])
+def test_what_creeps_by_less_than_counts_as_wrong_is_measured(side: str) -> None:
+    """By 4 % of the way. Honest GPS wanders by its own standard deviation, on a straight road."""
+    honest_m, dragged_m = (
+        np.median([crept_m(*drive(seed, drag_mps, side, bend=0.0)) for seed in range(10)]) for drag_mps in (0.0, 0.2)
+    )
+    assert honest_m < 1.0
+    assert dragged_m > 5.0
+
+
+def test_map_info_says_by_how_much_gps_crept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, crept in (("honest", (0.0, 1.0, 0.0, 0.0)), ("crept", (300.0, 600.0, 12.0, 0.0))):
+        Road(tmp_path / name, Stretch(0.0, 1000.0, has_odometer=True, crept=crept))
+    assert main(["map", "info", str(tmp_path / "honest" / "map")]) == 0
+    assert "otherwise than the vehicle" not in capsys.readouterr().out
+    assert main(["map", "info", str(tmp_path / "crept" / "map")]) == 0
+    assert "its GPS moved by some 8 m otherwise than the vehicle" in capsys.readouterr().out
 
 
 def test_without_a_heading_lengths_are_compared() -> None:
