@@ -42,6 +42,8 @@ GATE = {1: 9.0, 2: 11.83}
 """Square of the standard deviations beyond which a measurement is an outlier, by the number of dimensions."""
 MAP_M = 200.0
 """Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
+CREEPS_M2 = 0.3
+"""What the positions of a map creep by less is added up first, see `DriveErrors`."""
 HEADING_M, COMPASS_M, SCALE_M = 250.0, 400.0, 700.0
 """Of heading errors without gyros, of the compass, and of the scale. How far the displacement was off across after 50
 to 800 m on 25 recorded drives of ArduPilot fits 200 m and 1.5 degrees; the headings of PX4 on two, 220 to 360 m and
@@ -70,7 +72,8 @@ class DriveErrors:
 
     map_m: what wanders of its positions, in each direction. whole: covariance (2, 2) of what they are off by together.
     stays_m, changes_m: of sequence matches along the road, for the whole drive and within CORRELATION_M. lane_m: of the
-    vehicle's lane. aim_rad: of how looks are turned.
+    vehicle's lane. aim_rad: of how looks are turned. crept_m2: see `MapDrive`; between two places,
+    the variance of what their positions are off by against each other.
     """
 
     map_m: float
@@ -79,6 +82,7 @@ class DriveErrors:
     changes_m: float
     lane_m: float
     aim_rad: float
+    crept_m2: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -232,8 +236,13 @@ class Filter:
         return number
 
     def _grow(self, slot: Slot, number: int, errors: DriveErrors) -> None:
-        """At another place of a drive, its map may be less certain."""
+        """At another place of a drive, its map may be less certain, or off by something else."""
         name, before = self._drives[number]
+        crept_m2 = abs(errors.crept_m2 - before.crept_m2)
+        if crept_m2 >= CREEPS_M2:
+            self.covariance[slot.whole, slot.whole] += crept_m2 / 2 * np.eye(2)
+        else:  # a vehicle that stands passes the same places again and again
+            errors = replace(errors, crept_m2=before.crept_m2)
         if errors.map_m > before.map_m:
             self.covariance[slot.map, slot.map] += (errors.map_m**2 - before.map_m**2) * np.eye(2)
         if errors.whole[0, 0] + errors.whole[1, 1] > before.whole[0, 0] + before.whole[1, 1] + 1e-9:

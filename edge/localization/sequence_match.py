@@ -34,6 +34,8 @@ STAYS = 0.35
 WANDERS = 0.5
 """Share of the variance of a map's positions that wanders. The rest stays for its drive: of the antenna's place, and of
 time."""
+CREPT_WITHIN_M = 1000.0
+"""Of a drive whose positions crept nobody knows where they were right: so far from there all are as uncertain."""
 
 
 class LocalMidpoint(NamedTuple):
@@ -138,7 +140,7 @@ class Georeferencer:
             midpoint=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
             along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=line.sigma_m,
-            errors=self._errors(match, drive.whole_sigma_m, middle.along, middle.map_sigma_m, timestamp_sigma_m),
+            errors=self._errors(match, drive, line.along_m, middle.along, middle.map_sigma_m, timestamp_sigma_m),
             sigma_factor=faint,
         )
 
@@ -165,16 +167,16 @@ class Georeferencer:
             return None
         road_rad = math.radians(road.heading_deg)
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
-        whole_along_m, whole_across_m = drive.whole_sigma_m
-        whole_m = math.hypot(whole_along_m, rig.look_sigma_m or rig.sigma_along_m), whole_across_m
+        along_m = route.route_m(seen.place_index) + forward_m
+        camera_m = math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
         look = PoseMeasurement(position_m, pose, heading_rad, seen.points)
         return SequenceMatch(
             match=match,
             mapped=drive,
             midpoint=LocalMidpoint(position_m, along, np.zeros(4)),
-            along_m=route.route_m(seen.place_index) + forward_m,
+            along_m=along_m,
             sigma_m=math.sqrt(float(along @ look.covariance @ along)),
-            errors=self._errors(match, whole_m, along, map_error_m(row), timestamp_sigma_m),
+            errors=self._errors(match, drive, along_m, along, map_error_m(row), camera_m),
             sigma_factor=1.0,
             pose=look,
         )
@@ -196,17 +198,18 @@ class Georeferencer:
         return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
     def _errors(
-        self, match: PlaceMatch, whole_m: tuple[float, float], along: Vector, map_m: float, timestamp_sigma_m: float
+        self, match: PlaceMatch, drive: MapDrive, along_m: float, along: Vector, map_m: float, ahead_sigma_m: float
     ) -> DriveErrors:
-        whole_m = math.hypot(whole_m[0], timestamp_sigma_m), whole_m[1]
+        """along_m: of the vehicle along the drive. ahead_sigma_m: of what moves all matches along the road alike."""
+        whole_m = math.hypot(drive.whole_sigma_m[0], ahead_sigma_m), drive.whole_sigma_m[1]
         ways, line_m = (along, left_of(along)), self.rig.sigma_m(match.direction, match.order)
         if _is_opposed(match):
             line_m = max(line_m, OPPOSED_M)
         whole = sum((m**2 * np.outer(way, way) for m, way in zip(whole_m, ways, strict=True)), start=np.zeros((2, 2)))
-        whole += (1 - WANDERS) * map_m**2 * np.eye(2)
-        return DriveErrors(
-            math.sqrt(WANDERS) * map_m, whole, STAYS * line_m, line_m, self.rig.sigma_cross_track_m, AIM_RAD
-        )
+        around_m2 = drive.crept_at(along_m + CREPT_WITHIN_M) - drive.crept_at(along_m - CREPT_WITHIN_M)
+        whole += ((1 - WANDERS) * map_m**2 + around_m2 / 2) * np.eye(2)
+        of_map, of_line = (math.sqrt(WANDERS) * map_m, whole), (STAYS * line_m, line_m, self.rig.sigma_cross_track_m)
+        return DriveErrors(*of_map, *of_line, AIM_RAD, drive.crept_at(along_m))
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m

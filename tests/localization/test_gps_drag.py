@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -155,6 +156,23 @@ def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer:
     for seed in (1, 2):
         said = drive(long_road, HONEST[kind](), seed, odometer, blind_s=blind_s)
         assert called_m(said) == called_m(said, "map faulty") == math.inf
+
+
+CREPT = {
+    "25 m over 500": (300.0, 800.0, 25.0, 0.0),
+    "12 m over 300": (400.0, 700.0, 0.0, 12.0),
+    "6 m": (600.0, 601.0, 6.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("odometer", [0.97, None])
+@pytest.mark.parametrize("crept", CREPT.values(), ids=CREPT)
+def test_an_honest_gps_is_not_wrong_where_that_of_the_map_crept(
+    tmp_path: Path, crept: tuple[float, float, float, float], odometer: float | None
+) -> None:
+    """By less than 5 % of the way, which counts as moved as driven."""
+    road = Road(tmp_path, Stretch(0, LENGTH_M, sigma_m=math.sqrt(2), recording="out", has_odometer=True, crept=crept))
+    assert called_m(drive(road, HONEST["open sky"](), 1, odometer)) == math.inf
 
 
 @pytest.mark.parametrize("turns_dps", [0.3, -1.0])
