@@ -1,12 +1,13 @@
-"""The events of a vehicle that drives due north along a mapped road, and sees exactly what it should.
+"""The stand-in vehicle of the tests: the events of a drive, and what the position estimator answers.
 
-A test says what else happens: what the autopilot reports (`reports`), what the frames show, how the vehicle moves. Then
-it asks for a position. All are meters north of HOME.
+`Vehicle` drives due north along a mapped road, and sees exactly what it should. A test says what else happens: what the
+autopilot reports (`reports`), what the frames show, how the vehicle moves. Then it asks for a position. All are meters
+north of HOME. `route_bench` drives winding roads, with the errors that were measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -32,6 +33,8 @@ from edge.localization import (
     PositionEstimator,
 )
 from edge.localization.events import ImageProcessed
+from edge.localization.position_estimator import Listener
+from edge.reference_map import MapSet
 from edge.sequence import PlaceMatch
 from tests.common import S
 from tests.localization.route_course import HOME, SPACING_M, Stretch, build_maps
@@ -89,27 +92,74 @@ def gps_at(north_m: float, east_m: float = 0.0, sigma_m: float = GPS_SIGMA_M) ->
     return GpsFix(*moved(*HOME, east_m, north_m), sigma_m)
 
 
-class Vehicle:
+class StandIn:
+    """What the daemon tells the position estimator of a vehicle, and asks it.
+
+    motion, without_gps: its odometry, and that by gyros. frame: what else is known of each, see `ImageProcessed`.
+    """
+
+    def __init__(self, maps: MapSet, config: Config, *listeners: Listener) -> None:
+        self.config = config
+        self.drive = PositionEstimator(config, *listeners)
+        self.drive.update(0, MapUpdate(maps))
+        self.t_ns = 100 * S
+        self.motion: Odometry | None = Odometry(1, 0.0, 0.0)
+        self.frame: dict[str, Any] = {}
+
+    @property
+    def without_gps(self) -> Odometry | None:
+        """Its own motion."""
+        return self.motion
+
+    def report(self, *, has_gps: bool = False, **reports: Any) -> None:
+        """The autopilot reports something."""
+        own = AutopilotState(
+            gps="healthy" if has_gps else "not healthy",
+            gps_sigma_m=GPS_SIGMA_M if has_gps else None,
+            motion=self.motion,
+            without_gps=self.without_gps,
+            system_id=1,
+            booted_ns=0,
+        )
+        self.drive.update(self.t_ns, msgspec.structs.replace(own, **reports))
+
+    def exposed(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> ImageProcessed:
+        """A frame, with what it shows and what is known of GPS at its exposure."""
+        known = {"motion": self.motion, "without_gps": self.without_gps, "gps": gps}
+        return ImageProcessed(self.t_ns, seen, **{**known, **self.frame})
+
+    def ask(self, later_ns: int = 0, **limits: Any) -> Fix | NoFix:
+        return self.drive.fix(self.t_ns + later_ns, FixRequest(**{"oldest_s": 5.0, **limits}))
+
+    def use(self, fix: Fix, left_m: float | None = None) -> None:
+        """The autopilot gets a position, or is so far from it by now."""
+        self.drive.update(self.t_ns, FixFeedback(fix, left_m))
+
+
+class Vehicle(StandIn):
     """One frame each 2 m, a fifth of a second apart.
 
     north_m: where it is. odometer: meters that it measures for each. aside_m: to the east, in each frame. off_m: how
-    far the autopilot has it too far north. compass_rad: its heading less that by the gyros. reports, frame: what else
-    the autopilot says than that GPS is lost, and what is known of each frame; see `AutopilotState` and
-    `ImageProcessed`.
+    far the autopilot has it too far north. compass_rad: its heading less that by the gyros. reports: what else the
+    autopilot says, see `AutopilotState`.
     """
 
+    motion: Odometry
+
     def __init__(
-        self, road: Road, config: Config | None = None, north_m: float = 0.0, direction: Direction = "forward"
+        self,
+        road: Road,
+        config: Config | None = None,
+        north_m: float = 0.0,
+        direction: Direction = "forward",
+        listeners: Sequence[Listener] = (),
     ) -> None:
-        self.road, self.direction = road, direction
-        self.drive = PositionEstimator(config or settings())
-        self.drive.update(0, MapUpdate(road.maps))
-        self.sign = 1 if direction == "forward" else -1
-        self.north_m, self.t_ns, self.driven_m = north_m, 100 * S, 0.0
-        self.odometer, self.aside_m, self.off_m, self.compass_rad = 1.0, 0.0, 0.0, 0.0
-        self.motion = Odometry(1, 0.0, 0.0)
+        super().__init__(road.maps, config or settings(), *listeners)
         self.reports: dict[str, Any] = {}
-        self.frame: dict[str, Any] = {}
+        self.road, self.direction = road, direction
+        self.sign = 1 if direction == "forward" else -1
+        self.north_m, self.driven_m = north_m, 0.0
+        self.odometer, self.aside_m, self.off_m, self.compass_rad = 1.0, 0.0, 0.0, 0.0
 
     def go(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[str | None]:
         """Drive on; why there is no position for ArduPilot after each frame, None where there is one."""
@@ -122,7 +172,8 @@ class Vehicle:
     def _step(self, sees: Sees | None, *, gps: bool) -> Fix | NoFix:
         self.move()
         self.own(has_gps=gps)
-        self.show((sees or self._sees)(self.north_m), gps_at(self.north_m + self.off_m) if gps else None)
+        shown = sees(self.north_m) if sees else self.road.match(self.north_m, self.direction)
+        self.show(shown, gps_at(self.north_m + self.off_m) if gps else None)
         return self.ask()
 
     def move(self) -> None:
@@ -134,17 +185,13 @@ class Vehicle:
 
     def show(self, seen: PlaceMatch | None, gps: GpsFix | None = None) -> GpsVerdict:
         """What a frame shows here; what is known of GPS then."""
-        known = {"motion": self.motion, "without_gps": self.without_gps, "gps": gps}
-        self.drive.update(self.t_ns, ImageProcessed(self.t_ns, seen, **{**known, **self.frame}))
+        self.drive.update(self.t_ns, self.exposed(seen, gps))
         return self.drive.state.gps
 
     @property
     def without_gps(self) -> Odometry:
         """Its own motion, by gyros."""
         return msgspec.structs.replace(self.motion, gyros=Gyros(self.t_ns / 1e9, self.compass_rad))
-
-    def _sees(self, at_m: float) -> PlaceMatch | None:
-        return self.road.match(at_m, self.direction)
 
     @property
     def position(self) -> VehiclePosition:
@@ -155,18 +202,8 @@ class Vehicle:
 
     def own(self, *, has_gps: bool = False, **reports: Any) -> None:
         """The autopilot reports something."""
-        own = AutopilotState(
-            gps="healthy" if has_gps else "not healthy",
-            gps_sigma_m=GPS_SIGMA_M if has_gps else None,
-            position=self.position,
-            motion=self.motion,
-            without_gps=self.without_gps,
-            speed_mps=SPEED_MPS,
-            driven_m=self.driven_m,
-            system_id=1,
-            booted_ns=0,
-        )
-        self.drive.update(self.t_ns, msgspec.structs.replace(own, **{**self.reports, **reports}))
+        known = {"position": self.position, "speed_mps": SPEED_MPS, "driven_m": self.driven_m, **self.reports}
+        self.report(has_gps=has_gps, **{**known, **reports})
 
     def moved(self, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> Odometry:
         """The displacement once it has moved on by so much."""
@@ -183,13 +220,10 @@ class Vehicle:
             odometry_epoch=self.motion.odometry_epoch + 1, unknown_m=self.motion.unknown_m + unknown_m
         )
 
-    def ask(self, later_ns: int = 0, **limits: Any) -> Fix | NoFix:
-        return self.drive.fix(self.t_ns + later_ns, FixRequest(**{"oldest_s": 5.0, **limits}))
-
-    def use(self, fix: Fix, left_m: float = 0.0) -> None:
+    def use(self, fix: Fix, left_m: float | None = 0.0) -> None:
         """The autopilot gets a position, and is so far from it then."""
-        self.drive.update(self.t_ns, FixFeedback(fix))
-        self.drive.update(self.t_ns, FixFeedback(fix, left_m))
+        super().use(fix)
+        super().use(fix, left_m)
 
     @property
     def place(self) -> PlaceFix | None:

@@ -2,9 +2,10 @@
 
 A drive is simulated at 10 Hz. Matches come from the truth, as the recognizer would give them: a line through the last
 frames that were on the map, wrong by a constant bias and by an error that changes over CORRELATED_M, and for a while
-also after the vehicle has left the mapped road. The autopilot moves by a velocity with a scale and a heading error. It
-is reset by each position that is sent, as ArduPilot, or follows a stream of them, as PX4. The position estimator gets
-the events that the daemon would send it, at the same moments, and is asked as the daemon asks; `events` is their list.
+also after the vehicle has left the mapped road. The autopilot is the simulated one of `sim.vehicle`: its wheels and its
+heading are wrong, it forgets by each reset, as EKF3 does, or fuses a stream of positions, as PX4. The position
+estimator gets the events that the daemon would send it, at the same moments, and is asked as the daemon asks; `events`
+is their list.
 """
 
 from __future__ import annotations
@@ -18,22 +19,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.config import CameraConfig, Config, RigConfig, SequenceConfig, TrackingConfig
+from edge.config import CameraConfig, Config, RigConfig, SequenceConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
     AGREE_SIGMAS,
     GPS_SIGMA_M,
-    AutopilotState,
     DeadReckoning,
     Fix,
     FixFeedback,
     FixRequest,
     GpsFix,
-    MapUpdate,
     OdometerCalibration,
     OdometryUpdate,
     PlaceFix,
-    PositionEstimator,
     ProtectionLevel,
 )
 from edge.localization.events import ImageProcessed
@@ -41,6 +39,10 @@ from edge.localization.position_estimator import Entry
 from edge.sequence import KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import probability
 from edge.telemetry.acknowledgements import FixTransmission
+from sim import Pose
+from sim.vehicle.estimator import Estimator, OdometryErrors, VelocitySource
+from sim.vehicle.firmware import FIRMWARES
+from tests.localization.events_of import StandIn
 from tests.localization.route_course import HOME, SPACING_M, Course, Points, build_maps, lap_line, road_line
 
 STEP_S, LENGTH = 0.1, 40
@@ -58,8 +60,8 @@ LOOKS_EVERY, LOOK_SIGMAS = 4, (0.3, 0.3, math.radians(0.6))  # as on the way hom
 TURN_RADIUS_M = 8.0
 ARRIVES, ANSWERS = 2, 2
 """Steps from an exposure to the answer to its frame, and from a position to an autopilot that has moved by it."""
-STREAM_S, FOLLOWS = 0.2, 0.05
-"""Between the positions of a stream, and the share of their distance by which an autopilot comes nearer to each."""
+STREAM_S = 0.2
+"""Between the positions of a stream."""
 RESETS = FixRequest("exposure", 5.0, is_reset=True)
 STREAM = FixRequest("now", 1.0)
 Move = tuple[float, Points | None, float]
@@ -102,13 +104,7 @@ def rng_of(seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, 3])
 
 
-def reckoned(moved_m: Points, turned_rad: float, scale: float) -> Points:
-    """What the autopilot makes of a displacement (2,), east and north, whose heading and odometer are wrong."""
-    sin, cos = math.sin(-turned_rad), math.cos(-turned_rad)
-    return np.array([cos * moved_m[0] + sin * moved_m[1], cos * moved_m[1] - sin * moved_m[0]]) / scale
-
-
-class Bench:
+class Bench(StandIn):
     """One seeded drive."""
 
     def __init__(self, course: Course, seed: int, folder: Path, *, is_stream: bool = False) -> None:
@@ -126,20 +122,17 @@ class Bench:
         )
         maps, self.segments = build_maps(folder / f"map{seed}", self.line, self.heading, stretches)
         rig = RigConfig(
-            sigma_along_m=SAME_M,
-            sigma_cross_track_m=2.5,
-            look_sigma_m=0.05,
-            look_ahead_reverse_m=REVERSE_AHEAD_M,
+            sigma_along_m=SAME_M, sigma_cross_track_m=2.5, look_sigma_m=0.05, look_ahead_reverse_m=REVERSE_AHEAD_M
         )
         camera = CameraConfig(view="rear" if course.looks else "front")
-        tracking, sequence = TrackingConfig(), SequenceConfig(length=LENGTH)
-        self.config = Config(camera=camera, rig=rig, tracking=tracking, sequence=sequence)
+        config = Config(camera=camera, rig=rig, sequence=SequenceConfig(length=LENGTH))
         self.events: list[tuple[int, Entry]] = []
-        self.drive = PositionEstimator(self.config, lambda t_ns, entry: self.events.append((t_ns, entry)))
-        self.drive.update(0, MapUpdate(maps))
-        self.motion, self.shown = DeadReckoning(), OdometerCalibration()
-        self.scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
-        self.turned = math.radians(rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg)
+        super().__init__(maps, config, lambda t_ns, entry: self.events.append((t_ns, entry)))
+        self.reckoning, self.shown = DeadReckoning(), OdometerCalibration()
+        scale = 1 + (rng.normal(0.0, 0.03) if course.scale is None else course.scale)
+        heading_deg = rng.normal(0.0, 1.5) if course.heading_deg is None else course.heading_deg
+        source: VelocitySource = "velocity sensor" if is_stream else "wheels"
+        self.errors = OdometryErrors(source, 1 / scale, heading_deg=-heading_deg)
         self.changes_m, stays_m = (SAME_M, STAYS_M[1]) if course.looks else (OPPOSITE_M, STAYS_M[0])
         self.bias_m = rng.uniform(-1.73, 1.73) * stays_m
         self.wander_m = rng.normal(0.0, self.changes_m)
@@ -148,10 +141,8 @@ class Bench:
         self.result = Result()
         self.step = 0
         self.lane = self.aims_m = self.sampled_m = self.driven_m = self.steered_m = 0.0
-        self.own_error = np.zeros(2)
-        self.reported: AutopilotState | None = None
         self.frames: deque[tuple[int, ImageProcessed]] = deque()  # that have not arrived, and the step at which they do
-        self.exposed: dict[int, tuple[Points, Points]] = {}  # truth, and the autopilot alone, at each exposure
+        self.truths: dict[int, Points] = {}  # at each exposure
         self.sent: FixTransmission | None = None
         self.followed_at = 0  # the step at which the autopilot has moved by it
         self.bounded_ns = self.confirmed_ns = 0
@@ -160,9 +151,14 @@ class Bench:
 
     def run(self) -> Result:
         """The whole drive."""
+        self.t_ns = 1000 * 10**9
         self.truth, self.turn_rad = self._point(0.0, 0.0), 0.0
-        self.own = self.truth + self.rng.normal(0.0, 1.0 if self.course.gps else 20.0, 2)
-        self.alone = self.own.copy()
+        self.pose = Pose(self.truth[0], self.truth[1], math.degrees(self._heading(0.0)), 0.0, 0.0)
+        noise = FIRMWARES["px4" if self.is_stream else "ardupilot"].noise
+        self.own_estimate, self.alone = (Estimator(self.pose, self.t_ns / 1e9, self.errors, noise) for _ in range(2))
+        off_m = self.rng.normal(0.0, 1.0 if self.course.gps else 20.0, 2).tolist()
+        for one in (self.own_estimate, self.alone):
+            one.shift(*off_m)
         for s, at, speed_mps in self._moves():
             before, self.truth = self.truth, self._truth(s, at)
             if (self.truth != before).any():  # against the road; a vehicle that reverses looks the way it came
@@ -243,7 +239,8 @@ class Bench:
         if self.course.steers:
             # It keeps its own estimate on the lane, so the vehicle is off by what the estimate is wrong across.
             heading = self._heading(s)
-            across_m = float((self.own_error) @ [math.cos(heading), -math.sin(heading)])
+            error_m = self.own_estimate.east_m - self.pose.east_m, self.own_estimate.north_m - self.pose.north_m
+            across_m = error_m[0] * math.cos(heading) - error_m[1] * math.sin(heading)
             self.steered_m += 0.03 * (-across_m - self.steered_m)
             right_m += self.steered_m
         self.right_m = right_m
@@ -251,67 +248,58 @@ class Bench:
 
     def _step(self, step: Points, speed_mps: float, s: float) -> None:
         self.step += 1
-        now_ns = 1000 * 10**9 + round(self.step * STEP_S * 1e9)
+        self.t_ns = 1000 * 10**9 + round(self.step * STEP_S * 1e9)
         gps = self.course.gps and self.driven_m < GPS_M
-        ferried = speed_mps == 0.0
-        moved_m = np.zeros(2) if ferried else step
-        seen: Points = np.zeros(2) if ferried else reckoned(moved_m, self.turned, self.scale)
-        self.own = self.truth + self.rng.normal(0, 0.3, 2) if gps else self.own + seen
-        self.alone = self.own.copy() if gps else self.alone + seen
-        velocity = seen / STEP_S
-        self.motion.add_velocity(now_ns, float(velocity[0]), float(velocity[1]))
-        self.motion.add_speed(now_ns, math.copysign(float(np.hypot(*velocity)), speed_mps), 0)
-        own = self._report(now_ns, velocity, gps=gps)
+        self._move(step, speed_mps, gps=gps)
+        self.motion = self.reckoning.displacement(self.t_ns)
+        reckoned = {"speed_mps": self.reckoning.speed_mps(self.t_ns), "driven_m": self.reckoning.driven_m(self.t_ns)}
+        of_own = {"position": self.position, "scale": self.shown.scale, **reckoned}
+        self.report(has_gps=gps, drives_itself=self.course.steers, **of_own)
         if self.sent is not None and self.step == self.followed_at:
-            self._follow(now_ns, own, self.sent)
-        self._expose(now_ns, own, s, gps=gps)
+            self._follow(self.sent)
+        self._expose(s, gps=gps)
         if self.frames and self.step >= self.frames[0][0]:
-            self.drive.update(now_ns, self.frames.popleft()[1])
-        if self._is_due(now_ns):
-            self._ask(now_ns, own)
-        self.own_error = self.own - self.truth
+            self.drive.update(self.t_ns, self.frames.popleft()[1])
+        if self._is_due():
+            self._ask()
         if self.step % 10 == 0 and not gps:
-            self.result.own_m.append(float(np.hypot(*self.own_error)))
-            self.result.alone_m.append(float(np.hypot(*(self.alone - self.truth))))
+            self.result.own_m.append(self.own_estimate.error_m)
+            self.result.alone_m.append(self.alone.error_m)
 
-    def _report(self, now_ns: int, velocity: Points, *, gps: bool) -> VehiclePosition:
-        """What the autopilot reports, where it is something new; its position."""
-        east_mps, north_mps = velocity.tolist()
-        place, motion = moved(*HOME, float(self.own[0]), float(self.own[1])), self.motion
-        self.shown.add_meters(now_ns, motion.total_m or 0.0, motion.total_m)
+    def _move(self, step: Points, speed_mps: float, *, gps: bool) -> None:
+        """On by a step (2,), which a vehicle that is carried does not measure."""
+        stands = speed_mps == 0.0
+        moved_m = 0.0 if stands else math.copysign(float(np.hypot(*step)), speed_mps)
+        heading_deg = self.pose.heading_deg if stands else math.degrees(math.atan2(*(step * np.sign(speed_mps))))
+        driven_m = self.pose.distance_m + abs(moved_m)
+        self.pose = Pose(self.truth[0], self.truth[1], heading_deg, moved_m / STEP_S, driven_m)
+        found_m = tuple((self.truth + self.rng.normal(0, 0.3, 2)).tolist()) if gps else None
+        for one in (self.own_estimate, self.alone):
+            one.update(self.pose, self.t_ns / 1e9, found_m)
+        self.reckoning.add_velocity(self.t_ns, *self.own_estimate.velocity_mps)
+        self.reckoning.add_speed(self.t_ns, self.pose.speed_mps * self.errors.scale, 0)
+        self.shown.add_meters(self.t_ns, self.reckoning.total_m or 0.0, self.reckoning.total_m)
         if gps:
-            self.shown.add_fix(now_ns, place)
-        position = VehiclePosition(now_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
-        own = AutopilotState(
-            gps="healthy" if gps else "not healthy",
-            gps_sigma_m=GPS_SIGMA_M if gps else None,
-            position=position,
-            motion=motion.displacement(now_ns),
-            without_gps=motion.displacement(now_ns),
-            scale=self.shown.scale,
-            speed_mps=motion.speed_mps(now_ns),
-            driven_m=motion.driven_m(now_ns),
-            drives_itself=self.course.steers,
-            system_id=1,
-            booted_ns=0,
-        )
-        if own != self.reported:
-            self.reported = own
-            self.drive.update(now_ns, own)
-        return position
+            position = self.position
+            self.shown.add_fix(self.t_ns, (position.lat_deg, position.lon_deg))
 
-    def _expose(self, now_ns: int, own: VehiclePosition, s: float, *, gps: bool) -> None:
+    @property
+    def position(self) -> VehiclePosition:
+        east_mps, north_mps = self.own_estimate.velocity_mps
+        place = moved(*HOME, self.own_estimate.east_m, self.own_estimate.north_m)
+        return VehiclePosition(self.t_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
+
+    def _expose(self, s: float, *, gps: bool) -> None:
         """A frame, where the vehicle is at a new place."""
-        distance_m = self.motion.distance_m(now_ns) or 0.0
+        distance_m = self.reckoning.distance_m(self.t_ns) or 0.0
         places = math.floor((distance_m - self.sampled_m) / SPACING_M)
         if places < 1:
             return
         self.sampled_m += SPACING_M * places
-        self.exposed[now_ns] = self.truth, self.alone
+        self.truths[self.t_ns] = self.truth
+        own, self.frame = self.position, {"missed": places - 1}
         fix = GpsFix(own.lat_deg, own.lon_deg, GPS_SIGMA_M) if gps else None
-        motion = self.motion.displacement(now_ns)
-        frame = ImageProcessed(now_ns, self._match(s), motion, without_gps=motion, gps=fix, missed=places - 1)
-        self.frames.append((self.step + ARRIVES, frame))
+        self.frames.append((self.step + ARRIVES, self.exposed(self._match(s), fix)))
 
     def _match(self, s: float) -> PlaceMatch | None:
         """The best line through the last frames, as the recognizer would find it."""
@@ -377,29 +365,28 @@ class Bench:
                 return number, s - begins_m
         return None
 
-    def _is_due(self, now_ns: int) -> bool:
+    def _is_due(self) -> bool:
         period_s = STREAM_S if self.is_stream else self.config.gates.min_interval_s
         last_ns = max(self.confirmed_ns, 0 if self.sent is None else self.sent.at_ns)
-        return now_ns - last_ns >= round(period_s * 1e9)
+        return self.t_ns - last_ns >= round(period_s * 1e9)
 
-    def _ask(self, now_ns: int, own: VehiclePosition) -> None:
+    def _ask(self) -> None:
         if self.is_stream:
-            self.drive.update(now_ns, OdometryUpdate(self.motion.displacement(now_ns)))
-        answer = self.drive.fix(now_ns, STREAM if self.is_stream else RESETS)
+            self.drive.update(self.t_ns, OdometryUpdate(self.motion))
+        answer = self.drive.fix(self.t_ns, STREAM if self.is_stream else RESETS)
         place = answer.place if isinstance(answer, Fix) else answer.fix
         if place is None or (self.sent is not None and place.stamp_ns == self.sent.place.stamp_ns):
             return
-        truth, alone = (self.truth, self.alone) if self.is_stream else self.exposed[place.stamp_ns]
-        off_m = _meters(place) - truth
+        off_m = _meters(place) - (self.truth if self.is_stream else self.truths[place.stamp_ns])
         if answer.level is not None and place.stamp_ns != self.bounded_ns:
             self.bounded_ns = place.stamp_ns
             self._bound(place, off_m, answer.level)
         if isinstance(answer, Fix):
-            self._send(now_ns, own, answer, float(np.hypot(*off_m)), _meters(place) + self.alone - alone)
+            self._send(answer, float(np.hypot(*off_m)))
         elif answer.confirms is not None:
-            self.confirmed_ns = now_ns
+            self.confirmed_ns = self.t_ns
             self._score(place, float(np.hypot(*off_m)))
-            self.drive.update(now_ns, FixFeedback(answer.confirms, answer.distance_m))
+            self.drive.update(self.t_ns, FixFeedback(answer.confirms, answer.distance_m))
 
     def _bound(self, place: PlaceFix, off_m: Points, level: ProtectionLevel) -> None:
         (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)
@@ -407,28 +394,31 @@ class Bench:
         errors_m = abs(east_m * sin + north_m * cos), abs(north_m * sin - east_m * cos)
         self.result.bounded.append(Bounded(self.driven_m, *errors_m, level.along_track_m, level.cross_track_m))
 
-    def _send(self, now_ns: int, own: VehiclePosition, fix: Fix, off_m: float, now_m: Points) -> None:
-        """now_m: where the position puts the vehicle now, by the autopilot's velocity since."""
-        self._score(fix.place, off_m)
-        self.sent = FixTransmission(fix, now_ns, own)
-        self.drive.update(now_ns, FixFeedback(fix))
+    def _send(self, fix: Fix, off_m: float) -> None:
+        """The autopilot fuses a position of a stream, and is reset by another."""
+        place = fix.place
+        self._score(place, off_m)
+        self.sent = FixTransmission(fix, self.t_ns, self.position)
+        self.use(fix)
+        at = *_meters(place).tolist(), place.stamp_ns / 1e9, place.sigma_m
         if not self.is_stream:
-            self.own, self.followed_at = now_m, self.step + ANSWERS
+            self.own_estimate.reset(*at)
+            self.followed_at = self.step + ANSWERS
             return
-        self.own = self.own + FOLLOWS * (now_m - self.own)
-        if self.sent.distance_m <= AGREE_SIGMAS * fix.place.sigma_m:
-            self.drive.update(now_ns, FixFeedback(fix, self.sent.distance_m))
+        self.own_estimate.fuse(*at)
+        if self.sent.distance_m <= AGREE_SIGMAS * place.sigma_m:
+            self.use(fix, self.sent.distance_m)
 
     def _score(self, place: PlaceFix, off_m: float) -> None:
         self.result.sigmas.append(off_m / place.sigma_m)
         self.result.off_m.append(off_m)
         self.result.known_at_m.append(self.driven_m)
 
-    def _follow(self, now_ns: int, own: VehiclePosition, sent: FixTransmission) -> None:
+    def _follow(self, sent: FixTransmission) -> None:
         """A reset must have moved the autopilot by now."""
-        left_m = sent.remaining_m(own)
+        left_m = sent.remaining_m(self.position)
         if not self.is_stream and sent.moved(left_m):
-            self.drive.update(now_ns, FixFeedback(sent.fix, left_m))
+            self.use(sent.fix, left_m)
 
 
 def _meters(place: PlaceFix) -> Points:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from edge.geodesy import east_north_of
-from edge.localization import DeadReckoning, MapUpdate, PositionEstimator
+from edge.localization import DeadReckoning
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.shadow import Shadow, ShadowPosition
 from tests.localization.events_of import SPEED_MPS, Road, Vehicle, settings
@@ -25,11 +25,9 @@ class Shadowed(Vehicle):
     """Drives beside GPS with a shadow."""
 
     def __init__(self, road: Road) -> None:
-        super().__init__(road)
         self.records: list[Any] = []
         self.shadow = Shadow(settings(), self.records.append)
-        self.drive = PositionEstimator(settings(), self.shadow.update)
-        self.drive.update(0, MapUpdate(road.maps))
+        super().__init__(road, listeners=[self.shadow.update])
         self.history, self.speeds, self.unable = PositionHistory(lambda: self.t_ns), DeadReckoning(), ""
 
     def follow(self, meters: float, sees: Any = None) -> list[ShadowPosition]:

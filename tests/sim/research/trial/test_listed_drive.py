@@ -10,7 +10,6 @@ import msgspec
 import pytest
 
 from edge.commands.parser import build_parser
-from edge.localization import MapUpdate, PositionEstimator
 from edge.localization.drive_file import LENGTH, DriveFile, read_drive
 from edge.localization.position_estimator import FixResult
 from sim.bundle import LIST
@@ -21,10 +20,9 @@ from tests.localization.route_course import Stretch
 
 def bundle(folder: Path, *, reports_only: bool) -> Path:
     """A vehicle that drives 300 m beside GPS, 3 m behind where GPS has it, and 200 m without."""
-    one = Vehicle(Road(folder, Stretch(0, 600, sigma_m=1.0)))
     file = DriveFile(folder / "it.drive", settings())
-    one.drive, one.off_m = PositionEstimator(settings(), file.write), 3.0
-    one.drive.update(0, MapUpdate(one.road.maps))
+    one = Vehicle(Road(folder, Stretch(0, 600, sigma_m=1.0)), listeners=[file.write])
+    one.off_m = 3.0
     for row in range(250):
         one.move()
         one.own(has_gps=row < 150)

@@ -22,8 +22,8 @@ from tests.localization.route_course import HOME, Course
 
 def truth_of(bench: Bench) -> RecordedDrive:
     """A drive as it was recorded, of which nothing but the truth matters here."""
-    stamps_ns = list(bench.exposed)
-    points = np.array([east_north_m(*moved(*HOME, *true_m.tolist())) for true_m, _ in bench.exposed.values()])
+    stamps_ns = list(bench.truths)
+    points = np.array([east_north_m(*moved(*HOME, *true_m.tolist())) for true_m in bench.truths.values()])
     heading_deg = np.degrees(np.unwrap(np.arctan2(*np.gradient(points, axis=0).T)))
     columns = np.array(stamps_ns) / 1e9, *points.T, heading_deg
     truth = dict(zip(("mono_s", "east_m", "north_m", "heading_deg"), columns, strict=True))
