@@ -28,7 +28,7 @@ ROOMS = {
     "edge_plugins/home": 900,
     "edge_plugins/layers": 200,
     "edge_plugins/mapping": 1600,
-    "edge_plugins/motion": 600,
+    "edge_plugins/motion": 650,
     "edge_plugins/nmea": 300,
     "edge_plugins/page": 600,
     "edge_plugins/recording": 300,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35100,
+    "tests": 35150,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

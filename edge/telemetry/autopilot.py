@@ -38,6 +38,7 @@ from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import PositionSender, level_m
 from edge.telemetry.session import Session
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
+from edge.telemetry.vehicle_velocity import slip
 from edge.telemetry.wheel_store import WheelStore, in_percent
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
@@ -142,12 +143,18 @@ class AutopilotConnection:
         """What is wrong with GPS by the places, for people; "" where nothing is. How far it is off is in `status`."""
         return "GPS faulty" if self.drive.state.gps.state == "faulty" else ""
 
-    def gps_speed_mps(self) -> float | None:
-        """How fast the vehicle moves by the autopilot, while GPS that nobody doubts bounds it; None otherwise."""
+    def gps_motion(self) -> tuple[float | None, float]:
+        """How fast the vehicle moves by the autopilot, m/s, while GPS that nobody doubts bounds it; None otherwise.
+
+        And how far to the right of where it heads, as a share of that.
+        """
         now_ns = self.clock_ns()
         own, is_healthy = self.vehicle.position(now_ns), self.vehicle.session.gps.state(now_ns) == "healthy"
         is_good = is_healthy and not self.gps_fault
-        return own.speed_mps if own is not None and is_good and now_ns - own.stamp_ns <= GPS_SPEED_NS else None
+        if own is None or not is_good or now_ns - own.stamp_ns > GPS_SPEED_NS or own.heading_deg is None:
+            return None, 0.0
+        to_the_right = slip(own.east_mps, own.north_mps, own.heading_deg)
+        return (None, 0.0) if to_the_right is None else (own.speed_mps, to_the_right)
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""

@@ -170,7 +170,7 @@ FIRMWARES = {
         gps_switch="fusion",
         examined=(GPS_MODE, NO_AID_TIMEOUT),
         aid_remedy=("fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]"),
-        camera_remedy="load firmware_config/px4_velocity_aid.params",
+        camera_remedy="load firmware_config/px4_camera_velocity.params",
     ),
 }
 """By MAV_AUTOPILOT."""

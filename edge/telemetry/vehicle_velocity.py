@@ -100,11 +100,13 @@ class VehicleVelocity:
         stamp_ns, speed_mps = self._speeds.get(source, (-math.inf, None))
         return speed_mps if now_ns - stamp_ns <= FRESH_NS[source] else None
 
-    def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA) -> None:
+    def use_speed(self, stamp_ns: int, speed_mps: float, source: int = CAMERA, left_mps: float = 0.0) -> None:
         """The speed ahead by the camera or by another program; of use where neither autopilot nor wheels report one."""
         if math.isfinite(speed_mps):
             self.listen(stamp_ns, speed_mps, source)
             self._speeds[source] = stamp_ns, speed_mps
+            if source == ODOMETRY or self._fresh(ODOMETRY, stamp_ns) is None:
+                self._speeds[ASIDE] = stamp_ns, left_mps
             own = self._own
             if source == CAMERA and own is not None and own.heading_deg is not None:
                 self._seen = stamp_ns, speed_mps, _ahead(own.east_mps, own.north_mps, own.heading_deg)
@@ -113,8 +115,7 @@ class VehicleVelocity:
 
     def use_odometry(self, stamp_ns: int, ahead_mps: float, left_mps: float, yaw_rad: float | None) -> None:
         """The velocity by another program; yaw_rad: counterclockwise from east, used where no autopilot reports."""
-        self.use_speed(stamp_ns, ahead_mps, ODOMETRY)
-        self._speeds[ASIDE] = stamp_ns, left_mps
+        self.use_speed(stamp_ns, ahead_mps, ODOMETRY, left_mps)
         if yaw_rad is None or stamp_ns - self._reported_ns <= CAMERA_FRESH_NS:
             return
         sin, cos = math.sin(yaw_rad), math.cos(yaw_rad)
@@ -175,12 +176,15 @@ class VehicleVelocity:
         """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""
         own, speed_mps = self._own, self._own_speed(now_ns)
         if speed_mps is not None:
-            has_wheels = self._fresh(WHEELS, now_ns) is not None
-            return speed_mps, 0.0 if has_wheels else self._fresh(ASIDE, now_ns) or 0.0
+            return speed_mps, self._left_mps(now_ns)
         if self.aid.may_be_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
             return None
         moves = own.east_mps, own.north_mps
         return _ahead(*moves, own.heading_deg), _ahead(*moves, own.heading_deg - 90.0)
+
+    def _left_mps(self, now_ns: int) -> float:
+        """To the left, where wheels do not measure the speed."""
+        return 0.0 if self._fresh(WHEELS, now_ns) is not None else self._fresh(ASIDE, now_ns) or 0.0
 
     def turned_rad(self, since_ns: int, until_ns: int) -> tuple[float, float] | None:
         """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
@@ -242,8 +246,9 @@ class VehicleVelocity:
                 speed_mps, unknown_mps = self._bridged(stamp_ns, _ahead(east_mps, north_mps, heading_deg))
             if speed_mps is None:
                 return
-            heading_rad = math.radians(heading_deg)
-            east_mps, north_mps = speed_mps * math.sin(heading_rad), speed_mps * math.cos(heading_rad)
+            heading_rad, left_mps = math.radians(heading_deg), self._left_mps(stamp_ns)
+            sin, cos = math.sin(heading_rad), math.cos(heading_rad)
+            east_mps, north_mps = speed_mps * sin - left_mps * cos, speed_mps * cos + left_mps * sin
         may_slip = is_reported or self._fresh(WHEELS, stamp_ns) is not None
         self._motion.add_velocity(
             stamp_ns, east_mps, north_mps, reported_mps, may_slip=may_slip, unknown_mps=unknown_mps
@@ -263,6 +268,12 @@ class VehicleVelocity:
 def _ahead(east_mps: float, north_mps: float, heading_deg: float) -> float:
     """What of a velocity goes along a heading."""
     return east_mps * math.sin(math.radians(heading_deg)) + north_mps * math.cos(math.radians(heading_deg))
+
+
+def slip(east_mps: float, north_mps: float, heading_deg: float) -> float | None:
+    """What of a velocity goes to the right of a heading, as a share of what goes along it; None of one mostly aside."""
+    ahead_mps, right_mps = (_ahead(east_mps, north_mps, heading_deg + turned_deg) for turned_deg in (0.0, 90.0))
+    return right_mps / ahead_mps if abs(ahead_mps) > abs(right_mps) else None
 
 
 def signed_speed(east_mps: float, north_mps: float, heading_deg: float | None) -> float:

@@ -30,6 +30,11 @@ STILL = 0.3
 and not where it was found to stand after nothing was seen."""
 LEAST_SIGMA_MPS = 0.05
 """Of a speed: a car that comes to rest lifts its nose again, by which it was up to 0.15 m/s off."""
+SLIDES, LEAST_SIDEWAYS_MPS = 0.03, 0.2
+"""Standard deviations of a velocity to the side that is not measured: 2 degrees of the speed, and as much where a
+vehicle stands as its body rocks."""
+YAW_RAD = math.radians(0.7)
+"""Of the camera's yaw that GPS has shown: in flight, slips of up to 3 degrees were found to 0.3 (mean of 4 s)."""
 LEARNT_MPS = 2.0
 """Slower, the velocity of GPS is wrong by too large a share."""
 RECORDED_NS = 1_000_000_000  # between records in the journal
@@ -42,6 +47,7 @@ class MotionMeasured(Record, frozen=True, tag="motion"):
     speed_mps: Annotated[float | None, unit("m/s", "ahead, null where it could not be measured")] = None
     sigma_mps: Annotated[float | None, unit("m/s", "one standard deviation of it")] = None
     turn_radps: Annotated[float | None, unit("rad/s", "turn to the right")] = None
+    right_mps: Annotated[float | None, unit("m/s", "to the right, 0 until the camera's yaw is learned")] = None
     gps_mps: Annotated[float | None, unit("m/s", "speed by GPS, null while GPS is not good")] = None
     height_m: Annotated[float | None, unit("m", "of the camera above the ground, null until it is learned")] = None
     why: Annotated[str, unit("", 'why nothing was measured, "" where it was')] = ""
@@ -50,8 +56,8 @@ class MotionMeasured(Record, frozen=True, tag="motion"):
 class CameraSpeed(NamedTuple):
     """What a camera measured of the vehicle at `stamp_ns`, the middle between two exposures: ahead, and turning right.
 
-    sigma_mps, turn_sigma_radps: one standard deviation. scale_share: that of the camera's height, which is in sigma_mps
-    as well, as a share of the speed: all speeds have the same error by it.
+    right_mps: to the side, as a vehicle slips in a bend. *_sigma_*: one standard deviation. scale_share: that of the
+    camera's height, which is in sigma_mps as well, as a share of the speed: all speeds have the same error by it.
     """
 
     stamp_ns: int
@@ -59,6 +65,8 @@ class CameraSpeed(NamedTuple):
     sigma_mps: float
     turn_radps: float
     turn_sigma_radps: float
+    right_mps: float
+    right_sigma_mps: float
     scale_share: float
 
 
@@ -98,11 +106,14 @@ class CameraMotion:
         self._pitch_rad = self.height.pitch_rad
         self._pitch_sigma = RESTS_RAD if self.height.height_m else MOUNTED_RAD
 
-    def follow(self, image: NDArray[np.uint8], stamp_ns: int, gps_mps: float | None) -> CameraSpeed | None:
+    def follow(
+        self, image: NDArray[np.uint8], stamp_ns: int, gps_mps: float | None, gps_slip: float = 0.0
+    ) -> CameraSpeed | None:
         """The vehicle's speed by this picture (H, W, 3) BGR and the one before; None where there is none: see `why`.
 
-        gps_mps: its speed by GPS, from which the height is learned, None while GPS is not good. A picture less than
-        LEAST_NS after the last one is passed over.
+        gps_mps: its speed by GPS, from which the height is learned, None while GPS is not good. gps_slip: the speed to
+        the right of where the autopilot has it head, as a share of that ahead, which shows the camera's yaw. A picture
+        less than LEAST_NS after the last one is passed over.
         """
         before = self._seen
         if before is not None and 0 <= stamp_ns - before[1] < LEAST_NS:
@@ -125,10 +136,10 @@ class CameraMotion:
                 if stamp_ns - self._stepped_ns > LONGEST_NS:
                     self._begin_anew(step)
             else:
-                self._use(step, stamp_ns, gps_mps)
+                self._use(step, stamp_ns, gps_mps, gps_slip)
         if stamp_ns - self._recorded_ns >= RECORDED_NS:
             self._recorded_ns = stamp_ns
-            values = self.speed[1:4] if self.speed else (None, None, None)
+            values = (*self.speed[1:4], self.speed.right_mps) if self.speed else (None,) * 4
             self._record(MotionMeasured(stamp_ns, *values, gps_mps, self.height.height_m, self.why))
         return self.speed
 
@@ -139,7 +150,7 @@ class CameraMotion:
         sigma = math.hypot(kept * self._pitch_sigma, math.sqrt(1 - kept**2) * RESTS_RAD)
         return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
-    def _use(self, step: GroundMotion, stamp_ns: int, gps_mps: float | None) -> None:
+    def _use(self, step: GroundMotion, stamp_ns: int, gps_mps: float | None, gps_slip: float) -> None:
         before, since_s, high_m = self._step, (stamp_ns - self._stepped_ns) / 1e9, self.height.height_m or LEAST_M
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * high_m
         has_jumped = jump_mps > STRONGEST_MPS2 * since_s
@@ -153,13 +164,18 @@ class CameraMotion:
             return
         self.height.drive(self._sign * step.ahead_per_s, stamp_ns)
         if gps_mps is not None and gps_mps >= LEARNT_MPS:
-            self.height.compare(gps_mps * step.elapsed_s, abs(step.ahead), step.pitch_rad, stamp_ns)
+            yaw_rad = gps_slip - step.right / step.ahead if step.ahead else 0.0
+            self.height.compare(gps_mps * step.elapsed_s, abs(step.ahead), (step.pitch_rad, yaw_rad), stamp_ns)
         height_m, share = self.height.height_m, self.height.share
         self.why = "" if height_m else "the height of the camera is not learned yet"
         if height_m:
             per_s = height_m / step.elapsed_s
             sigma_mps = math.hypot(step.ahead_sigma * per_s, share * step.ahead * per_s, LEAST_SIGMA_MPS)
-            turn_radps, turn_sigma_radps = step.turn_rad / step.elapsed_s, step.turn_sigma / step.elapsed_s
             middle_ns = stamp_ns - round(step.elapsed_s * 1e9 / 2)
             speed_mps = self._sign * step.ahead_per_s * height_m
-            self.speed = CameraSpeed(middle_ns, speed_mps, sigma_mps, turn_radps, turn_sigma_radps, share)
+            right_mps, right_sigma_mps = 0.0, max(SLIDES * abs(speed_mps), LEAST_SIDEWAYS_MPS)
+            if self.height.yaw_rad is not None:
+                right_mps = self._sign * step.right * per_s + self.height.yaw_rad * speed_mps
+                right_sigma_mps = math.hypot(step.right_sigma * per_s, YAW_RAD * speed_mps, LEAST_SIGMA_MPS)
+            turns = step.turn_rad / step.elapsed_s, step.turn_sigma / step.elapsed_s
+            self.speed = CameraSpeed(middle_ns, speed_mps, sigma_mps, *turns, right_mps, right_sigma_mps, share)

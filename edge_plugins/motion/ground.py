@@ -63,15 +63,18 @@ SEEN = 20 * CONTRAST**2  # of a strip of which hardly anything is seen, some 20 
 class GroundMotion:
     """Motion between two pictures, `elapsed_s` apart, in heights of the camera above the ground.
 
-    ahead: along the way the camera looks; turn_rad: to the right. pitch_rad: of the camera afterwards, down
-    from the horizon. *_sigma: standard deviations by the tracks, without what is unknown of the height.
+    ahead, right: along the way the camera looks, and to its right; turn_rad: to the right. pitch_rad: of the camera
+    afterwards, down from the horizon. *_sigma: standard deviations by the tracks, without what is unknown of the
+    height.
     """
 
     elapsed_s: float
     ahead: float
+    right: float
     turn_rad: float
     pitch_rad: float
     ahead_sigma: float
+    right_sigma: float
     turn_sigma: float
     pitch_sigma: float
 
@@ -191,9 +194,9 @@ def measure(
     strips = _likeness(moved, now, nearest, STRIPS, SEEN)
     if (alike < ALIKE and alike - stood < MORE_ALIKE) or strips.min() < AS_ALIKE * alike:
         return "the ground does not look as if it had moved"
-    ahead_sigma, _, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
+    ahead_sigma, right_sigma, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
     pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
-    values = motion[0], motion[2], pitch_rad, ahead_sigma, turn_sigma, pitch_sigma
+    values = *motion[:3], pitch_rad, ahead_sigma, right_sigma, turn_sigma, pitch_sigma
     return GroundMotion(elapsed_s, *map(float, values))
 
 

@@ -58,11 +58,15 @@ class SequencePosition(NamedTuple):
 
 
 class HeightRecord(msgspec.Struct, frozen=True):
-    """The file: what it holds for, the camera's pitch down from the horizon, and the newest comparisons with GPS."""
+    """The file: what it holds for, the camera's pitch down from the horizon, and the newest comparisons with GPS.
+
+    yaw_rad: how far to the right of the vehicle it looks, as the autopilot has that head; None until GPS has shown it.
+    """
 
     camera: str
     pitch_rad: float
     heights_m: tuple[float, ...] = ()
+    yaw_rad: float | None = None
 
 
 class CameraHeight:
@@ -70,7 +74,7 @@ class CameraHeight:
 
     def __init__(self, kept: HeightRecord, frames: int, path: Path | None = None) -> None:
         """kept: by earlier drives. frames: of the line of a match. path: of the file."""
-        self.kept, self.pitch_rad = kept, kept.pitch_rad
+        self.kept, self.pitch_rad, self.yaw_rad = kept, kept.pitch_rad, kept.yaw_rad
         self._file, self._saved_ns = kept_height(path), 0
         earlier = _by_windows(kept.heights_m)
         self._earlier = earlier and HeightMeasurement(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
@@ -108,17 +112,20 @@ class CameraHeight:
         self._is_by_gps = False
         self._places.drive(heights_per_s, now_ns)
 
-    def compare(self, gps_m: float, heights: float, pitch_rad: float, now_ns: int) -> None:
-        """A step was so many meters long by GPS, and so many heights by the camera of this pitch."""
+    def compare(self, gps_m: float, heights: float, mount_rad: tuple[float, float], now_ns: int) -> None:
+        """A step was so many meters long by GPS, and so many heights by the camera. mount_rad: its pitch and yaw."""
         self._is_by_gps = True
-        window_m = self._gps.add(gps_m, heights)
+        pitch_rad, yaw_rad = mount_rad
+        window_m = self._gps.add(gps_m, heights, yaw_rad)
         if window_m is None:
             return
         self._places.begin()  # they tell whether it still holds from here on
         self._combine()
         heights_m = _newest(self.kept.heights_m, window_m)
         self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
-        self.kept = HeightRecord(self.kept.camera, self.pitch_rad, heights_m)
+        before_rad = self._gps.yaw_rad if self.yaw_rad is None else self.yaw_rad
+        self.yaw_rad = before_rad + (self._gps.yaw_rad - before_rad) / len(heights_m)
+        self.kept = HeightRecord(self.kept.camera, self.pitch_rad, heights_m, self.yaw_rad)
         if len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
             self._saved_ns = now_ns
             self._file.write_behind(self.kept)
@@ -134,16 +141,19 @@ class _ByGps:
 
     def __init__(self) -> None:
         self.windows_m: tuple[float, ...] = ()
-        self._meters = self._heights = 0.0  # since the last one
+        self._meters = self._heights = self._yaws = 0.0  # since the last one
+        self.yaw_rad = 0.0
+        """Mean of the last window."""
 
-    def add(self, meters: float, heights: float) -> float | None:
+    def add(self, meters: float, heights: float, yaw_rad: float) -> float | None:
         """A step; the height by the window that it completes."""
         self._meters, self._heights = self._meters + meters, self._heights + heights
+        self._yaws += meters * yaw_rad
         if self._meters < WINDOW_M:
             return None
         window_m = self._meters / max(self._heights, 1e-9)
-        self.windows_m = _newest(self.windows_m, window_m)
-        self._meters = self._heights = 0.0
+        self.windows_m, self.yaw_rad = _newest(self.windows_m, window_m), self._yaws / self._meters
+        self._meters = self._heights = self._yaws = 0.0
         return window_m
 
     @property

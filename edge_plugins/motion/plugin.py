@@ -23,9 +23,9 @@ class Motion(Plugin):
     def frame(self, frame: Frame) -> None:
         """Measure the speed by the ground that a frame shows, and use it where nothing else measures one."""
         link, use = self._parts.autopilot, self._use
-        speed = self._motion.follow(frame.image, frame.stamp_ns, link.gps_speed_mps())
+        speed = self._motion.follow(frame.image, frame.stamp_ns, *link.gps_motion())
         if speed is not None and use != "report":
-            link.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps)
+            link.vehicle.velocity.use_speed(speed.stamp_ns, speed.speed_mps, left_mps=-speed.right_mps)
         if speed is not None and use == "send":
             self._sender.send(speed)
 

@@ -18,8 +18,8 @@ LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
 SET_WITHOUT_GPS = 2
 SOFT_GATE, ALWAYS_RESETS_M = 5.0, 1.0  # Ekf::resetGlobalPosToExternalObservation
-EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.5, 0.1, 0.9, 0.15
-"""EKF2_EVV_NOISE and VISO_DELAY_MS as in firmware_config, EK3_VIS_VERR_MIN and _MAX as shipped."""
+EV_NOISE_MPS, VERR_MIN_MPS, VERR_MAX_MPS, VISO_DELAY_S = 0.1, 0.1, 0.9, 0.15
+"""EKF2_EVV_NOISE and VISO_DELAY_MS for a camera as in firmware_config, EK3_VIS_VERR_MIN and _MAX as shipped."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ LISTS = {
     "ardupilot_camera_velocity": ["ardupilot_rover"],
     "px4_global_position_sensor": ["px4"],
     "px4_velocity_aid": ["px4"],
+    "px4_camera_velocity": ["px4"],
 }  # of each file that is for another firmware than its name says
 BAUD = int(TelemetryConfig().connection.rpartition(":")[2])
 
@@ -155,6 +156,7 @@ def test_a_vehicle_with_gps_uses_it_and_has_a_speed_without_it(kind: str, veloci
 def test_px4_does_not_trust_an_external_velocity_too_much() -> None:
     parameters = by_name(FILES / "px4_velocity_aid.params")
     assert (parameters["EKF2_EV_CTRL"], parameters["EKF2_EVV_NOISE"]) == (4, 0.5)
+    assert by_name(FILES / "px4_camera_velocity.params") == {**parameters, "EKF2_EVV_NOISE": 0.1}
 
 
 def test_readme_names_every_file_and_no_unknown_one() -> None:

@@ -207,7 +207,7 @@ EVERY_KIND: tuple[Record, ...] = (
     PluginFailed("page", "KeyError: 7"),
     MappingChanged("waiting", "no GPS", "20260101T120000Z", 12),
     LinkChanged("up", "", "udp:127.0.0.1:14550"),
-    MotionMeasured(9_000_000_000, 7.1, 0.14, -0.02, 7.0, 1.39, ""),
+    MotionMeasured(9_000_000_000, 7.1, 0.14, -0.02, 0.1, 7.0, 1.39, ""),
     VelocityChanged(is_sent=False, why="too old"),
     FrameUsed(5, 9_000_000_000),
     FrameUsed(

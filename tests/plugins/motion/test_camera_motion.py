@@ -36,7 +36,7 @@ def known(motion: CameraMotion) -> CameraMotion:
     """With a height that GPS has shown on this drive."""
     motion.height = CameraHeight(HeightRecord("", 0.0), 40)
     for _ in range(5):
-        motion.height.compare(WINDOW_M, WINDOW_M / 1.4, 0.0, 0)
+        motion.height.compare(WINDOW_M, WINDOW_M / 1.4, (0.0, 0.0), 0)
     return motion
 
 
@@ -45,6 +45,34 @@ def drive(
 ) -> list[CameraSpeed | None]:
     """One speed for each picture of a drive at MPS."""
     return [motion.follow(picture(20.0 + step_m * step), first_ns + step * STEP_NS, gps_mps) for step in range(steps)]
+
+
+def slipping(motion: CameraMotion, steps: int, yaw_deg: float, gps: tuple[float | None, float]) -> CameraSpeed:
+    """A camera that is turned to the right, of a vehicle that slips to the left by 3 degrees."""
+    for step in range(steps):
+        at_m, slip_m = 20.0 + STEP_M * (step % 10), -math.tan(math.radians(3.0)) * STEP_M * (step % 10)
+        image = picture(at_m, east_m=slip_m, heading_rad=math.radians(yaw_deg))
+        motion.follow(image, (step + 1 + 1000 * (step // 10)) * STEP_NS, *gps)
+    assert motion.speed is not None
+    return motion.speed
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 1.5])
+def test_a_vehicle_that_slips_is_measured_once_gps_has_shown_the_cameras_yaw(yaw_deg: float) -> None:
+    motion = CameraMotion(config())
+    first = slipping(motion, 90, yaw_deg, (MPS, -math.tan(math.radians(3.0))))
+    assert motion.height.yaw_rad == pytest.approx(math.radians(yaw_deg), abs=math.radians(0.4))
+    later = slipping(motion, 10, yaw_deg, (None, 0.0))
+    for one in (first, later):
+        assert one.right_mps == pytest.approx(-0.37, abs=0.1)
+        assert 0.05 < one.right_sigma_mps < 0.2
+
+
+def test_until_then_a_slip_is_not_known() -> None:
+    motion = CameraMotion(config())
+    motion.height = CameraHeight(HeightRecord("", 0.0, (1.4,) * 5), 40)
+    one = slipping(motion, 10, 0.0, (None, 0.0))
+    assert one.right_mps == 0.0 and one.right_sigma_mps == pytest.approx(0.21, abs=0.02)
 
 
 def test_without_a_height_nothing_is_measured_and_the_reason_is_said() -> None:

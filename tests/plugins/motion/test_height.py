@@ -38,7 +38,7 @@ class Ride:
             self.at_m, self.now_ns = self.at_m + STEP_M, self.now_ns + STEP_NS
             self.camera.drive(STEP_M / self.true_m / (STEP_NS / 1e9), self.now_ns)
             if gps:
-                self.camera.compare(STEP_M, STEP_M / self.true_m, 0.0, self.now_ns)
+                self.camera.compare(STEP_M, STEP_M / self.true_m, (0.0, 0.0), self.now_ns)
             kept = math.exp(-STEP_M / 60)
             self._off_m = kept * self._off_m + math.sqrt(1 - kept**2) * float(self._rng.normal(0, 3.5))
             along_m = map_scale * (self.at_m - BACK * STEP_M) + self._off_m + float(self._rng.normal(0, 1.5))
@@ -124,7 +124,7 @@ def test_comparisons_that_differ_are_less_certain_and_one_that_is_wrong_is_no_ma
 def compared(*heights_m: float) -> CameraHeight:
     camera = height()
     for height_m in heights_m:
-        camera.compare(WINDOW_M, WINDOW_M / height_m, 0.0, 0)
+        camera.compare(WINDOW_M, WINDOW_M / height_m, (0.0, 0.0), 0)
     return camera
 
 

@@ -22,8 +22,10 @@ from tests.telemetry.rig import LENIENT, SPEED_MPS, START_NS, Rig
 RUNS_AWAY = OdometryErrors("camera", acceleration_mps2=0.2)
 
 
-def speed(now_ns: int, mps: float = SPEED_MPS, sigma_mps: float = 0.2, scale_share: float = 0.02) -> CameraSpeed:
-    return CameraSpeed(now_ns - S // 10, mps, sigma_mps, 0.1, 0.01, scale_share)
+def speed(
+    now_ns: int, mps: float = SPEED_MPS, sigma_mps: float = 0.2, scale_share: float = 0.02, right_mps: float = 0.0
+) -> CameraSpeed:
+    return CameraSpeed(now_ns - S // 10, mps, sigma_mps, 0.1, 0.01, right_mps, 0.24, scale_share)
 
 
 def flying(
@@ -180,10 +182,12 @@ def test_the_messages_as_others_read_them() -> None:
     assert sent.child_frame_id == mavlink.MAV_FRAME_BODY_FRD
     assert (sent.vx, sent.vy, sent.vz) == (SPEED_MPS, 0.0, 0.0)
     assert math.isnan(sent.x) and math.isnan(sent.q[0]), "neither a position nor an attitude"
-    assert sent.velocity_covariance[0] == pytest.approx(0.04)
+    assert sent.velocity_covariance[0] == pytest.approx(0.5**2), "0.2 by the pictures, which all are wrong alike"
     assert sent.velocity_covariance[6] == sent.velocity_covariance[11] == pytest.approx(0.24**2)
     (sent,) = theirs.parse_buffer(ours.encode(odometry(speed(10 * S), (math.radians(90.0), math.radians(1.0)))))
     assert sent.child_frame_id == mavlink.MAV_FRAME_LOCAL_NED
     assert (sent.vx, sent.vy, sent.vz) == pytest.approx((0.0, SPEED_MPS, 0.0), abs=1e-6), "to the east"
     assert sent.velocity_covariance[0] == pytest.approx(0.24**2 + (math.radians(1.0) * SPEED_MPS) ** 2)
-    assert sent.velocity_covariance[6] == pytest.approx(0.04)
+    assert sent.velocity_covariance[6] == pytest.approx(0.5**2)
+    slips = odometry(speed(10 * S, right_mps=0.4), (math.radians(90.0), math.radians(1.0)))
+    assert (slips.vx, slips.vy) == pytest.approx((-0.4, SPEED_MPS)), "and to the south"
