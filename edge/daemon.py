@@ -23,7 +23,7 @@ from edge.errors import MapError, SetupError
 from edge.feed.sampling import Sampler
 from edge.health.health import HealthInputs
 from edge.health.monitor import notify
-from edge.journal.records import PlaceFix, Stopped
+from edge.journal.records import CameraDiffers, PlaceFix, Stopped
 from edge.localization import AGREE_SIGMAS, Discontinuity, MapUpdate, OdometryUpdate, events
 from edge.localization.dead_reckoning import Odometry, TurnAround
 from edge.localization.place_fix import frame_used, untracked_fix
@@ -47,7 +47,7 @@ class Daemon:
         self._sampler = Sampler(parts.config.sampling)
         self._turn_around = TurnAround()
         self._distance_gaps = 0
-        self._warned_of_odometer = False
+        self._warned_of: set[str] = set()
         self._frame_s = 0.0  # what the last one took
 
     def turn(self) -> bool:
@@ -114,6 +114,7 @@ class Daemon:
         self._publish_frame(frame, match, distance_m, missed)
         self._grow_maps()
         self._warn_without_odometer()
+        self._warn_of_camera()
         self.parts.times.lap("telemetry")
         now_ns = self._clock_ns()
         self._frame_s = (now_ns - began_ns) / 1e9
@@ -256,15 +257,28 @@ class Daemon:
     def _warn_without_odometer(self) -> None:
         """Say once that the distance driven is not known, and what follows."""
         matcher = self._recognizer.matcher
-        if self._warned_of_odometer or not matcher.lacks_odometer:
+        if "odometer" in self._warned_of or not matcher.lacks_odometer:
             return
-        self._warned_of_odometer = True
+        self._warned_of.add("odometer")
         if matcher.needs_odometer:
             log.warning('speed unknown: no place is recognized; if you drive as when mapping, [sampling] by = "time"')
             text = "speed unknown: no place is recognized"
         else:
             log.warning("speed unknown: %s; they must be as far apart", matcher.spacing)
             text = "speed unknown: drive as when mapping"
+        self._autopilot.status_text(text, mavlink.MAV_SEVERITY_WARNING)
+
+    def _warn_of_camera(self) -> None:
+        """Say once that the pictures are of another camera than the config's, with what to set."""
+        camera = self._recognizer.matcher.camera
+        if "camera" in self._warned_of or camera is None or not camera.is_another:
+            return
+        self._warned_of.add("camera")
+        self.parts.record(CameraDiffers(*camera[:-1]))
+        found = f"{camera.fov_deg:.1f} degrees, k1 {camera.k1:+.2f}"
+        remedy = "poses are by that; `lookback calibrate camera` measures it"
+        log.warning("[camera] fov_deg: pictures have %s, not %g; %s", found, camera.configured_deg, remedy)
+        text = f"camera sees {found}; config {camera.configured_deg:g}"
         self._autopilot.status_text(text, mavlink.MAV_SEVERITY_WARNING)
 
     def _update_health(self) -> bool:

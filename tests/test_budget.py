@@ -16,7 +16,7 @@ ROOMS = {
     "edge/feed": 500,
     "edge/health": 300,
     "edge/journal": 400,
-    "edge/keypoints": 600,
+    "edge/keypoints": 750,
     "edge/localization": 3000,
     "edge/recognition": 900,
     "edge/reference_map": 1500,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35150,
+    "tests": 35300,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -152,6 +152,18 @@ class LinkChanged(Record, frozen=True, tag="link"):
     link: Annotated[str, unit("", '"autopilot", or the connection of a further link')] = "autopilot"
 
 
+class CameraDiffers(Record, frozen=True, tag="camera_differs"):
+    """What is seen contradicts [camera]; written once a run. Positions rest on what is seen."""
+
+    configured_deg: Annotated[
+        float, unit("deg", "horizontal field of view by the config, or by the map without one", 2)
+    ]
+    fov_deg: Annotated[float, unit("deg", "that of the pictures, without what the lens bends", 2)]
+    fov_sigma_deg: Annotated[float, unit("deg", "one standard deviation of it", 2)]
+    k1: Annotated[float, unit("", "k1 of the lens, beside that of the config", 3)]
+    k1_sigma: Annotated[float, unit("", "one standard deviation of it", 3)]
+
+
 class FrameUsed(Record, frozen=True, tag="frame"):
     """A frame went through the recognizer; with [telemetry] journal_frames, and as `lookback replay` writes it.
 

@@ -1,26 +1,43 @@
-"""What successive pictures of a drive say of their own camera: focal length and k1, with how it is mounted.
+"""What pictures say of their own camera: focal length and k1.
 
-Turns that are known by the heading show the focal length, and points that pass show k1: they move outward as their
-distances say, which bends what a lens bends. `points_of` solves for both, with the points, where it is given this in
-place of a mount. On a straight road the focal length is not known: a longer one makes all that stands there higher.
+A picture against a keyframe: moving ahead spreads what is near and leaves what is far away, a longer focal length
+spreads all, and k1 what is at the edge most. So one picture of points of known distances tells the three apart, and
+what all pictures of a drive say is pooled (`CameraEvidence`).
+
+Successive pictures of a drive (`UnknownCamera`, in place of a mount): turns that are known by the heading show the
+focal length, and points that pass show k1. On a straight road the focal length is not known: a longer one makes all
+that stands there higher.
+
+What points are off by counts in the picture: in directions, a longer focal length would make all errors smaller.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.keypoints.mount import ROW_SIGMA, Mount
+from edge.keypoints.view_geometry import FARTHEST_BENT_SQ, Intrinsics
 
-UNKNOWN_SIGMA = 0.15, 0.15
-"""Of the logarithm of the focal length, and of k1, where a row says it by itself."""
+UNKNOWN_SIGMA = 0.12, 0.1
+"""Of the logarithm of the focal length, and of k1, where they are not known: 70 to 90 degrees for 80."""
 ITERATIONS, LEAST_SLOPE = 5, 0.2
 """To a direction without k1, and of what that does to the distance from the middle."""
-EDGE_SQ = 1.5
-"""Squared direction up to which k1 counts."""
+CONFIGURED_SIGMA = 0.004, 0.006
+"""The same of a config that is right: a third of a degree."""
+RIGHT = 10.0
+"""The odds that it is, before any picture."""
+DOUBTFUL, WRONG, BEYOND_DOUBT = 0.004, 0.5, 0.99
+"""How probable it is that it is wrong, from where on poses are wider, are by the camera found, and people are told."""
+KNOWN_SIGMA, TELLS = 0.03, (0.015, 0.03)
+"""Of the focal length, from which on people are told; and by what at least focal length or k1 is wrong then."""
+SHARED, KEPT, OUTLIER_CHI2 = 2.0, 32.0, 16.0
+"""Pictures that count as one, since neighbors err alike; those whose sum counts; and from where on what one says counts
+less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +76,85 @@ class UnknownCamera(Mount):
     def derivatives(self, seen: NDArray[np.float64], must_be: NDArray[np.float64]) -> NDArray[np.float64]:
         """As `Mount` has it. By what must be seen: what is, and its noise, would make the focal length too long."""
         away_sq = np.square(must_be).sum(axis=-1, keepdims=True)
-        by_optics = np.stack([must_be, must_be * np.minimum(away_sq, EDGE_SQ)], axis=-1)
+        by_optics = np.stack([must_be, must_be * np.minimum(away_sq, FARTHEST_BENT_SQ)], axis=-1)
         return np.concatenate([super().derivatives(must_be, must_be), by_optics], axis=-1)
 
     def pixels(self, must_be: NDArray[np.float64]) -> NDArray[np.float64]:
         """As `Mount` has it: else a longer focal length, by which all is nearer, would explain everything."""
         away_sq = np.square(must_be).sum(axis=-1, keepdims=True)
-        return np.asarray(math.exp(self.optics[0]) * (1 + 2 * self.optics[1] * np.minimum(away_sq, EDGE_SQ)))
+        return np.asarray(math.exp(self.optics[0]) * (1 + 2 * self.optics[1] * np.minimum(away_sq, FARTHEST_BENT_SQ)))
 
 
 PRIOR: NDArray[np.float64] = np.diag(np.power([ROW_SIGMA, ROW_SIGMA, *UNKNOWN_SIGMA], -2.0))
 """Information (4, 4) with which each row begins."""
 AS_CONFIGURED = UnknownCamera(np.zeros(2), PRIOR, np.zeros(2))
 """Before anything was seen."""
+
+
+class CameraDifference(NamedTuple):
+    """What pictures say of the camera: its horizontal field of view, and its k1 beside that of the config's lens.
+
+    configured_deg: by the config, or by the map where it has none. Sigmas are standard deviations. is_another: whether
+    pictures contradict the config, so much that it matters.
+    """
+
+    configured_deg: float
+    fov_deg: float
+    fov_sigma_deg: float
+    k1: float
+    k1_sigma: float
+    is_another: bool
+
+
+@dataclass(frozen=True, eq=False)
+class CameraEvidence:
+    """What pictures have said of a camera, without what was known before."""
+
+    said: Intrinsics
+
+    def with_picture(self, said: Intrinsics, share: float = 1 / SHARED) -> CameraEvidence:
+        """After a further one, which said this by itself; share: of it that is news."""
+        before, apart = self.known, said.values - self.known.values
+        chi2 = float(apart @ np.linalg.solve(before.covariance + said.covariance, apart))
+        news, kept = said.information * share / max(1.0, chi2 / OUTLIER_CHI2), self.said.information * (1 - 1 / KEPT)
+        values = np.linalg.solve(kept + news, kept @ self.said.values + news @ said.values)
+        return CameraEvidence(Intrinsics(np.asarray(values), kept + news))
+
+    @property
+    def known(self) -> Intrinsics:
+        """With what is known of any camera, so that a pose can be solved for with it."""
+        prior = np.diag(np.power(UNKNOWN_SIGMA, -2.0))
+        information = self.said.information + prior
+        values = np.linalg.solve(information, self.said.information @ self.said.values)
+        return Intrinsics(np.asarray(values), information)
+
+    @property
+    def open(self) -> Intrinsics:
+        """From which a picture begins that is to say by itself what camera it is of."""
+        return Intrinsics(self.known.values, np.diag(np.power(UNKNOWN_SIGMA, -2.0)))
+
+    @property
+    def doubt(self) -> float:
+        """How probable it is that the config is wrong, by how likely what was said is where it is right and wrong."""
+        logs = []
+        for sigma in (CONFIGURED_SIGMA, UNKNOWN_SIGMA):
+            spread = self.said.covariance + np.diag(np.square(sigma))
+            chi2 = float(self.said.values @ np.linalg.solve(spread, self.said.values))
+            logs.append((chi2 + float(np.linalg.slogdet(spread)[1])) / 2)
+        return 1 / (1 + RIGHT * math.exp(min(logs[1] - logs[0], 500.0)))
+
+    def difference(self, configured_deg: float) -> CameraDifference | None:
+        """The pictures' camera, where the config's has a horizontal field of view; None: not known."""
+        known = self.known
+        of_focal, of_k1 = np.sqrt(np.diag(known.covariance)).tolist()
+        if of_focal > KNOWN_SIGMA:
+            return None
+        focal, k1 = known.values.tolist()
+        half = math.tan(math.radians(configured_deg) / 2) / math.exp(focal)
+        fov_deg, sigma_deg = math.degrees(2 * math.atan(half)), math.degrees(2 * half / (1 + half**2)) * of_focal
+        is_another = self.doubt > BEYOND_DOUBT and bool((np.abs(known.values) >= TELLS).any())
+        return CameraDifference(configured_deg, fov_deg, sigma_deg, k1, of_k1, is_another)
+
+
+UNSEEN = CameraEvidence(Intrinsics(np.zeros(2), np.eye(2) * 1e-6))
+"""Before any picture."""

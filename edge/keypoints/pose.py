@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge.keypoints import Keypoints
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.points import MapPoints
-from edge.keypoints.view_geometry import CameraModel, Projection
+from edge.keypoints.view_geometry import CameraModel, Intrinsics, Projection, bent
 
 STARTS = np.array([(right, ahead, 0.0) for right in (-3.5, 0.0, 3.5) for ahead in (-6.0, 0.0, 6.0)])
 """Right and ahead in meters, and turned, where the vehicle is not followed."""
@@ -29,6 +29,9 @@ CAUTION = -1.5
 """The power of the share of points that agree by which errors exceed the sigmas of least squares: matches nearby, and
 points of the same rows, err alike, and where many disagree, those that agree are worse. Set on
 the roads 9701 and 9702; docs/keypoints.md has what it is worth on others."""
+CAMERA_CAUTION = 2.0
+"""By which variances exceed those of least squares where they are due to the camera: its first pictures are the
+worst."""
 KERNEL = 2.0
 """Sigmas at which a match has a quarter of its weight; it agrees up to twice that."""
 WIDEST = 4.0
@@ -51,7 +54,8 @@ class RelativePose:
 
     covariance: (3, 3) of these; where another minimum explains the points nearly as well, with the way to it.
     inlier_mask: (n,) which points do; cost: the mean of all their robust costs, 0 to 1. pairs: (n, 2) rows of them
-    among the picture's keypoints and the place's, of `pose_to_keyframe`.
+    among the picture's keypoints and the place's, of `pose_to_keyframe`. intrinsics: what this picture alone says of
+    its camera, where that was asked.
     """
 
     right_m: float
@@ -61,6 +65,7 @@ class RelativePose:
     inlier_mask: NDArray[np.bool_]
     cost: float
     pairs: NDArray[np.int32] | None = None
+    intrinsics: Intrinsics | None = None
 
     def turned(self, turn: float) -> RelativePose:
         """In the frame of a camera at the same place that looks so much further clockwise."""
@@ -71,6 +76,18 @@ class RelativePose:
             self, right_m=right_m, ahead_m=ahead_m, turn_rad=own, covariance=frame @ self.covariance @ frame.T
         )
 
+    def mixed(self, other: RelativePose, share: float) -> RelativePose:
+        """This one, or with this probability the other: mean and spread of both, with the points of this one."""
+        apart = (other.start - self.start)[0]
+        right_m, ahead_m, turn = (self.start[0] + share * apart).tolist()
+        spread = (1 - share) * self.covariance + share * other.covariance + share * (1 - share) * np.outer(apart, apart)
+        return replace(self, right_m=right_m, ahead_m=ahead_m, turn_rad=turn, covariance=spread)
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """From which one near it is found (1, 3)."""
+        return np.array([[self.right_m, self.ahead_m, self.turn_rad]])
+
     @property
     def inliers(self) -> int:
         """Points that agree."""
@@ -78,22 +95,32 @@ class RelativePose:
 
 
 def solve_pnp(
-    points: MapPoints, seen: NDArray[np.float64], camera: CameraModel, starts: NDArray[np.float64] = STARTS
+    points: MapPoints,
+    seen: NDArray[np.float64],
+    camera: CameraModel,
+    starts: NDArray[np.float64] = STARTS,
+    known: Intrinsics | None = None,
 ) -> RelativePose | None:
     """The pose from which points (n,) of known distance are seen in directions (n, 2); None if too few of them agree.
 
-    starts: (S, 3) meters right and ahead, and turned; a single one where the vehicle is followed.
+    starts: (S, 3) meters right and ahead, and turned; a single one where the vehicle is followed. known: of the focal
+    length and k1, which are solved for as well; None: they are as the camera says.
     """
     if len(seen) < FEWEST_POINTS:
         return None
     pixel = PIXEL_SIGMA / camera.network_focal_px
-    cameras = np.column_stack([starts, np.zeros(len(starts))])
+    before, information = _before(known)
+    cameras = np.tile(before, (len(starts), 1))
+    cameras[:, :3] = starts
     inverse = np.repeat(points.places[np.newaxis, :, 2], len(cameras), axis=0)
+    free = 4 if len(cameras) > GO_ON else len(before)  # the camera near a pose: with it, more starts end elsewhere
     for step in range(STEPS):
         off, jacobian, inverse = _whitened(cameras, inverse, points, seen, pixel)
-        kernel = KERNEL * max(1.0, WIDEST / (1 + step))
-        cameras = cameras + _step(cameras, off, jacobian, kernel)[0]
-        if step == FIRST_STEPS and len(cameras) > GO_ON:
+        since = step - FIRST_STEPS if step > FIRST_STEPS and free > 4 else 1 + step
+        kernel = KERNEL * max(1.0, WIDEST / since)
+        cameras[:, :free] += _step(cameras, off, jacobian, kernel, before, information, free)[0]
+        if step == FIRST_STEPS:
+            free = cameras.shape[1]
             most_likely = np.argsort(_costs(off, kernel))[:GO_ON]
             cameras, inverse = cameras[most_likely], inverse[most_likely]
     off, jacobian, _ = _whitened(cameras, inverse, points, seen, pixel)
@@ -102,22 +129,58 @@ def solve_pnp(
     agrees = np.square(off[best]).sum(axis=-1) < (2 * KERNEL) ** 2
     if agrees.sum() < FEWEST_POINTS:
         return None
-    _, information = _step(cameras, off, jacobian, KERNEL)
+    _, found = _step(cameras, off, jacobian, KERNEL, before, information, len(before))
     worse = float(agrees.mean()) ** (2 * CAUTION)
     likely = np.exp((costs[best] - costs) * len(seen) * KERNEL**2 / (2 * worse))
     away = (cameras - cameras[best])[:, :3]
-    each = worse * np.linalg.inv(information)[:, :3, :3] + away[:, :, np.newaxis] * away[:, np.newaxis]
+    each = worse * _covariances(found) + away[:, :, np.newaxis] * away[:, np.newaxis]
     covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
-    right_m, ahead_m, turn, _ = cameras[best].tolist()
-    return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]))
+    right_m, ahead_m, turn = cameras[best, :3].tolist()
+    alone = None if known is None else _alone(cameras[best, 4:], found[best], known, worse)
+    return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]), intrinsics=alone)
+
+
+def _covariances(information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of right, ahead and turned (S, 3, 3), by the information (S, U, U) of all unknowns."""
+    covariance = np.linalg.inv(information)[:, :3, :3]
+    if information.shape[1] == 4:
+        return np.asarray(covariance)
+    with_camera_known = np.linalg.inv(information[:, :4, :4])[:, :3, :3]
+    return np.asarray(covariance + (CAMERA_CAUTION - 1) * (covariance - with_camera_known))
+
+
+def _before(known: Intrinsics | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The unknowns (U,) before anything is seen, and their information (U, U)."""
+    values, information = np.zeros(4), np.diag([1e-3, 1e-3, 1e-3, PITCH_SIGMA**-2])
+    if known is None:
+        return values, information
+    nothing = np.zeros((4, 2))
+    both = np.block([[information, nothing], [nothing.T, known.information]])
+    return np.concatenate([values, known.values]), both
+
+
+def _alone(found: NDArray[np.float64], information: NDArray[np.float64], known: Intrinsics, worse: float) -> Intrinsics:
+    """What a picture says of its camera (2,) without what was known before; information: (6, 6) with that."""
+    of_pose, shared, of_camera = information[:4, :4], information[:4, 4:], information[4:, 4:]
+    both = of_camera - shared.T @ np.linalg.solve(of_pose, shared)
+    own = both - known.information
+    own = (own + own.T) / 2 + np.eye(2) * 1e-6
+    values = np.linalg.solve(own, both @ found - known.information @ known.values)
+    return Intrinsics(np.asarray(values), own / worse)
 
 
 def pose_to_keyframe(
-    query: Keypoints, place: Keypoints, points: MapPoints, camera: CameraModel, starts: NDArray[np.float64] = STARTS
+    query: Keypoints,
+    place: Keypoints,
+    points: MapPoints,
+    camera: CameraModel,
+    starts: NDArray[np.float64] = STARTS,
+    known: Intrinsics | None = None,
 ) -> RelativePose | None:
     """The pose of a picture's camera by the points of a row of the map that it sees; None if those are too few.
 
-    place, points: of the row. camera: of the query, whose pixels count as so many as the camera says.
+    place, points: of the row. camera: of the query, whose pixels count as so many as the camera says. known: as
+    `solve_pnp`.
     """
     pairs = mutual_matches(query.descriptors, place.descriptors)
     pairs = pairs[points.is_known[pairs[:, 1]]]
@@ -125,7 +188,7 @@ def pose_to_keyframe(
     seen = camera.directions(query.xy[mine] * (camera.width / query.size[1]))
     ahead = np.isfinite(seen).all(axis=1)
     pairs, theirs, seen = pairs[ahead], theirs[ahead], seen[ahead]
-    pose = solve_pnp(points[theirs], seen, camera, starts)
+    pose = solve_pnp(points[theirs], seen, camera, starts, known)
     return pose and replace(pose, pairs=pairs)
 
 
@@ -136,21 +199,25 @@ def _whitened(
     seen: NDArray[np.float64],
     pixel: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """What points are off by (S, n, 2) in sigmas, its derivatives (S, n, 2, 4) by the cameras, and better distances.
+    """What points are off by (S, n, 2) in sigmas, its derivatives (S, n, 2, U) by the cameras, and better distances.
 
     inverse: (S, n) of the points' distances so far. Their unknown part is eliminated: what it moves a point by in this
     picture counts as much less as it is uncertain, along that line only (Sherman and Morrison).
     """
     places = np.broadcast_to(points.places, (*inverse.shape, 3)).copy()
     places[..., 2] = inverse
-    sight = Projection(cameras[:, np.newaxis], places)
-    by_inverse, known, sigma = sight.by_inverse() / pixel, points.places[:, 2], points.sigma
-    off = (seen - sight.directions) / pixel + by_inverse * (inverse - known)[..., np.newaxis]
+    sight = Projection(cameras[:, np.newaxis, :4], places)
+    must_be, by_inverse, jacobian = sight.directions, sight.by_inverse() / pixel, sight.by_camera() / pixel
+    if cameras.shape[1] > 4:
+        must_be, slope, by_lens = bent(must_be, cameras[:, np.newaxis, 4:])
+        by_inverse = (slope @ by_inverse[..., np.newaxis])[..., 0]
+        jacobian = np.concatenate([slope @ jacobian, by_lens / pixel], axis=-1)
+    known, sigma = points.places[:, 2], points.sigma
+    off = (seen - must_be) / pixel + by_inverse * (inverse - known)[..., np.newaxis]
     along = by_inverse * sigma[:, np.newaxis]
     length_sq = np.square(along).sum(axis=-1)
     share = ((1 - 1 / np.sqrt(1 + length_sq)) / np.maximum(length_sq, 1e-12))[..., np.newaxis] * along
     found = known + sigma * (along * off).sum(axis=-1) / (1 + length_sq)
-    jacobian = sight.by_camera() / pixel
     jacobian -= share[..., np.newaxis] * (along[..., np.newaxis, :] @ jacobian)
     off -= share * (along * off).sum(axis=-1, keepdims=True)
     off[sight.depth < NEAREST] = 10 * WIDEST * KERNEL
@@ -158,15 +225,24 @@ def _whitened(
 
 
 def _step(
-    cameras: NDArray[np.float64], off: NDArray[np.float64], jacobian: NDArray[np.float64], kernel: float
+    cameras: NDArray[np.float64],
+    off: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    kernel: float,
+    before: NDArray[np.float64],
+    known: NDArray[np.float64],
+    free: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A step (S, 4) of Gauss and Newton from some cameras, and the information (S, 4, 4) there."""
+    """A step (S, F) of Gauss and Newton for the first unknowns of some cameras, and the information (S, F, F) there.
+
+    before, known: the unknowns (U,) before anything was seen, and the information of that (U, U).
+    """
     weight = 1 / (1 + np.square(off).sum(axis=-1, keepdims=True) / kernel**2)
-    starts, flat = len(cameras), off.shape[1] * 2
-    weighted = (jacobian * weight[..., np.newaxis] ** 2).reshape(starts, flat, 4).transpose(0, 2, 1)
-    information = weighted @ jacobian.reshape(starts, flat, 4) + np.diag([1e-3, 1e-3, 1e-3, PITCH_SIGMA**-2])
+    starts, flat, jacobian = len(cameras), off.shape[1] * 2, jacobian[..., :free]
+    weighted = (jacobian * weight[..., np.newaxis] ** 2).reshape(starts, flat, free).transpose(0, 2, 1)
+    information = weighted @ jacobian.reshape(starts, flat, free) + known[:free, :free]
     gradient = weighted @ off.reshape(starts, flat, 1)
-    gradient[:, 3, 0] -= cameras[:, 3] / PITCH_SIGMA**2
+    gradient[:, 3:, 0] += (before - cameras)[:, 3:free] @ known[3:free, 3:free]
     return np.linalg.solve(information, gradient)[..., 0].clip(-5, 5), information
 
 

@@ -8,6 +8,7 @@ another one has it: meters to the right and ahead, turned clockwise, and pitched
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +20,8 @@ from edge.config import PINHOLE, Lens
 NETWORK_PIXELS = 320 * 240
 """Of a picture as the network has it, whatever its shape: errors of points are alike in its pixels."""
 
+FARTHEST_BENT_SQ = 1.5
+"""Squared direction up to which an unknown k1 counts."""
 STEPS, SAME = 20, 1e-4
 """To a direction without what a lens bends, which then is the same: to a thirtieth of a pixel."""
 
@@ -75,6 +78,34 @@ def _straightened(bent: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:
     right = (np.abs(back - flat) < SAME).all(axis=-1, keepdims=True)  # beyond its edge a polynomial has no inverse
     straight: NDArray[np.float64] = np.where(right, found, np.nan).reshape(bent.shape)
     return straight
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """By how much (2,) the logarithm of a focal length and k1 exceed those of a camera model; information: (2, 2)."""
+
+    values: NDArray[np.float64]
+    information: NDArray[np.float64]
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the values (2, 2)."""
+        return np.asarray(np.linalg.inv(self.information))
+
+
+def bent(
+    directions: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Directions (..., 2) as cameras with such values (..., 2) have them by their model.
+
+    And the derivatives by the directions (..., 2, 2), and by the values (..., 2, 2).
+    """
+    focal, k1 = np.exp(values[..., :1]), values[..., 1:]
+    away_sq = np.minimum(np.square(directions).sum(axis=-1, keepdims=True), FARTHEST_BENT_SQ)
+    longer = focal * (1 + k1 * away_sq)
+    outer = directions[..., np.newaxis] * directions[..., np.newaxis, :]
+    slope = longer[..., np.newaxis] * np.eye(2) + 2 * (focal * k1)[..., np.newaxis] * outer
+    return longer * directions, slope, np.stack([longer * directions, focal * away_sq * directions], axis=-1)
 
 
 class Projection:

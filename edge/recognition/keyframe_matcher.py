@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.keypoints.intrinsics import CameraDifference
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
@@ -99,6 +100,11 @@ class KeyframeMatcher:
     def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows the place that is believed; None where it was not looked at."""
         return self._verification.agreeing if self._newest is not None else None
+
+    @property
+    def camera(self) -> CameraDifference | None:
+        """What keypoints said of the vehicle's camera, once they are enough."""
+        return self._verification.camera
 
     def is_due(self) -> bool:
         """Whether this frame is to be looked at."""

@@ -18,12 +18,14 @@ import numpy as np
 from msgspec import UnsetType
 from numpy.typing import NDArray
 
-from edge.config import Config
+from edge.config import Config, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints
+from edge.keypoints.intrinsics import DOUBTFUL, SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
 from edge.keypoints.pose import STARTS, RelativePose, pose_to_keyframe
+from edge.keypoints.view_geometry import Intrinsics
 from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
@@ -58,6 +60,8 @@ class PlaceVerification:
         self._view, self._only = config.camera.view, config.sequence.directions
         camera = config.camera
         self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
+        self._evidence: dict[tuple[float, Lens], CameraEvidence] = {}
+        """What pictures said of each camera that the config, or a map where it has none, says the vehicle has."""
         self._newest: tuple[Keypoints, int, RelativePose] | None = None
         self.alike: tuple[KeyframeMatch, ...] = ()
         """Of the newest look, which showed none of them alone: two places, one elsewhere than the other."""
@@ -134,10 +138,29 @@ class PlaceVerification:
                 break
             place, pose = nearer, again
         self._newest = query, place, pose
-        # Other rows show that the place is right, not that the pose is, which is the less certain the less its own row
-        # supports it: one recorded drive has 55 positions without that, up to 3.3 sigma off, 124 with it, up to 2.6.
-        covariance = pose.covariance * max(1.0, ENOUGH / _support_of(pose))
-        return _seen(place, replace(pose, covariance=covariance), self._support(query, place, pose))
+        return _seen(place, self._by_any_camera(query, place, pose), self._support(query, place, pose))
+
+    def _by_any_camera(self, query: Keypoints, place: int, pose: RelativePose) -> RelativePose:
+        """A pose that is as wide as its camera is in doubt, by what earlier pictures say and by this one.
+
+        Solved for by any camera as well, since points that are off by the one so far would say that it is right.
+        """
+        evidence, by_config = self._evidence_at(place), _as_supported(pose)
+        own = self._pose(query, place, pose.start, evidence.open)
+        if own is None or own.intrinsics is None:
+            return by_config
+        self._evidence[self._camera_at(place)] = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
+        doubt = evidence.with_picture(own.intrinsics, share=_share_of(own)).doubt
+        if evidence.doubt > WRONG or doubt < DOUBTFUL:
+            return by_config  # or already by the camera that was found
+        other = self._pose(query, place, pose.start, evidence.known)
+        return by_config if other is None else by_config.mixed(_as_supported(other), doubt)
+
+    @property
+    def camera(self) -> CameraDifference | None:
+        """What pictures said of the vehicle's camera, once they are enough."""
+        found = (evidence.difference(fov_deg) for (fov_deg, _), evidence in self._evidence.items())
+        return next(filter(None, found), None)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
@@ -198,11 +221,23 @@ class PlaceVerification:
     def _matches(self, query: Keypoints, place: int) -> int:
         return len(mutual_matches(query.descriptors, self._record(place)["descriptor"]))
 
-    def _pose(self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS) -> RelativePose | None:
+    def _pose(
+        self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS, known: Intrinsics | None = None
+    ) -> RelativePose | None:
         key, record = self._key(place), self._record(place)
         height = round(key.width * query.size[0] / query.size[1])
-        camera = CameraModel(key.width, height, *(self._camera or (key.fov_deg, key.alone)))  # not set: as the map's
-        return pose_to_keyframe(query, keypoints_of(record, key), points_of(record), camera, starts)
+        camera = CameraModel(key.width, height, *self._camera_at(place))
+        if known is None and (evidence := self._evidence_at(place)).doubt > WRONG:
+            known = evidence.known
+        return pose_to_keyframe(query, keypoints_of(record, key), points_of(record), camera, starts, known)
+
+    def _evidence_at(self, place: int) -> CameraEvidence:
+        return self._evidence.get(self._camera_at(place), UNSEEN)
+
+    def _camera_at(self, place: int) -> tuple[float, Lens]:
+        """Field of view and lens of the vehicle's camera; where the config does not say it, those of the map's."""
+        key = self._key(place)
+        return self._camera or (key.fov_deg, key.alone)
 
     def _row_at(self, place: int, along_m: float) -> int:
         """The place of the same drive that lies nearest to so many meters further along it."""
@@ -238,6 +273,20 @@ def _is_on_the_road(pose: RelativePose) -> bool:
     return (
         abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn_rad) <= MOST_TURN_RAD
     )
+
+
+def _as_supported(pose: RelativePose) -> RelativePose:
+    """The wider the less its own row supports it.
+
+    Other rows show that the place is right, not that the pose is: one recorded drive has 55 positions without that, up
+    to 3.3 sigma off, 124 with it, up to 2.6.
+    """
+    return replace(pose, covariance=pose.covariance / _share_of(pose))
+
+
+def _share_of(pose: RelativePose) -> float:
+    """Of the support that is enough."""
+    return float(min(1.0, _support_of(pose) / ENOUGH))
 
 
 def _support_of(pose: RelativePose) -> float:

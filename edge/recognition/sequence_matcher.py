@@ -29,6 +29,7 @@ from edge.sequence.place_search import NearestOf, PlaceSearch
 from edge.sequence.prior import Prior
 
 if TYPE_CHECKING:
+    from edge.keypoints.intrinsics import CameraDifference
     from edge.keypoints.network import KeypointNetwork
     from edge.recognition.keyframe_matcher import KeyframeMatcher
 
@@ -215,6 +216,11 @@ class SequenceMatcher:
     def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
         return None if self._looks is None else self._looks.agreeing
+
+    @property
+    def camera(self) -> CameraDifference | None:
+        """What keypoints said of the vehicle's camera, once they are enough."""
+        return None if self._looks is None else self._looks.camera
 
     def use_keypoints(self, network: KeypointNetwork) -> None:
         """Find keypoints by this network, not by one of its own."""

@@ -49,6 +49,7 @@ CHECKS = (
     Check("model", ("config",), setup.check_model, 'set [descriptor] model = "" for the shipped model'),
     Check("map", ("network",), setup.check_map, "record a drive, then: lookback map build FEED -o {map}"),
     Check("map accuracy", ("maps",), setup.check_accuracy),
+    Check("camera", ("maps",), setup.check_field_of_view),
     Check("motion", ("config",), setup.check_motion),
     Check("way home", ("maps",), setup.check_way_home),
     Check("mapping", ("config",), computer.check_mapping),

@@ -8,17 +8,18 @@ import time
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 
 from edge.camera import check_kind
 from edge.config import LinkConfig, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
-from edge.journal.records import StateChanged
+from edge.journal.records import CameraDiffers, Record, StateChanged
 from edge.recognition.recognizer import network_for, open_recognizer
 from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
@@ -33,7 +34,9 @@ from edge_plugins.motion.camera_motion import LEAST_NS, CameraMotion
 from edge_plugins.motion.ground import FARTHEST, GroundView
 from edge_plugins.motion.height import WINDOW_M, WINDOWS
 
+RecordT = TypeVar("RecordT", bound=Record)
 TAIL_BYTES = 1_000_000  # minutes with every frame, hours without
+MEASURE = "`lookback calibrate camera FEED` measures it (docs/cameras.md)"
 LEAST_GROUND = 0.1
 """Of the picture: of one of 4 : 3 that is level, at 80 degrees, it is 30 %."""
 
@@ -61,7 +64,7 @@ def check_last_state(examined: DoctorContext) -> Iterator[Found]:
     """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
     path = examined.settings.telemetry.journal
     with contextlib.suppress(OSError):
-        newest = _newest_state(Path(path)) if path else None
+        newest = _newest(Path(path), StateChanged) if path else None
         if newest is not None:
             unix_s, record = newest
             when = "" if unix_s is None else f" at {datetime.fromtimestamp(unix_s):%Y-%m-%d %H:%M:%S}"
@@ -105,6 +108,20 @@ def check_map(examined: DoctorContext) -> Iterator[Found]:
     if blank:
         words = f"{maps.spell(blank)}: some places have no position"
         yield note(words, "they can be recognized, but no position is sent for them")
+
+
+def check_field_of_view(examined: DoctorContext) -> Iterator[Found]:
+    """Whether the camera's field of view is known where maps have keypoints, and what the last drive saw of it."""
+    config, path = examined.settings, examined.settings.telemetry.journal
+    known = {key.fov_deg for header in _maps(examined).headers if (key := header.keypoints_key) is not None}
+    if known and config.camera.fov_deg is UNSET:
+        spelled = " or ".join(f"{fov_deg:g}" for fov_deg in sorted(known))
+        yield note(f"[camera] fov_deg: is not set; keypoints take it to be {spelled} degrees, the map's", MEASURE)
+    with contextlib.suppress(OSError):
+        if known and path and (newest := _newest(Path(path), CameraDiffers)) is not None:
+            found = newest[1]
+            camera = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.2f}"
+            yield note(f"a drive saw {camera}; the config then had {found.configured_deg:g} degrees", MEASURE)
 
 
 def _has_maps(path: Path) -> bool:
@@ -180,8 +197,8 @@ def check_links(examined: DoctorContext) -> Iterator[Found]:
                 yield note(f"{link.connection}: {only}", "name the autopilot's address: udpin:HOST:PORT@ADDRESS")
 
 
-def _newest_state(path: Path) -> tuple[float | None, StateChanged] | None:
-    """The last state that a journal's newest file has, and its Unix time in seconds; None where it has none.
+def _newest(path: Path, kind: type[RecordT]) -> tuple[float | None, RecordT] | None:
+    """The last record of a kind that a journal's newest file has, and its Unix time in seconds; None where it has none.
 
     Only the end of the file is read. OSError where it cannot be.
     """
@@ -191,6 +208,6 @@ def _newest_state(path: Path) -> tuple[float | None, StateChanged] | None:
     for line in reversed(lines):
         with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
             fields = msgspec.json.decode(line, type=dict[str, Any])
-            if fields.get("event") == "state":
-                return fields.get("unix_s"), msgspec.convert(fields, StateChanged)
+            if fields.get("event") == kind.__struct_config__.tag:
+                return fields.get("unix_s"), msgspec.convert(fields, kind)
     return None

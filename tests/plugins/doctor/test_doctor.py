@@ -17,10 +17,14 @@ import tomli_w
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.__main__ import main
+from edge.feed import read_feed
 from edge.journal.journal import Journal
-from edge.journal.records import LinkChanged, StateChanged
+from edge.journal.records import CameraDiffers, LinkChanged, StateChanged
+from edge.reference_map import open_map
 from edge_plugins.doctor.command import examine
 from edge_plugins.doctor.findings import Finding
+from edge_plugins.mapping.keypoint_rows import keypoints_key
+from sim.maps.adding_keypoints import add_keypoints
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.estimator import OdometryErrors
@@ -411,3 +415,32 @@ def test_the_words_of_the_last_run(write_config: Callable[..., Path], tmp_path: 
         journal.write(LinkChanged("up"))
     words = told(list(examine(config, 0.1, offline=True)), "last run", "note")
     assert words.startswith("the last run was at 2027-01-1") and ": off the map: not recognized for 100 m" in words
+
+
+def test_a_field_of_view_that_is_not_set_or_differs_is_named(
+    write_config: Callable[..., Path], make_street: Callable[..., Path], tmp_path: Path
+) -> None:
+    def said(**camera: float) -> str:
+        config = write_config(
+            camera={"kind": "feed", "device": str(short / "feed"), **camera}, map={"path": str(short / "map")}
+        )
+        config.write_text(
+            "\n".join(line for line in config.read_text().splitlines() if camera or "fov_deg" not in line)
+        )
+        return told(list(examine(config, 0.1, offline=True)), "camera", "note")
+
+    short = make_street(range(12))
+    assert not said()  # without keypoints it is of no use
+    key = partial(keypoints_key, fov_deg=66.0)
+    add_keypoints(open_map(short / "map", every_file=True), [read_feed(short / "feed")], key)
+    assert said().startswith(
+        "[camera] fov_deg: is not set; keypoints take it to be 66 degrees, the map's -> `lookback cal"
+    )
+    assert not said(fov_deg=80.0)
+    with closing(Journal(tmp_path / "events.jsonl")) as journal:
+        journal.write(CameraDiffers(80.0, 87.9, 0.6, -0.01, 0.02))
+        journal.write(StateChanged("on the map"))
+    words = said(fov_deg=80.0)
+    assert words.startswith(
+        "a drive saw 87.9 ± 0.6 degrees, k1 -0.01; the config then had 80 degrees -> `lookback calibrate"
+    )

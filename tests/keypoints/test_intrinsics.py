@@ -1,0 +1,103 @@
+"""What pictures say of a camera whose config is wrong, or right."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from edge.keypoints.intrinsics import DOUBTFUL, UNSEEN, WRONG, CameraEvidence
+from edge.keypoints.pose import RelativePose, solve_pnp
+from edge.keypoints.view_geometry import Intrinsics, bent
+from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
+
+
+def drive(fov_deg: float, k1: float, pictures: int, pixels: float = 1.0) -> tuple[CameraEvidence, NDArray[np.float64]]:
+    """Pictures by such a camera under a config of 80 degrees: what they say, and poses (n, 3) off by so many sigmas."""
+    evidence, off = UNSEEN, []
+    for number in range(pictures):
+        rng = np.random.default_rng(number)
+        world_m, at = street(rng, 120), (*rng.uniform((-4, -4, -0.05), (4, 4, 0.05)), 0.01)
+        points = row_points(rng, world_m, pixels=0.7, turned_deg=0.3)
+        must_be = bent(seen(world_m, at), np.array([math.log(_longer(fov_deg)), k1]))[0]
+        picture = with_noise(rng, must_be, pixels)
+        picture[rng.random(len(picture)) < 0.2] = rng.uniform(-0.8, 0.8, 2)
+        known = points.is_known & (np.abs(must_be) < (0.84, 0.63)).all(axis=1)
+        by_config = solve_pnp(points[known], picture[known], CAMERA)
+        pose = solve_pnp(points[known], picture[known], CAMERA, known=evidence.known)
+        assert by_config is not None and pose is not None
+        own = solve_pnp(points[known], picture[known], CAMERA, by_config.start, evidence.open)
+        assert own is not None and own.intrinsics is not None
+        evidence = evidence.with_picture(own.intrinsics)
+        off.append((pose.start[0] - at[:3]) / np.sqrt(np.diag(pose.covariance)))
+    return evidence, np.array(off)
+
+
+def _longer(fov_deg: float) -> float:
+    return math.tan(math.radians(CAMERA.fov_deg) / 2) / math.tan(math.radians(fov_deg) / 2)
+
+
+@pytest.mark.parametrize(("fov_deg", "k1"), [(70.0, 0.0), (88.0, 0.0), (90.0, 0.0), (80.0, -0.15), (76.0, -0.08)])
+def test_another_camera_is_found_and_no_pose_is_beyond_its_sigma(fov_deg: float, k1: float) -> None:
+    evidence, off = drive(fov_deg, k1, 30)
+    camera = evidence.difference(CAMERA.fov_deg)
+    assert camera is not None and camera.is_another
+    assert camera.configured_deg == 80.0
+    assert camera.fov_deg == pytest.approx(fov_deg, abs=4 * camera.fov_sigma_deg) == pytest.approx(fov_deg, abs=2.0)
+    assert camera.k1 == pytest.approx(k1, abs=4 * camera.k1_sigma) == pytest.approx(k1, abs=0.05)
+    assert np.abs(off).max() < 4.0
+
+
+@pytest.mark.parametrize(("fov_deg", "k1"), [(70.0, 0.0), (90.0, 0.0), (80.0, -0.15)])
+def test_a_handful_of_pictures_is_enough_to_doubt_a_config(fov_deg: float, k1: float) -> None:
+    evidence, _ = drive(fov_deg, k1, 5)
+    assert evidence.doubt > WRONG
+
+
+def test_a_camera_as_configured_is_not_in_doubt_after_a_few_pictures() -> None:
+    assert UNSEEN.difference(CAMERA.fov_deg) is None
+    assert drive(80.0, 0.0, 1)[0].doubt < WRONG / 10
+    for pictures in (4, 30):
+        evidence, off = drive(80.0, 0.0, pictures)
+        assert evidence.doubt < DOUBTFUL
+    camera = evidence.difference(CAMERA.fov_deg)
+    assert camera is not None and not camera.is_another
+    assert camera.fov_deg == pytest.approx(80.0, abs=1.0)
+    assert np.abs(off).max() < 4.0
+
+
+def test_noise_does_not_make_a_focal_length_longer() -> None:
+    """It would by 2 % where points are off in directions, which a longer one makes smaller."""
+    evidence, _ = drive(80.0, 0.0, 40, pixels=2.5)
+    assert np.abs(evidence.known.values / np.sqrt(np.diag(evidence.known.covariance))).max() < 2.0
+    assert evidence.known.values[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_pictures_that_contradict_what_earlier_ones_said_are_heard_in_the_end() -> None:
+    evidence = UNSEEN
+    for focal in [0.0] * 100 + [0.1] * 120:
+        evidence = evidence.with_picture(Intrinsics(np.array([focal, 0.0]), np.diag([2500.0, 625.0])))
+    assert evidence.known.values == pytest.approx([0.1, 0.0], abs=0.005)
+
+
+def test_a_mixture_of_two_poses_has_the_spread_of_both() -> None:
+    one, other = (
+        RelativePose(right_m, 0.0, 0.0, np.diag([0.04, 0.04, 1e-4]), np.ones(20, bool), 0.1) for right_m in (0.0, 2.0)
+    )
+    mixed = one.mixed(other, 0.25)
+    assert mixed.start[0] == pytest.approx([0.5, 0.0, 0.0])
+    assert np.diag(mixed.covariance) == pytest.approx([0.04 + 0.25 * 0.75 * 4.0, 0.04, 1e-4])
+
+
+def test_bent_directions_move_as_their_derivatives_say() -> None:
+    straight, values, small = np.array([[0.5, -0.3], [0.0, 0.0], [-0.8, 0.1]]), np.array([0.1, -0.15]), 1e-6
+    found, by_direction, by_value = bent(straight, values)
+    assert found == pytest.approx(
+        math.exp(0.1) * (1 - 0.15 * np.square(straight).sum(axis=1, keepdims=True)) * straight
+    )
+    for axis in range(2):
+        moved = np.eye(2)[axis] * small
+        assert (bent(straight + moved, values)[0] - found) / small == pytest.approx(by_direction[..., axis], abs=1e-5)
+        assert (bent(straight, values + moved)[0] - found) / small == pytest.approx(by_value[..., axis], abs=1e-5)
