@@ -68,7 +68,7 @@ TWO_AUTOPILOTS = "two autopilots have the same ids"
 RULES = (
     Rule(
         TWO_AUTOPILOTS,
-        "messages with its ids come by another clock",
+        "messages with its ids have timestamps of another clock",
         "test_two_autopilots_with_the_same_ids_get_no_position",
         lambda now: now.autopilot.is_doubled,
     ),
@@ -88,8 +88,8 @@ RULES = (
     ),
     Rule(
         "recognized, but not exactly",
-        "no sequence match shows to a few meters where: its sharpness is below 5 %, another place fits the newest "
-        "frame better, or it leads another way than the vehicle goes",
+        "no sequence match locates the vehicle to a few meters: its cost minimum is too flat (sharpness below 5 %), "
+        "another place fits the newest frame better, or its road leads off the vehicle's course",
         "test_a_line_that_is_not_sharp_is_not_used",
         lambda now: now.place is None and now.is_blurred,
     ),
@@ -145,7 +145,7 @@ RULES = (
     ),
     Rule(
         "not confirmed by another place yet",
-        "the probability of another place is above `risk`",
+        "the probability of a wrong match is above `risk`",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
         lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
         lacks=lambda now: f"{now.distance_m:.0f} m from the autopilot" if now.is_contradicted else "",
@@ -159,8 +159,8 @@ RULES = (
     ),
     Rule(
         "less accurate than the autopilot",
-        "a reset that is less certain than the autopilot along-track and cross-track: by over a fifth, or over 10 m "
-        "and not twice as certain; any of over 10 m where nothing measures the velocity",
+        "a reset whose sigma, along-track and cross-track, is over 1.2 times the autopilot's (1.0 times after GPS), or "
+        "over 10 m and over half of the autopilot's; any sigma over 10 m where nothing measures the velocity",
         "test_a_reset_never_makes_a_position_less_accurate",
         lambda now: now.worse_m is not None,
         is_certain=True,
@@ -168,8 +168,8 @@ RULES = (
     ),
     Rule(
         AGREES,
-        "a reset by less than `min_move_m`, or two of its standard deviations (three by sequence matches alone), in "
-        "each direction that it measures",
+        "a reset by less than `min_move_m`, or two standard deviations of the position (three by sequence matches "
+        "alone), in each direction in which it is measured",
         "test_an_autopilot_that_agrees_with_the_places_is_not_reset",
         lambda now: not now.is_needed,
         is_certain=True,
