@@ -19,8 +19,11 @@ def test_the_flights_of_readme_are_those_of_their_page() -> None:
     (now,) = re.findall(r"^- now: (\d+) positions; of (\d+) whose .* has, 0 beyond three", flights, re.MULTILINE)
     by_night = dict(re.findall(r"^\| \d+ (\w+), night \| \d+ \| ([\d.]+) /", flights, re.MULTILINE))
     sent, known = (f"{int(number):,}" for number in now)
-    assert f"{sent} positions, at night {by_night['ArduPilot']} m (ArduPilot) and {by_night['PX4']} m (PX4)" in README
-    assert f"of {known} with a known sigma none is beyond 3" in README
+    assert (
+        f"{sent} positions, median error at night {by_night['ArduPilot']} m (ArduPilot), {by_night['PX4']} m (PX4)"
+        in README
+    )
+    assert f"none of the {known} with a recorded sigma exceeds 3 sigma" in README
 
 
 def test_each_drive_of_readme_is_one_of_the_page() -> None:
@@ -33,14 +36,16 @@ def test_each_drive_of_readme_is_one_of_the_page() -> None:
         assert cells.split(" | ") == [*by_road[road, "right"], *by_road[road, "3 % wrong"]]
     p95_m = [[float(cell.split(" / ")[1]) for cell in by_road[road, "3 % wrong"]] for road, _ in rows]
     with_m, alone_m = zip(*p95_m, strict=True)
-    said = f"{min(with_m)} to {max(with_m)} m off (95 %), {min(alone_m)} to {max(alone_m)} m without"
+    said = (
+        f"{min(with_m)} to {max(with_m)} m (95th percentile, three roads), {min(alone_m)} to {max(alone_m)} m without"
+    )
     assert said in README
 
 
 def test_where_a_drive_is_recognized_is_said_as_its_page_says_it() -> None:
     table = page("keypoints.md").partition("<!-- looks: begin -->")[2]
     medians_m = re.findall(r"^\| \w+ \| \w+ \| \d+, \d+ m \| (\d+), \d+ m \|", table, re.MULTILINE)
-    (said_m,) = re.findall(r"mostly after (\d+) m\.", README)
+    (said_m,) = re.findall(r"usually accepted \(believed\) after (\d+) m with", README)
     assert len(medians_m) >= 6
     assert sorted(medians_m)[len(medians_m) // 2] == said_m
 
