@@ -88,7 +88,7 @@ def test_what_was_driven_without_frames_says_nothing(road: Road) -> None:
         for _ in range(round(30.0 / SPACING_M)):
             one.move()
         states.append(one.show(unseen(one.north_m), gps_at(one.north_m)).state)
-    assert set(states) == {"agrees"}
+    assert set(states) == {"consistent"}
 
 
 def test_nothing_is_said_beyond_the_end_of_the_map(road: Road) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,7 +23,7 @@ from sim.datasets.track import from_local
 Degrees = Callable[[float, float], tuple[float, float]]
 Import = Callable[..., int]
 WritePictures = Callable[[Path, list[str]], None]
-RECORDINGS = Path(__file__).parents[3] / "docs/recordings.md"
+EXAMPLES = Path(__file__).parents[3] / "docs/examples"
 BEGUN_S = 1_710_097_985.0
 
 
@@ -38,13 +37,6 @@ def write_part(file: Path, levels: list[int]) -> None:
             frame.pts, frame.time_base = index, Fraction(1, 20)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
-
-
-def recipe(kind: str, sign: str) -> str:
-    """The block of the page that has a word in it."""
-    blocks = re.findall(rf"^```{kind}\n(.*?)^```$", RECORDINGS.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    (found,) = [block for block in blocks if sign in block]
-    return str(found)
 
 
 def test_both_cameras_of_a_sidewalk_robot_share_the_wall_clock(
@@ -65,7 +57,7 @@ def test_both_cameras_of_a_sidewalk_robot_share_the_wall_clock(
         lines = [f"{index},{BEGUN_S + late_s + index / 20:.3f}" for index in range(40)]
         times = tmp_path / f"{camera}_camera_timestamps_20699.csv"
         times.write_text("\n".join(["frame_id,timestamp", *lines, ""]))
-        subprocess.run([sys.executable, "-c", recipe("python", "frodobots"), camera, uid], cwd=tmp_path, check=True)
+        subprocess.run([sys.executable, EXAMPLES / "frodobots_pictures.py", camera, uid], cwd=tmp_path, check=True)
         positions = ("--positions", tmp_path / "gps_data_20699.csv", "--view", camera)
         found = open_dataset("pictures", tmp_path / camera, ReadOptions(positions=str(positions[1])))
         assert len(found.rows) == 40
@@ -85,7 +77,7 @@ def test_names_of_vpr_datasets_downloader(
         "@0500240.10@6957706.19@56@J@-27.50408@0153.00243@180809_1545_00002@@@@@@@@.jpg",
     ]
     write_pictures(tmp_path / "queries", names)
-    subprocess.run(["bash", "-ec", recipe("text", "queries.csv")], cwd=tmp_path, check=True)
+    subprocess.run(["sh", "-e", EXAMPLES / "utm_names.sh"], cwd=tmp_path, check=True)
     traverse = open_dataset("pictures", tmp_path / "queries", ReadOptions(fps=1.0))
     assert [row.file for row in traverse.rows] == names[::-1], "by pano_id, not by name"
     last = traverse.rows[1]
