@@ -270,8 +270,8 @@ class Daemon:
 
     def _warn_of_camera(self) -> None:
         """Say once that the pictures are of another camera than the config's, with what to set."""
-        camera = self._recognizer.matcher.camera
-        if "camera" in self._warned_of or camera is None or not camera.is_another:
+        camera = None if "camera" in self._warned_of else self._recognizer.matcher.camera
+        if camera is None or not camera.is_another:
             return
         self._warned_of.add("camera")
         self.parts.record(CameraDiffers(*camera[:-1]))

@@ -32,8 +32,7 @@ class WheelStore:
 
     def __init__(self, journal: str, vehicle: Vehicle, is_doubted: Callable[[], bool]) -> None:
         """journal: whose folder has the file; "" keeps nothing. is_doubted: whether places speak against GPS."""
-        self._file = _file(journal)
-        self._before = kept_drives(journal)
+        self._file, self._before = _file(journal), kept_drives(journal)
         self._vehicle, self._is_doubted = vehicle, is_doubted
         self._system_id: int | None = None
         self._kept: DriveScale | None = None
