@@ -1,4 +1,4 @@
-"""What bounds the autopilot's own position, and where the vehicle is by that alone. Pure."""
+"""The covariance of the autopilot's own position since its last aiding, and dead reckoning from that. Pure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 class PositionAiding:
     """The last position aiding of the autopilot: by GPS, or by a position of ours.
 
-    covariance: of that now. fault_probability: probability that what bounded it was wrong. by_gps: whether GPS did.
+    covariance: of the position now. fault_probability: that the aiding was wrong. by_gps: whether it was GPS.
     """
 
     covariance: PropagatedCovariance
@@ -60,7 +60,7 @@ class Drift(NamedTuple):
 
 @dataclass(frozen=True)
 class PropagatedCovariance:
-    """Of a position east and north, each (2, 2): the covariance when it was bound; and what has become of it since.
+    """Of a position east and north, each (2, 2): the covariance at its aiding, and what was added to it since.
 
     by_velocity: meters for each of the velocity's scale, and for each radian of its heading. by_way: for each share of
     the meters driven. An error of scale or heading adds up over a way, and is gone where a position has measured it.
@@ -77,9 +77,10 @@ class PropagatedCovariance:
         return PropagatedCovariance(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
 
     def bound_by(self, fix: Fix, left_m: float) -> PropagatedCovariance:
-        """After the autopilot is `left_m` from a position of ours: only what that kept goes on from before.
+        """After the autopilot used a fix of ours and is `left_m` from it: its held axes go on from before.
 
-        By how much, not by which way: nobody knows how a velocity is wrong besides, and on a bend that goes on growing.
+        Of `by_way` the length stays, not its direction: that of the unmodeled velocity error is unknown, and changes
+        in a bend.
         """
         place = fix.place
         assert place.heading_deg is not None
@@ -99,7 +100,7 @@ class PropagatedCovariance:
         return math.sqrt(np.linalg.eigvalsh(self._covariance(drift))[-1])
 
     def along_and_across_m(self, heading_deg: float, drift: Drift) -> tuple[float, float]:
-        """One standard deviation along a heading, and across it."""
+        """One standard deviation along-track and cross-track of a heading."""
         axes = _axes(heading_deg)
         along_m, across_m = np.sqrt((axes @ self._covariance(drift) @ axes.T).diagonal())
         return float(along_m), float(across_m)
@@ -112,7 +113,7 @@ def _axes(heading_deg: float) -> Matrix:
 
 
 class AidingSnapshot(msgspec.Struct, frozen=True):
-    """What bounded an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `AutopilotCovariance.snapshot`.
+    """The sigma of an autopilot's position at `stamp_ns` of CLOCK_MONOTONIC; see `AutopilotCovariance.snapshot`.
 
     by_fixes: whether it rests on positions of ours, or may.
     """
@@ -146,10 +147,10 @@ class AidingSnapshot(msgspec.Struct, frozen=True):
 
 
 class AutopilotCovariance:
-    """How far the autopilot's own position may be off, and where GPS had the vehicle last.
+    """The covariance of the autopilot's own position, and the last datum by GPS.
 
-    What bounded the position (GPS or a fix) still does over a silent link and over a restart of this program, while the
-    autopilot has not rebooted, which its boot time shows.
+    An aiding (GPS or a fix) holds over a silent link and over a restart of this program, while the autopilot has not
+    rebooted, which its boot time shows.
     """
 
     def __init__(self, drift: float) -> None:
@@ -158,13 +159,13 @@ class AutopilotCovariance:
         """By what is known of it now."""
         self._at: AutopilotState | None = None
         self.aiding: PositionAiding | None = None
-        """What bounded it since its boot, None where nothing did."""
+        """The last one since its boot, None where there was none."""
         self._has_run_away = False  # since then: nothing measured its velocity for a while
         self.by_gps: OdometryDatum | None = None
         """Where GPS had the vehicle last."""
         self._trusted: OdometryDatum | None = None  # the last that no place can have moved
         self.rests_on_fixes = False
-        """Whether a position that was sent may have moved the autopilot's own since GPS bounded it last."""
+        """Whether a position that was sent may have moved the autopilot's own since GPS aided it last."""
         self._sent_ns: int | None = None
         self._kept: AidingSnapshot | None = None
         self._due_ns = 0
@@ -178,20 +179,20 @@ class AutopilotCovariance:
         self._sent_ns, self.rests_on_fixes = t_ns, True
 
     def bind(self, sigma_m: float, own: AutopilotState, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
-        """It is as good as that now, in each direction. wrong: the probability that what bounds it is."""
+        """Aid it: that is its sigma now, in each direction. wrong: the probability that the aiding is wrong."""
         if own.driven_m is not None:
             self.aiding = PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps)
             self._has_run_away = False
 
     def bind_by_fix(self, fix: Fix, left_m: float, own: AutopilotState) -> None:
-        """It has used a position or agrees with it, and is so far from it now."""
+        """It has used a fix or agrees with it, and is `left_m` from it now."""
         before, place = self.aiding, fix.place
         self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
         if self.aiding is not None and own.driven_m is not None and place.heading_deg is not None:
             self.aiding = replace(self.aiding, covariance=(before or self.aiding).covariance.bound_by(fix, left_m))
 
     def move(self, own: AutopilotState) -> None:
-        """The vehicle has moved on. One whose velocity nothing measures runs away, until it is bound anew."""
+        """The vehicle has moved on. A position whose velocity nothing measures runs away until the next aiding."""
         self._has_run_away |= not own.is_aided
         before, self._at = self._at, own
         if before is None or before.driven_m is None or own.driven_m is None or self.aiding is None:
@@ -204,9 +205,9 @@ class AutopilotCovariance:
         self.aiding = replace(self.aiding, covariance=errors)
 
     def keep(self, t_ns: int, own: AutopilotState, *, is_by_gps: bool) -> float | None:
-        """Keep what bounds it, once a second; what was kept where nothing does, as far as that still holds.
+        """Keep its sigma for `snapshot`, once a second; where nothing aids it, return the kept one if that still holds.
 
-        is_by_gps: whether GPS bounds it now.
+        is_by_gps: whether GPS aids it now.
         """
         if is_by_gps and (self._sent_ns is None or t_ns - self._sent_ns > SETTLED_NS):
             self.rests_on_fixes = False
@@ -229,11 +230,11 @@ class AutopilotCovariance:
         return since_m
 
     def snapshot(self) -> bytes:
-        """What is kept, b"" for nothing."""
+        """The kept sigma and position, b"" for none."""
         return b"" if self._kept is None else msgspec.json.encode(self._kept)
 
     def restore(self, kept: bytes) -> None:
-        """Bind by what was kept, once the autopilot is known to be the same, and not to have rebooted since.
+        """Aid by what was kept, once the autopilot is known to be the same, and not to have rebooted since.
 
         Ignored where it is damaged.
         """
@@ -248,7 +249,7 @@ class AutopilotCovariance:
             self.by_gps = None if own.motion is None else OdometryDatum(*where, own.motion, own.driven_m)
 
     def trust(self, own: AutopilotState, *, is_doubted: bool) -> None:
-        """Reckon by where GPS has the vehicle, from now on: not while places speak against GPS.
+        """Make the newest position by GPS the datum of dead reckoning: not while places speak against GPS.
 
         Nor where a position of ours may still be in it, or once its velocity has run away.
         """
@@ -258,7 +259,7 @@ class AutopilotCovariance:
             self._trusted = self.by_gps
 
     def carry(self) -> None:
-        """The vehicle was moved without its wheels: what was reckoned says nothing of where it is now."""
+        """The vehicle was carried: dead reckoning says nothing of where it is now."""
         self._trusted = None
 
     def dead_reckoning_position(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
@@ -274,12 +275,12 @@ class AutopilotCovariance:
         return self.aiding.covariance
 
     def sigma_m(self, own: AutopilotState, least_m: float = 0.0) -> float | None:
-        """One standard deviation, None where nothing bounds it."""
+        """One standard deviation, None where it has had no aiding."""
         errors = self._errors(own)
         return None if errors is None else max(errors.most_m(self.drift), least_m)
 
     def axes_m(self, own: AutopilotState, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
-        """Its standard deviations along the way of a fix and across it, None as in `sigma_m`."""
+        """Its standard deviations along-track and cross-track of a fix, None as in `sigma_m`."""
         errors = self._errors(own)
         if errors is None or fix.heading_deg is None:
             return None

@@ -38,11 +38,12 @@ REPORTS_APART_NS = 1_500_000_000
 """The longest silence between two rates of gyros or fixes of a receiver, which come once a second or more often. At
 one rate a second, as on eleven recorded drives, the heading is uncertain by 2 to 4 degrees after 40 s, see `Gyros`."""
 TURN_FRAMES, COURSE_M, AROUND_RAD = 36, 5.0, math.radians(135)
-"""Used frames of which the first and the last third are held against each other, the distance that gives a course, and
-how far it must have turned."""
+"""Used frames, whose first and last thirds are compared; the distance that gives a course; and by how much that must
+have turned."""
 BACKED_M = 100.0
-"""The most that must be driven again before the distance grows: somewhat more than a line, which a jump in the distance
-breaks. With 30 m, five drives home that had backed twice by 60 m on the way out had 80 positions, with 100 m 273."""
+"""The most that must be driven again before the distance grows: a little more than a sequence, which a jump in the
+distance breaks. With 30 m, five drives home that had backed twice by 60 m on the way out had 80 positions, with 100 m
+273."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,7 @@ class DeadReckoning:
         """How often the distance leads on from nothing before: a speed came too late, or BACKED_M were backed."""
         self._speed_mps = self._forward_mps = 0.0
         self.set_off_ns: int | None = None
-        """When the vehicle set off last, None where it was not seen to."""
+        """When the vehicle set off last; None where no report showed that."""
         self._behind_m = 0.0
         """How far the vehicle is behind the furthest point that it has driven to, at most BACKED_M."""
         self._source = 0
@@ -257,7 +258,7 @@ class DeadReckoning:
         self._unknown_m += 0.0 if is_same_vehicle else ELSEWHERE_M
 
     def _begin_leg(self, stamp_ns: int, east_mps: float, north_mps: float) -> None:
-        """Nobody knows how the vehicle moved since the last leg: at most as fast as before or after it."""
+        """How the vehicle moved since the last epoch is unknown: at most as fast as before or after it."""
         last_ns, total, rate = self._displacement.last_ns, self._displacement.total, self._displacement.rate
         if last_ns is not None and total is not None:
             silent_s = (stamp_ns - last_ns) / 1e9
@@ -291,7 +292,7 @@ class DeadReckoning:
         return self._answered[1]
 
     def displacement(self, stamp_ns: int) -> Odometry | None:
-        """Meters east and north at `stamp_ns`; None when that is outside the leg, or too long ago."""
+        """Meters east and north at `stamp_ns`; None when that is outside the epoch, or too long ago."""
         moved = None if self._is_leg_over else self._displacement.at(stamp_ns)
         if moved is None:
             return None

@@ -1,7 +1,7 @@
 """One Kalman filter of all that is unknown of a vehicle, of its sensors and of the map. Pure.
 
     state       position; errors of the velocity (heading, scale), of the gyros and of the compass; the share of
-                doubtful meters that were none; the error of GPS, and how fast it is dragged; and for each of the last
+                doubtful meters that were none; the error of GPS, and its spoofing drift; and for each of the last
                 drives of the map: its error (what wanders, what is off as a whole), those of sequence matches with it
                 (what stays, what changes), and how its camera is mounted
     prediction  position += (1 + scale) * R(heading) * displacement by the autopilot's velocity. The heading error turns
@@ -45,7 +45,7 @@ MAP_M = 200.0
 CREEPS_M2 = 0.3
 """What the positions of a map creep by less is added up first, see `DriveErrors`."""
 HEADING_M, COMPASS_M, SCALE_M = 250.0, 400.0, 700.0
-"""Of heading errors without gyros, of the compass, and of the scale. How far the displacement was off across after 50
+"""Of heading errors without gyros, of the compass, and of the scale. The cross-track error of the displacement after 50
 to 800 m on 25 recorded drives of ArduPilot fits 200 m and 1.5 degrees; the headings of PX4 on two, 220 to 360 m and
 2.3. Wheels slip on another surface: with 10 km for the scale, 4 of 8 such drives had positions beyond four sigma."""
 COMPASS_RAD, GYRO_RADPS = math.radians(1.5), math.radians(0.15)
@@ -71,8 +71,8 @@ class DriveErrors:
     """Standard deviations of what is wrong of one drive of the map, in meters and radians.
 
     map_m: what wanders of its positions, in each direction. whole: covariance (2, 2) of what they are off by together.
-    stays_m, changes_m: of sequence matches along the road, for the whole drive and within CORRELATION_M. lane_m: of the
-    vehicle's lane. aim_rad: of how looks are turned. crept_m2: see `MapDrive`; between two places,
+    stays_m, changes_m: of sequence matches along-track, for the whole drive and within CORRELATION_M. lane_m: of the
+    vehicle's lane. aim_rad: of the yaw error of all keypoint poses. crept_m2: see `MapDrive`; between two places,
     the variance of what their positions are off by against each other.
     """
 
@@ -106,8 +106,8 @@ class FilterStep:
 class Slot(NamedTuple):
     """Where the states of one drive of the map are.
 
-    map, whole: what wanders, east and north, and what all positions are off by. stays, changes: of matches along the
-    road, for the drive and within CORRELATION_M. aim: how looks are turned, clockwise. all: of these.
+    map, whole: what wanders, east and north, and what all positions are off by. stays, changes: of sequence matches
+    along-track, for the drive and within CORRELATION_M. aim: yaw error of keypoint poses, clockwise. all: of these.
     """
 
     map: slice
@@ -131,7 +131,7 @@ class Filter:
         self.mean, self.covariance = np.zeros(OF_ALL), np.zeros((OF_ALL, OF_ALL))
         self.likelihood = 0.0
         self.since_look_m = math.inf
-        """Driven since the last correction by a look."""
+        """Driven since the last correction by a keypoint pose."""
         self.since_lane_m = math.inf
         """Driven since a lane counted for or against it."""
         self._heading_rad, self._scale = heading_rad, ScaleFactor(0.0, scale)

@@ -3,11 +3,11 @@
     right          all is as it seems
     burst          right, but multipath displaces GPS for a while
     gyros          right, but the gyros have another bias
-    gps dragged    GPS moves away at a speed that nobody knows, as by spoofing
+    gps dragged    spoofing: GPS drifts away at an unknown speed
     gps elsewhere  GPS is somewhere else, and stays so
     map elsewhere  the drive of the map that is matched is somewhere else
     lost           the vehicle is somewhere else: it was carried (kidnapped), or followed a false place
-    beside         the vehicle is where a second solution of looks has it
+    beside         the vehicle is where a second solution of keypoint poses has it
     slips          the scale of the velocity is another one
 
 A hypothesis begins as a copy of the right filter in which one thing is unknown. One that jumps begins anew whenever it
@@ -30,15 +30,15 @@ from edge.localization.measurements import SECOND_M
 
 Name: TypeAlias = Literal["burst", "gyros", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
 DRAG_MPS = 1.0
-"""One standard deviation of the speed at which GPS is dragged, in each direction."""
+"""One standard deviation of a spoofing drift, in each direction."""
 ELSEWHERE_M, MAP_ELSEWHERE_M = 100.0, 60.0
 """The same of how far off GPS or a drive of the map is."""
 BURST_SHARE, BURST_M = 0.05, 7.0
 """Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
 GYROS_SHARE, GYROS_RADPS = 1e-5, math.radians(1.0)
 """Probability that gyros have another bias from some moment on, and one standard deviation of it. With 1e-4 this
-explains a GPS that is dragged on one of two recorded drives, which is then called 12 m off instead of 10, and positions
-are up to 5.1 sigma off instead of 2.9."""
+explains the spoofing drift of one of two recorded drives: GPS is then declared faulty at 12 m instead of 10, and
+positions are up to 5.1 sigma off instead of 2.9."""
 HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(GYROS_SHARE)}
 """Hypotheses by which nothing is wrong that concerns the pilot, and the logarithm of how often they are true."""
 ASKED: dict[Name, bool] = {"burst": True, "gyros": True, "lost": False, "beside": False, "slips": False}
@@ -47,8 +47,8 @@ are kept; the others are run always."""
 COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
 """Logarithm of how probable hypotheses are beside the others, where that is known."""
 BEGINS_S, BEGUN = 5.0, 4
-"""Seconds after which what creeps may have begun again, and how many beginnings are kept: a drag of 1 m/s is called
-within 15 s."""
+"""Seconds after which what creeps may have begun again, and how many beginnings are kept: a spoofing drift of 1 m/s is
+declared within 15 s."""
 SLIP = 0.15
 """One standard deviation of the scale of wheels that slip."""
 

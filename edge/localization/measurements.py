@@ -31,9 +31,9 @@ GPS_NOISE_M = 0.8
 COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
 LOOK_NOISE_M = 0.05
-"""Of a look, beside its covariance."""
+"""Of a keypoint pose, beside its covariance."""
 SECOND_SHARE, SECOND_M = 0.1, 2.5
-"""Share of looks that are a second solution of their geometry, and how far off these are."""
+"""Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
 WITHIN_M = 300.0
 """Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
 
@@ -51,9 +51,9 @@ def by_compass(state: Filter) -> bool:
 
 
 def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bool) -> bool:
-    """Where one picture has the vehicle, of which it shares a part with the last one, and how the velocity is turned.
+    """A keypoint pose: the vehicle's position, whose error it partly shares with the last pose, and its heading.
 
-    is_evidence: whether it counts for a hypothesis; not what is only believed with where the vehicle is reckoned.
+    is_evidence: whether it counts for a hypothesis; a match that only dead reckoning made credible does not.
     """
     shared = max(1.0, SHARED_M / max(state.since_look_m, STANDS_M))
     rows = state.rows((POSITION, np.eye(2)), (slot.map, np.eye(2)), (slot.whole, np.eye(2)))
@@ -72,7 +72,7 @@ def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bo
 
 
 def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool) -> bool:
-    """How far along the road the middle of a sequence match is, of a vehicle that may be on that road."""
+    """A sequence match: the vehicle's along-track position at its midpoint; cross-track, it is within its lane."""
     rows, off_m, noise = line_of(state, slot, line)
     spread = rows @ state.covariance @ rows.T
     if is_evidence and state.since_lane_m >= CORRELATION_M:  # a vehicle stays beside its lane
@@ -86,13 +86,13 @@ def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool
         return False
     rows, off_m, noise = line_of(state, slot, line)
     variance, lane = float(rows[1] @ state.covariance @ rows[1]), float(noise[1, 1])
-    if variance > lane:  # only as far as nothing else says how far across it is; the lane shows no velocity
+    if variance > lane:  # only as far as nothing else says where it is cross-track; the lane shows no velocity
         state.pull(rows[1:], off_m[1:], 1 / (1 / lane - 1 / variance))
     return True
 
 
 def line_of(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
-    """Rows, innovation and noise of a sequence match, along the road and across it."""
+    """Rows, innovation and noise of a sequence match, along-track and cross-track."""
     along, since_m, doubtful_m = line.midpoint.along, line.midpoint.since_m[:2], line.midpoint.since_m[2:]
     axes = np.array([along, left_of(along)])
     rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))

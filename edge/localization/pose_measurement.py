@@ -1,9 +1,9 @@
-"""Where one picture has the vehicle: the pose of its camera against that of a row of the map, on the ground. Pure.
+"""The keypoint pose of one picture: of its camera relative to a keyframe of the map, on the ground. Pure.
 
-A row lies where the map has it, and its camera looked along the drive, or back. So what the map's positions are off by
-moves a look with its row: that error is the map's, and is not in a look's covariance.
+A keyframe lies where the map has it, and its camera faced along the drive, or back. The position error of the map moves
+each pose with its keyframe: that error is the map's, and is not in the covariance of the pose.
 
-Errors of looks 2 m apart are nearly independent: on six simulated drives on three roads they correlate by 0.05 to 0.2,
+Errors of poses 2 m apart are nearly independent: on six simulated drives on three roads they correlate by 0.05 to 0.2,
 and still so 20 m further. So ten of them count as much as three, see `SHARED_M`.
 """
 
@@ -20,22 +20,22 @@ from edge.sequence import KeyframeMatch
 Vector = NDArray[np.float64]
 
 SHARED_M = 6.0
-"""Meters driven from one look to the next up to which the latter says less that is new, the less the nearer: a vehicle
-that stands sees the same points again."""
+"""Meters between two poses below which their errors are shared: the nearer, the less information the second adds. A
+vehicle that stands sees the same points again."""
 STANDS_M = 0.01
-"""So near the last one, a look says as little as at the same spot."""
+"""Meters below which two poses count as at the same spot."""
 AIM_RAD = math.radians(2.8)
-"""One standard deviation of what all looks at a drive of the map are turned by alike: two cameras that were mounted by
-hand, of which the rows of the map show theirs, and the heading of the vehicle that drove there."""
+"""One standard deviation of the yaw error that all poses against one drive of the map share: two cameras were mounted
+by hand, the map's and this one, and the map's heading is that of its vehicle."""
 
 
 @dataclass(frozen=True)
 class PoseMeasurement:
     """A pose measurement of the vehicle by one picture.
 
-    position_m: meters east and north (2,). pose_covariance: (3, 3) of these and of how the camera is turned,
-    clockwise, without the map's error.  heading_rad: of the vehicle, clockwise from north. inliers: that agree on it.
-    course: in which the vehicle reckons to go there, likewise, and the variance; None where that is not known.
+    position_m: meters east and north (2,). pose_covariance: (3, 3) of these and of the camera's yaw, clockwise,
+    without the map's error. heading_rad: of the vehicle, clockwise from north. inliers: number of points. course: of
+    the vehicle by dead reckoning, clockwise from north, and its variance; None where that is not known.
     """
 
     position_m: Vector
@@ -51,17 +51,17 @@ class PoseMeasurement:
 
     @property
     def goes_back(self) -> bool:
-        """Whether the vehicle heads the other way than it goes."""
+        """Whether the vehicle drives backwards."""
         return self.course is not None and math.cos(self.heading_rad - self.course[0]) < 0
 
 
 def camera_pose(
     seen: KeyframeMatch, row_m: Vector, row_rad: float, row_sigma_rad: float
 ) -> tuple[Vector, NDArray[np.float64]]:
-    """Meters east and north (2,) of the camera of a frame, and the covariance (3, 3) of these and of its turn.
+    """Meters east and north (2,) of the camera of a frame, and the covariance (3, 3) of these and of its yaw.
 
-    row_m, row_rad: of the row's camera, clockwise from north, and one standard deviation of where it looked, which is
-    not in that of the turn, since all rows of a drive share it.
+    row_m, row_rad: position and yaw of the keyframe's camera, clockwise from north. row_sigma_rad: one standard
+    deviation of that yaw. It moves the position only: all keyframes of a drive share it, see `AIM_RAD`.
     """
     sin, cos = math.sin(row_rad), math.cos(row_rad)
     by_row = np.array([[cos, sin], [-sin, cos]])  # meters right and ahead as east and north

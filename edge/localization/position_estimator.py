@@ -6,9 +6,9 @@
 
 All of it, in the order in which it came, is the list of the drive, which listeners get.
 
-    Frame -> tracker -> GPS by the places -> observed evidence
-    Own   -> what bounds the autopilot's own position
-    fix   -> `decide` -> Fix | Refusal
+    ImageProcessed -> tracker -> GPS by the places -> observed evidence
+    AutopilotState -> aiding and covariance of the autopilot's own position
+    fix            -> `decide` -> Fix | NoFix
 
 Pure: no link, no clock, no file. Daemon, trial and the replays of recorded drives use it alike.
 """
@@ -74,11 +74,11 @@ Listener: TypeAlias = Callable[[int, Entry], object]
 class EstimatorState:
     """What the events so far show, for those who publish it.
 
-    position: at the exposure of the last match that agreed, None while the vehicle is lost. gps: what the places say of
-    GPS, "faulty" until it is consistent again. ignores_gps: whether positions are published as if GPS were lost.
-    own_sigma_m: one standard deviation of the autopilot's own position, None where nothing has ever bound it.
-    is_bounded: whether GPS or a position of ours has bounded that since the autopilot's boot. rests_on_fixes: whether a
-    position that was sent may have moved it since GPS bounded it last. heading_error: see `Tracker`.
+    position: at the exposure of the last match that passed the innovation test, None while the vehicle is lost. gps:
+    by the places, "faulty" until it is consistent again. ignores_gps: whether positions are published as if GPS were
+    lost. own_sigma_m: one standard deviation of the autopilot's own position, None where nothing has aided it.
+    is_bounded: whether GPS or a fix of ours has aided that since the autopilot's boot. rests_on_fixes: whether a fix
+    may have moved it since GPS aided it last. heading_error: see `Tracker`.
     """
 
     position: PlaceFix | None
@@ -140,7 +140,7 @@ class PositionEstimator:
         return answer
 
     def snapshot(self) -> bytes:
-        """What bounds the autopilot's own position, b"" for nothing."""
+        """The aiding of the autopilot's own position, b"" for none."""
         return self._bound.snapshot()
 
     def restore(self, t_ns: int, kept: bytes) -> None:
@@ -198,7 +198,7 @@ class PositionEstimator:
         self._motion = frame.motion
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):
             tracker.doubt_scale()
-        # GPS bounds the autopilot's position while nothing speaks against GPS.
+        # GPS aids the autopilot's position while nothing speaks against GPS.
         if believed.position is not None and believed.gps_sigma_m is not None and not self._gps.is_doubted:
             tracker.bind()
         elif self._own.gps == "not healthy":  # else its filter may still go by GPS
@@ -207,7 +207,7 @@ class PositionEstimator:
         self._bound.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
             self._exposed = frame.motion
-            # By votes alone: what is reckoned would else be evidence for what it helped to believe.
+            # By votes alone: dead reckoning would else be evidence for a place that it made credible.
             if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
                 self._observe(fix, frame.motion)
         if frame.in_line:
@@ -232,7 +232,7 @@ class PositionEstimator:
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
 
     def _judge_gps(self) -> None:
-        """Go by the newest verdict of GPS; where GPS is ignored from now on, the places bound the autopilot."""
+        """Use the newest verdict on GPS; where GPS is ignored from now on, the places aid the autopilot."""
         ignored, bound = self._gps.is_ignored, self._bound.aiding
         is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
         self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)

@@ -1,9 +1,9 @@
 """From matches to a position that follows the vehicle on the ground. Pure: no link, no clock.
 
 All that is estimated is in one filter (`filter`), run for each hypothesis of what may be wrong (`hypotheses`). Here
-each frame becomes a prediction and its measurements, and what the right filter knows becomes a position: while a match
-that agreed is near, and nothing disputes it. A position that is lost goes on in the filter by the vehicle's motion
-alone, and is published again once a match agrees with it.
+each frame becomes a prediction and its measurements, and the state of the right filter becomes a position: while a
+match that passed the innovation test is near, and nothing disputes it. A lost position goes on in the filter by dead
+reckoning alone, and is published again once a match passes the test.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
-"""A vehicle without a new frame for so long may have been carried away: no line may have a frame from before that.
+"""A vehicle without a new frame for so long may have been carried away: no sequence may have a frame from before that.
 Without it, vehicles that reversed for long or were ferried were up to 5 and 501 standard deviations off. After 30 s
 instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
 LOOKED_NS = 1_000_000_000
-"""After a look, in which a position that is moved on still counts as what it showed."""
+"""After a keypoint pose, in which a predicted position still has its inliers."""
 USUAL = 0.03
 """One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
 wrong, and of 50 m GPS shows it to 3 %. At dusk four recorded drives are 7.0 / 14.1 / 15.4 m off (median, 95 %, most),
@@ -56,30 +56,30 @@ and 7.3 / 14.8 / 17.3 with 6 % in place of it and what was shown lost within 700
 UNEXPECTED_SIGMAS = 2.0
 """How far GPS may be from what wheels usually are."""
 DISAGREE = 3
-"""Matches in a row that disagree with the estimate before its positions are disputed: one false match is none."""
+"""Matches in a row that fail the innovation test before positions are disputed: one false match is none."""
 CALL = 6.9
 """Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
 FIRST = 2
-"""Looks that agree with each other before the first one counts: a geometry may have two solutions."""
+"""Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
 SAME_PLACE_M = 10.0
-"""What is further from an estimate is another place, at which matches must agree for long."""
+"""A match further from the estimate is of another place, where matches must agree for a correlation length."""
 KNOWN_SCALE = 0.015
-"""Standard deviation of the odometer's scale up to which the rows of a line are where the odometer has them, within a
-place."""
+"""Standard deviation of the odometer's scale up to which it has each frame of a sequence within a place."""
 UNDATED_M = 5.0
 """A match whose place is uncertain by more, since its picture has no time, is evidence for no hypothesis."""
 NEAR = 4.0
-"""Square of the standard deviations within which a faulty GPS is consistent again: drags are declared 5 m off."""
+"""Square of the standard deviations within which a faulty GPS is consistent again: a spoofing drift is declared at
+5 m."""
 GPS_FAR_M = 2 * ELSEWHERE_M
 """GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
 MISLED_RAD = math.radians(15)
-"""One standard deviation of the heading of an autopilot that followed a wrong GPS: 7 to 18 degrees on six drives."""
+"""One standard deviation of the heading of an autopilot that followed a faulty GPS: 7 to 18 degrees on six drives."""
 
 
 class TrackScore:
-    """The newest match that agreed with the filter, when, and what was driven since it and since the first one.
+    """The newest match that passed the innovation test, its time, and meters driven since it and since the first one.
 
-    by_chance: how probable it was for the first to agree by chance. confidence: the greatest of all.
+    by_chance: probability that the first one passed by chance. confidence: the greatest of all.
     """
 
     def __init__(self, by_chance: float) -> None:
@@ -89,7 +89,7 @@ class TrackScore:
         self.by_chance, self.goes_back = by_chance, False
 
     def add(self, sighting: SequenceMatch, stamp_ns: int) -> None:
-        """One more that agreed."""
+        """One more match that passed the test."""
         look = sighting.pose
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches, self.confidence = self.matches + 1, max(self.confidence, sighting.match.confidence)
@@ -99,11 +99,11 @@ class TrackScore:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether reckoning makes its first match as certain as any stretch of a map is assumed to be, or matches have
-        agreed with it for a correlation length.
+        """Whether dead reckoning makes its first match as certain as an independent segment of the map, or matches have
+        passed the innovation test for a correlation length.
 
-        After a long way without places, reckoning agrees with false ones too: at dusk, the first one in 500 m moved a
-        recorded drive from 20 m off to 41 (fc6, confidence 0.92).
+        After a long way without places, false matches pass it too: at dusk, the first one in 500 m moved a recorded
+        drive from 20 m off to 41 (fc6, confidence 0.92).
         """
         is_likely = not self.by_chance or (1 - self.confidence) * self.by_chance <= STRETCH_WRONG
         return is_likely or self.driven_m - self.since_m >= CORRELATION_M
@@ -129,19 +129,19 @@ class Tracker:
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
-        self._course_rad: float | None = None  # in which the vehicle reckoned to go at the newest frame
+        self._course_rad: float | None = None  # of the vehicle by dead reckoning, at the newest frame
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self.cross_track: tuple[float, float] | None = None
-        """How far beside the road of the matches own motion since GPS has the vehicle, and one standard deviation."""
+        """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
     def update(
         self, frame: ImageProcessed, looked: SequenceMatch | None, own: AutopilotState, timestamp_sigma_m: float = 0.0
     ) -> bool:
-        """Use a frame; whether a place was compared with what is known. looked: what its picture says.
+        """Use a frame; whether a place was compared with the state. looked: the match with the frame's keypoint pose.
 
-        own: what the autopilot says, as far as it is believed.
+        own: the autopilot's state, as far as it is believed.
         """
         motion, match = frame.motion, frame.match
         before = self._at
@@ -216,7 +216,7 @@ class Tracker:
         self._is_bound = False
 
     def bind(self) -> None:
-        """GPS bounds the autopilot's position, and corrects its velocity."""
+        """GPS aids the autopilot's position, and corrects its velocity."""
         self._is_bound, self.cross_track = True, None
 
     @property
@@ -244,7 +244,7 @@ class Tracker:
 
     @property
     def is_looked(self) -> bool:
-        """Whether a look has shown lately where the vehicle is."""
+        """Whether there was a keypoint pose within the last CORRELATION_M."""
         return self.bank.right.since_look_m < CORRELATION_M
 
     @property
@@ -253,7 +253,7 @@ class Tracker:
         return self._is_checked
 
     def call_gps(self, name: Name) -> None:
-        """GPS is wrong as a hypothesis has it, and may have turned the heading of the autopilot."""
+        """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
         state = self.bank.of(name)
         state.lose_gps()
         state.keeps_gps = False
@@ -280,7 +280,7 @@ class Tracker:
     def heading_error(self) -> tuple[float, float] | None:
         """Radians by which the vehicle heads further clockwise than its displacement says, and one standard deviation.
 
-        None where no look has shown it lately.
+        None without a keypoint pose in the last CORRELATION_M.
         """
         state = self.bank.right
         is_known = self._track is not None and state.since_look_m < CORRELATION_M
@@ -289,10 +289,10 @@ class Tracker:
     def _sighting(
         self, match: PlaceMatch, looked: SequenceMatch | None, timestamp_sigma_m: float
     ) -> SequenceMatch | None:
-        """What a match says of where the vehicle is: by one look, or else by its line."""
+        """Where a match has the vehicle: by its keypoint pose, or else by its sequence."""
         if looked is not None:
             return looked
-        # Where another place fits this frame better, the votes know the place, but no line says where it ends.
+        # Where another place fits this frame better, the votes know the place, but no sequence ends in this frame.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return None
         return self._sightings.of(match, timestamp_sigma_m)
@@ -321,7 +321,7 @@ class Tracker:
             track.disagreeing += 1
 
     def _add(self, track: TrackScore, sighting: SequenceMatch, stamp_ns: int) -> None:
-        """A match agreed."""
+        """A match passed the innovation test."""
         self._track, self._is_checked = track, sighting.mapped.checked_m > 0
         track.add(sighting, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
@@ -351,9 +351,9 @@ class Tracker:
         return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
 
     def _compare_across(self, sighting: SequenceMatch) -> None:
-        """A vehicle that went aside is there until its motion contradicts that: no position follows a false street."""
+        """A vehicle beside the road stays there until its motion says otherwise, whatever street matches."""
         if sighting.pose is not None and self.bank.before is None:
-            self.cross_track = None  # it has said how far across the vehicle is
+            self.cross_track = None  # the pose measures the cross-track position
             return
         state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.midpoint.along)
         slot = state.slot(sighting.drive, sighting.errors)
@@ -373,7 +373,7 @@ class Tracker:
     def _corrects_itself(self) -> bool:
         """Without GPS, the vehicle is elsewhere, or its wheels slip, once that is a thousand times likelier."""
         bank = self.bank
-        # By lines alone, no vehicle is a lane further.
+        # By sequence matches alone, no vehicle is a lane further.
         names: tuple[Name, ...] = ("lost", "beside", "slips") if self.is_looked else ("lost", "slips")
         if not self._is_placed or bank.evidence(*names) < CALL:
             return False
@@ -394,13 +394,13 @@ class Tracker:
         return True
 
     def at_exposure(self) -> PlaceFix | None:
-        """The position at the exposure of the last match that agreed; None while the vehicle is lost."""
+        """The position at the exposure of the last match that passed the innovation test; None while it is lost."""
         exposure = self._exposure
         return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
 
     @property
     def _is_disputed(self) -> bool:
-        """Whether reckoning or matches disagree with the estimate."""
+        """Whether dead reckoning or matches contradict the estimate."""
         track = self._track
         return track is not None and (not track.is_confirmed or track.disagreeing >= DISAGREE)
 
@@ -511,9 +511,9 @@ class Tracker:
 
 
 def _line_variance(state: Filter, line: SequenceMatch) -> float:
-    """Square meters along the road that the state lacks: an odometer that is wrong moves a line's middle as well.
+    """Along-track variance that the state lacks: an odometer's scale error moves the midpoint of a match as well.
 
-    The displacement since the middle is in the state; the other half of the line, which is as long, has the same error.
+    The displacement since the midpoint is in the state; the other half of the sequence has the same error.
     """
     since_m = line.midpoint.since_m[:2]
     return max(0.0, state.sigma(SCALE) ** 2 - KNOWN_SCALE**2) * (2**2 - 1**2) * float(since_m @ since_m)
