@@ -4,7 +4,7 @@ world        the street world: routes, drives, scenarios, a camera, drives recor
 vehicle      the simulated autopilot: firmware, dead reckoning, position inputs, a pseudo-terminal
 trial        `lookback dev sim fixes`: many seeded drives, judged by the truth
 maps         `lookback map`: build, extend, inspect, split, keep, sign
-home         `lookback home`: the way home as a file or a mission; a request to the daemon
+home         `lookback home`: the way home as a file for a ground station
 demo         `lookback demo`: the main job in simulation, with a report
 datasets     published recordings as feeds, MCAP, export
 evaluation   `lookback replay` a recording; `lookback eval`: its precision and recall

@@ -11,7 +11,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -68,10 +68,6 @@ class HomeReply:
         return bool(self.result != mavlink.MAV_RESULT_IN_PROGRESS)
 
 
-Asker: TypeAlias = Sender | Callable[[HomeReply], object]
-"""Whoever requested: a component, or a program of this computer that gets each answer."""
-
-
 @dataclass(frozen=True)
 class Upload:
     """A transfer that is running. items: of the mission. done, failed: words for both of its ends.
@@ -83,7 +79,7 @@ class Upload:
     items: int
     done: str
     failed: str
-    asker: Asker | None = None
+    asker: Sender | None = None
 
 
 class HomeRequestError(Exception):
@@ -99,7 +95,7 @@ class HomeRequests:
 
     def __init__(self, config: HomeConfig, link: AutopilotConnection) -> None:
         """link: whose autopilot gets the mission. The mission that is replaced is kept in a file beside the journal."""
-        self._config, self._link = config, link
+        self._config = config
         self._vehicle, self._drive = link.vehicle, link.drive
         self._record, self._send_text = link.record, link.status_text
         self.plan: Plan | None = None
@@ -111,17 +107,6 @@ class HomeRequests:
             None  # where the pilot was warned, and when the mission is looked at next
         )
         self._last: tuple[Sender, int, HomeReply] | None = None  # to whom, when, what
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether the way home can be requested: the autopilot, its mode, and how good its position is, are known."""
-        own = self._vehicle.position(self._link.clock_ns())
-        is_known = own is not None and self._drive.state.own_sigma_m is not None
-        return self._link.state == "up" and is_known and self._vehicle.drives_itself is not None
-
-    def ask(self, reply: Callable[[HomeReply], object]) -> None:
-        """Upload the way home as a mission, if [home] allows; `reply` gets each answer, the final one last."""
-        self._link.send(self._request(reply, self._link.clock_ns()))
 
     def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:
         """Read a message of any component on the autopilot's link; the messages that are due because of it.
@@ -166,7 +151,7 @@ class HomeRequests:
             return self._reply(sender, denied, now_ns)
         return self._request(sender, now_ns)
 
-    def _request(self, asker: Asker, now_ns: int) -> list[Message]:
+    def _request(self, asker: Sender, now_ns: int) -> list[Message]:
         """Request the way home: the first answer, and the first of the transfer."""
         home_first = self._vehicle.session.firmware.home_is_item_0
         try:
@@ -280,11 +265,8 @@ class HomeRequests:
         self._send_text(f"Lookback: {answer.text}", severity)
         return answer
 
-    def _reply(self, asker: Asker, answer: HomeReply, now_ns: int) -> list[Message]:
-        """Hand an answer to whoever requested; the messages that are due for it."""
-        if callable(asker):
-            asker(answer)
-            return []
+    def _reply(self, asker: Sender, answer: HomeReply, now_ns: int) -> list[Message]:
+        """The acknowledgement for whoever requested; kept where no other follows, to be repeated."""
         if answer.is_final:
             self._last = asker, now_ns, answer
         return [encoders.acknowledgement(HOME_COMMAND, answer.result, answer.items, *asker)]

@@ -1,4 +1,4 @@
-"""The way home in the daemon: requests by the autopilot's link, `lookback home` and the page."""
+"""The way home in the daemon: requests by the autopilot's link."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Home(Plugin):
-    """[home]: requests of all kinds, and the plan by the maps that are searched."""
+    """[home]: requests, and the plan by the maps that are searched."""
 
     def __init__(self, config: HomeConfig, parts: Parts) -> None:
         self._config, self._parts = config, parts

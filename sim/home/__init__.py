@@ -1,1 +1,1 @@
-"""`lookback home`: print the way home, write it to a file, or upload it."""
+"""`lookback home`: print the way home, or write it to a file."""

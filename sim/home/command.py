@@ -1,25 +1,17 @@
-"""`lookback home`: plan the way home along a map's drive, for a ground station or the autopilot."""
+"""`lookback home`: plan the way home along a map's drive, for a ground station."""
 
 from __future__ import annotations
 
 import argparse
-import time
-from contextlib import closing
 from pathlib import Path
 
-from edge.config import RigConfig, TelemetryConfig, checked_option
-from edge.errors import ConfigError, LinkLost
+from edge.config import RigConfig, checked_option
+from edge.errors import ConfigError
 from edge.reference_map import open_map_set
-from edge.telemetry.autopilot import AutopilotConnection
-from edge.telemetry.link import parse_connection
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.home_requests import HomeReply, HomeRequests, Plan
-from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
+from edge_plugins.home.way_home import HomeStart, plan_way_home
 from sim.home.files import encoder_of, write_way_home
 
-TURN_S = 0.02
-CONNECT_S = 20.0
-"""How long to wait for the autopilot and its position."""
 LIMITS = {
     "turning_radius_m": "the vehicle's smallest turning radius",
     "tolerance_m": "by how much waypoints may deviate from the drive",
@@ -36,12 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback home`."""
     parser.description = (
         "Reverse a drive of a map from the vehicle to its start, check it, and print what was found."
-        " Nothing else happens without -o or --upload. Nothing starts a mission or changes a mode."
+        " With -o it is written for a ground station, which uploads it."
     )
     parser.add_argument("map", type=Path, metavar="MAP", help="a map, or a folder of maps")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints, .plan or .geojson")
-    where.add_argument("--upload", metavar="CONNECTION", help="upload it while the daemon is not running")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write it: .waypoints, .plan or .geojson")
     parser.add_argument("--from", dest="start", metavar="LAT,LON", help="where it is (default: end of the drive)")
     parser.add_argument("--drive", type=int, metavar="N", help="number of the drive, from 1 (default: the newest)")
     parser.add_argument("--left-m", type=float, default=0.0, metavar="M", help="how far left of the drive to go home")
@@ -58,31 +48,18 @@ def _run(args: argparse.Namespace) -> int:
             config = checked_option(config, f"--{key.replace('_', '-')}", **{key: getattr(args, key)})
     left_m = checked_option(RigConfig(), "--left-m", left_reverse_m=args.left_m).left_reverse_m
     maps = open_map_set(args.map)
-
-    def plan(start: HomeStart | None) -> WayHome:
-        way = plan_way_home(maps, start, config, left_m, args.drive)
-        _show(way)
-        return way
-
-    if args.upload is not None:
-        if args.start is not None:
-            raise ConfigError("--from: the autopilot reports the position itself with --upload")
-        return _upload(args.upload, config, plan)
     if args.output is not None:
         encoder_of(args.output)  # before the work
-    way = plan(_start(args.start))
+    way = plan_way_home(maps, _start(args.start), config, left_m, args.drive)
+    print(f"way home  {way}")
+    for finding in way.findings:
+        print(finding)
     if way.refusals:
         return 1
     if args.output is not None:
         write_way_home(args.output, way, config)
         print(f"written   {args.output}")
     return 0
-
-
-def _show(way: WayHome) -> None:
-    print(f"way home  {way}")
-    for finding in way.findings:
-        print(finding)
 
 
 def _start(text: str | None) -> HomeStart | None:
@@ -96,29 +73,3 @@ def _start(text: str | None) -> HomeStart | None:
     except ValueError:
         raise ConfigError(f"--from: {text!r} is not LAT,LON in degrees") from None
     return HomeStart(lat_deg, lon_deg)
-
-
-def _upload(connection: str, config: HomeConfig, plan: Plan) -> int:
-    """Upload it over a link of our own, which the daemon must not have."""
-    parse_connection(connection, "--upload")
-    link = AutopilotConnection(TelemetryConfig(connection=connection, journal=""))
-    home = HomeRequests(config, link)
-    link.serve(home)
-    answers: list[HomeReply] = []
-    with closing(link):
-        home.plan = plan
-        deadline_s = time.monotonic() + CONNECT_S
-        while not home.is_ready:
-            if time.monotonic() > deadline_s:
-                raise LinkLost(f"{connection}: {link.why_closed or 'no autopilot that knows its position answers'}")
-            _turn(link)
-        home.ask(answers.append)
-        while not answers[-1].is_final:
-            _turn(link)
-    print(answers[-1].text)
-    return 0 if answers[-1].is_accepted else 1
-
-
-def _turn(link: AutopilotConnection) -> None:
-    link.poll()
-    time.sleep(TURN_S)

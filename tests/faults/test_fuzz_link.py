@@ -32,6 +32,7 @@ from tests.telemetry.rig import ToldEstimator
 from tests.udp_port import free_port
 
 STALL_S = 1.0
+HOME = mavlink.MAVLink_command_long_message(1, 191, 31014, 0, 1, 5665, 0, 0, 0, 0, 0).pack(mavlink.MAVLink(None, 255))
 WAY = WayHome("drive 1", tuple((-27.47 - 1e-4 * row, 153.02) for row in range(40)), (0.0, 440.0), 50, ())
 Step: TypeAlias = tuple[str, Any]
 
@@ -238,8 +239,7 @@ class Turns:
         elif what == "wait":
             self._ahead_ns += round(value * 1e9)
         elif what == "home":
-            with self._timed():
-                self.home.ask(lambda answer: None)
+            self.stranger.send(HOME)
         else:
             self.stranger.go()
         self.turn()

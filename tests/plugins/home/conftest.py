@@ -35,7 +35,11 @@ def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
             return plan_way_home(maps, start, config)
 
         rig.home.plan = plan
-        assert rig.run(12.0, lambda: rig.home.is_ready and rig.now_ns > START_NS + 9e9)
+
+        def is_ready() -> bool:
+            return rig.bounded_m is not None and rig.connection.vehicle.drives_itself is not None
+
+        assert rig.run(12.0, lambda: is_ready() and rig.now_ns > START_NS + 9e9)
         return rig
 
     return open_one

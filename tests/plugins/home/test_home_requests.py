@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.home_requests import HomeAnswered, HomeReply
+from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.home.way_home import WayHome
 from tests.plugins.home.home_requests import (
     ACCEPTED,
@@ -163,16 +164,13 @@ def test_a_repeated_command_starts_nothing_twice(home: Rig) -> None:
     assert len(home.journalled(HomeAnswered)) == 1
 
 
-def test_the_mission_can_be_requested_from_this_computer(home: Rig) -> None:
-    answers: list[HomeReply] = []
-    home.home.ask(answers.append)
-    assert home.run(10.0, lambda: answers[-1].is_final)
-    assert [answer.result for answer in answers] == [IN_PROGRESS, ACCEPTED]
-    assert answers[-1].items == len(home.autopilot.mission.items)
-    home.home.ask(answers.append)
-    home.home.ask(answers.append)
-    assert answers[-1].text == "no way home: a mission is being uploaded"
-    assert home.run(10.0, lambda: answers[-1].is_accepted)
+def test_a_second_asker_is_told_that_a_mission_is_being_uploaded(home: Rig) -> None:
+    home.autopilot.send(command())
+    home.run(0.05)
+    home.wire.send(MavlinkCodec(255, 190).encode(command()))
+    assert home.run(1.0, lambda: results(home)[-1] == REJECTED)
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: a mission is being uploaded"
+    assert home.run(10.0, lambda: results(home)[-1] == ACCEPTED)
 
 
 def test_the_pilot_reads_it(home: Rig) -> None:

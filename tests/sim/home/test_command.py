@@ -1,22 +1,16 @@
-"""`lookback home`: what it prints and writes, and uploads to an autopilot."""
+"""`lookback home`: what it prints and writes."""
 
 from __future__ import annotations
 
 import json
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from edge.__main__ import main
-from edge.telemetry import open_link
 from sim import geodetic
-from sim.vehicle.autopilot import SimulatedAutopilot
-from sim.vehicle.command import straight_line
 from tests.plugins.home.test_way_home import straight
-from tests.udp_port import free_port
 
 MapAlong = Callable[..., Path]
 
@@ -57,8 +51,6 @@ def test_a_way_that_is_refused_is_not_written(
         (["--tolerance-m", "0"], "--tolerance-m: expected"),
         (["--turning-radius-m", "nan"], "--turning-radius-m: "),
         (["--left-m", "nan"], "--left-m: "),
-        (["--upload", "com1"], "--upload: 'com1' is not serial:DEVICE:BAUD"),
-        (["--upload", "udp:127.0.0.1:14550", "--from", "1,2"], "--from: the autopilot reports the position itself"),
     ],
 )
 def test_a_wrong_option_is_one_line(
@@ -68,36 +60,3 @@ def test_a_wrong_option_is_one_line(
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-
-
-@pytest.fixture
-def autopilot() -> Iterator[tuple[str, SimulatedAutopilot]]:
-    """A simulated autopilot in a thread, which stands with GPS at the origin, and the connection to it."""
-    port = free_port()
-    link, stop = open_link(f"udp:127.0.0.1:{port}"), threading.Event()
-    made = SimulatedAutopilot(link, straight_line(0.0, 180.0, time.monotonic()))
-    thread = threading.Thread(target=made.run, args=(stop,))
-    thread.start()
-    yield f"udpin:127.0.0.1:{port}", made
-    stop.set()
-    thread.join()
-    link.close()
-
-
-def test_it_uploads_without_a_daemon(
-    map_along: MapAlong, autopilot: tuple[str, SimulatedAutopilot], capsys: pytest.CaptureFixture[str]
-) -> None:
-    connection, vehicle = autopilot
-    path = map_along(straight(300.0, 0.0, (0.0, -250.0)))
-    assert main(["home", str(path), "--upload", connection, "--speed-mps", "2"]) == 0
-    assert "uploaded and verified: 250 m back along drive 1" in capsys.readouterr().out
-    assert vehicle.mission.waypoints_deg[-1] == pytest.approx(geodetic(0.0, -250.0), abs=2e-7)
-
-
-def test_it_uploads_nothing_that_is_refused(
-    map_along: MapAlong, autopilot: tuple[str, SimulatedAutopilot], capsys: pytest.CaptureFixture[str]
-) -> None:
-    connection, vehicle = autopilot
-    assert main(["home", str(map_along(straight(300.0, 0.0, (100.0, 0.0)))), "--upload", connection]) == 1
-    assert "no way home: the vehicle is 100 m from the drive" in capsys.readouterr().out
-    assert vehicle.mission.items == []
