@@ -26,7 +26,7 @@ ALIKE := commands/test_real_feeds.py plugins/doctor/test_doctor.py plugins/mappi
 	plugins/mapping/test_own_motion.py plugins/mapping/test_outage.py plugins/motion
 
 .PHONY: demo flights test test-long test-core test-python test-kernels test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
-.PHONY: benchmark clean docs notebook published
+.PHONY: benchmark clean docs notebook
 
 demo: $(VENV)/.demo
 	$(BIN)/lookback demo -o demo
@@ -144,10 +144,6 @@ dist: $(VENV)/.dev
 	$(BIN)/python -m build --outdir dist .
 	$(BIN)/python -m build --outdir dist lookback_fc6
 	$(BIN)/python -m twine check --strict dist/*
-
-# The tables in docs that commands wrote: of which version, and how many commits have changed the code since.
-published: $(VENV)/.dev
-	$(BIN)/python -m sim.research.published
 
 clean:
 	rm -rf $(VENV) .venv-* demo soak build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

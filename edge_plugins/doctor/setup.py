@@ -6,7 +6,6 @@ import contextlib
 import math
 import time
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,16 +18,14 @@ from edge.config import LinkConfig, load_config
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
 from edge.errors import LookbackError
-from edge.journal.records import CameraDiffers, Record, StateChanged
+from edge.journal.records import CameraDiffers, Record
 from edge.recognition.recognizer import network_for, open_recognizer
 from edge.reference_map import MapSet, open_map_set
 from edge.telemetry.autopilot import open_port
 from edge.telemetry.link import parse_connection
 from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import plan_way_home
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.mapping.builder import spell_accuracy
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import LEAST_NS, CameraMotion
 from edge_plugins.motion.ground import FARTHEST, GroundView
@@ -58,17 +55,6 @@ def check_config(examined: DoctorContext) -> Iterator[Found]:
         return
     examined.config = config
     yield good(f"{path}: every key is valid")
-
-
-def check_last_state(examined: DoctorContext) -> Iterator[Found]:
-    """What the daemon said last: by the journal, in the words that the pilot and the page have too."""
-    path = examined.settings.telemetry.journal
-    with contextlib.suppress(OSError):
-        newest = _newest(Path(path), StateChanged) if path else None
-        if newest is not None:
-            unix_s, record = newest
-            when = "" if unix_s is None else f" at {datetime.fromtimestamp(unix_s):%Y-%m-%d %H:%M:%S}"
-            yield note(f"the last run was{when}: {record}")
 
 
 def check_model(examined: DoctorContext) -> Iterator[Found]:
@@ -118,34 +104,13 @@ def check_field_of_view(examined: DoctorContext) -> Iterator[Found]:
         spelled = " or ".join(f"{fov_deg:g}" for fov_deg in sorted(known))
         yield note(f"[camera] fov_deg: is not set; keypoints take it to be {spelled} degrees, the map's", MEASURE)
     with contextlib.suppress(OSError):
-        if known and path and (newest := _newest(Path(path), CameraDiffers)) is not None:
-            found = newest[1]
+        if known and path and (found := _newest(Path(path), CameraDiffers)) is not None:
             camera = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.2f}"
             yield note(f"a drive saw {camera}; the config then had {found.configured_deg:g} degrees", MEASURE)
 
 
 def _has_maps(path: Path) -> bool:
     return path.exists() and (not path.is_dir() or any(path.glob("map.json")) or any(path.glob("*/map.json")))
-
-
-def check_accuracy(examined: DoctorContext) -> Iterator[Found]:
-    """How well the maps know where their places are."""
-    yield good(spell_accuracy(_maps(examined).places))
-
-
-def check_way_home(examined: DoctorContext) -> Iterator[Found]:
-    """Whether the whole of the newest drive can be driven back, where [home] is enabled."""
-    home = examined.settings.of(HomeConfig)
-    if not home.enabled:
-        return
-    try:
-        way = plan_way_home(_maps(examined), None, home, examined.settings.rig.left_reverse_m)
-    except LookbackError as error:
-        yield note(str(error), "record a drive with positions")
-        return
-    yield from (note(text, "docs/home.md explains the checks") for text in (*way.refusals, *way.warnings))
-    if not way.refusals:
-        yield good(str(way))
 
 
 def _maps(examined: DoctorContext) -> MapSet:
@@ -197,8 +162,8 @@ def check_links(examined: DoctorContext) -> Iterator[Found]:
                 yield note(f"{link.connection}: {only}", "name the autopilot's address: udpin:HOST:PORT@ADDRESS")
 
 
-def _newest(path: Path, kind: type[RecordT]) -> tuple[float | None, RecordT] | None:
-    """The last record of a kind that a journal's newest file has, and its Unix time in seconds; None where it has none.
+def _newest(path: Path, kind: type[RecordT]) -> RecordT | None:
+    """The last record of a kind that a journal's newest file has; None where it has none.
 
     Only the end of the file is read. OSError where it cannot be.
     """
@@ -209,5 +174,5 @@ def _newest(path: Path, kind: type[RecordT]) -> tuple[float | None, RecordT] | N
         with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):
             fields = msgspec.json.decode(line, type=dict[str, Any])
             if fields.get("event") == kind.__struct_config__.tag:
-                return fields.get("unix_s"), msgspec.convert(fields, kind)
+                return msgspec.convert(fields, kind)
     return None

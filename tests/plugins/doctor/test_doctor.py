@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.__main__ import main
 from edge.feed import read_feed
 from edge.journal.journal import Journal
-from edge.journal.records import CameraDiffers, LinkChanged, StateChanged
+from edge.journal.records import CameraDiffers, StateChanged
 from edge.reference_map import open_map
 from edge_plugins.doctor.command import examine
 from edge_plugins.doctor.findings import Finding
@@ -368,18 +368,6 @@ def test_offline_opens_no_device(write_config: Callable[..., Path], capsys: pyte
     assert kinds == {"config", "model", "map", "link"}
 
 
-def test_the_way_home_is_checked_where_it_is_enabled(write_config: Callable[..., Path], tmp_path: Path) -> None:
-    findings = list(examine(write_config(), 0.1, tmp_path / "dev"))
-    assert not [one for one in findings if one.what == "way home"]
-    findings = list(examine(write_config(home={"enabled": True}), 0.1, tmp_path / "dev"))
-    assert "back along drive 1 (feed), 2 waypoints for 80 places" in told(findings, "way home", "good")
-    findings = list(examine(write_config(home={"enabled": True, "max_gap_m": 1.0}), 0.1, tmp_path / "dev"))
-    assert told(findings, "way home", "good") == ""
-    assert "from 0 m to 158 m: no position for 2 m; max_gap_m is 1 -> docs/home.md" in told(
-        findings, "way home", "note"
-    )
-
-
 @pytest.mark.parametrize(
     ("connection", "warned"),
     [("udpin:0.0.0.0:14550", True), ("udpin:0.0.0.0:14550@192.168.2.1", False), ("udpin:127.0.0.1:14550", False)],
@@ -404,17 +392,6 @@ def test_root_runs_no_command_of_a_config(write_config: Callable[..., Path], tmp
     findings = list(examine(config, 0.1, tmp_path / "dev"))
     assert "not tried, since root would run its command" in told(findings, "camera", "note")
     assert not (tmp_path / "run").exists()
-
-
-def test_the_words_of_the_last_run(write_config: Callable[..., Path], tmp_path: Path) -> None:
-    config = write_config()
-    assert not told(list(examine(config, 0.1, offline=True)), "last run", "note")
-    with closing(Journal(tmp_path / "events.jsonl", unix_time_s=lambda: 1.8e9)) as journal:
-        journal.write(StateChanged("on the map"))
-        journal.write(StateChanged("off the map", "not recognized for 100 m"))
-        journal.write(LinkChanged("up"))
-    words = told(list(examine(config, 0.1, offline=True)), "last run", "note")
-    assert words.startswith("the last run was at 2027-01-1") and ": off the map: not recognized for 100 m" in words
 
 
 def test_a_field_of_view_that_is_not_set_or_differs_is_named(
