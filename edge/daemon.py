@@ -274,7 +274,8 @@ class Daemon:
         if camera is None or not camera.is_another:
             return
         self._warned_of.add("camera")
-        self.parts.record(CameraDiffers(*camera[:-1]))
+        of_view = camera.configured_deg, camera.fov_deg, camera.fov_sigma_deg
+        self.parts.record(CameraDiffers(*of_view, camera.k1, camera.k1_sigma))
         found = f"{camera.fov_deg:.1f} degrees, k1 {camera.k1:+.2f}"
         remedy = "poses are by that; `lookback calibrate camera` measures it"
         log.warning("[camera] fov_deg: pictures have %s, not %g; %s", found, camera.configured_deg, remedy)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -34,6 +34,9 @@ from edge.sequence import Correspondences, PlaceMatch
 from edge.telemetry.autopilot import DRAIN_S, AutopilotConnection, Service
 from edge.telemetry.codec import Message
 
+if TYPE_CHECKING:
+    from edge.keypoints.intrinsics import CameraDifference
+
 T = TypeVar("T")
 FAILURES = (Exception, SystemExit)
 """What a plug-in may raise without an effect on anything else; a person's Ctrl-C is none of its."""
@@ -52,6 +55,11 @@ class RecognizerView:
     def agreeing(self) -> Correspondences | None:
         """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
         return self._recognizer.matcher.agreeing
+
+    @property
+    def camera(self) -> CameraDifference | None:
+        """What keypoints said of the vehicle's camera, once they are enough."""
+        return self._recognizer.matcher.camera
 
     @property
     def map_set(self) -> MapSet:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +90,8 @@ AS_CONFIGURED = UnknownCamera(np.zeros(2), PRIOR, np.zeros(2))
 """Before anything was seen."""
 
 
-class CameraDifference(NamedTuple):
+@dataclass(frozen=True)
+class CameraDifference:
     """What pictures say of the camera: its horizontal field of view, and its k1 beside that of the config's lens.
 
     configured_deg: by the config, or by the map where it has none. Sigmas are standard deviations. is_another: whether

@@ -62,6 +62,8 @@ class PlaceVerification:
         self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
         self._evidence: dict[tuple[float, Lens], CameraEvidence] = {}
         """What pictures said of each camera that the config, or a map where it has none, says the vehicle has."""
+        self.camera: CameraDifference | None = None
+        """What pictures said of the vehicle's camera, once they are enough."""
         self._newest: tuple[Keypoints, int, RelativePose] | None = None
         self.alike: tuple[KeyframeMatch, ...] = ()
         """Of the newest look, which showed none of them alone: two places, one elsewhere than the other."""
@@ -149,18 +151,14 @@ class PlaceVerification:
         own = self._pose(query, place, pose.start, evidence.open)
         if own is None or own.intrinsics is None:
             return by_config
-        self._evidence[self._camera_at(place)] = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
+        camera = self._camera_at(place)
+        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
+        self.camera = after.difference(camera[0]) or self.camera
         doubt = evidence.with_picture(own.intrinsics, share=_share_of(own)).doubt
         if evidence.doubt > WRONG or doubt < DOUBTFUL:
             return by_config  # or already by the camera that was found
         other = self._pose(query, place, pose.start, evidence.known)
         return by_config if other is None else by_config.mixed(_as_supported(other), doubt)
-
-    @property
-    def camera(self) -> CameraDifference | None:
-        """What pictures said of the vehicle's camera, once they are enough."""
-        found = (evidence.difference(fov_deg) for (fov_deg, _), evidence in self._evidence.items())
-        return next(filter(None, found), None)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""

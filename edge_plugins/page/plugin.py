@@ -75,6 +75,7 @@ class Page(Plugin):
             stages_ms=parts.times.medians_ms(),
             journal_lost=parts.lost(),
             camera=parts.camera.health,
+            camera_by_keypoints=parts.recognizer.camera,
             link=parts.autopilot.status(),
             mapping=parts.plugins.ask("mapping", mapped),
         )

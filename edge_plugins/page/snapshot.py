@@ -18,6 +18,7 @@ import edge
 from edge.camera import CameraHealth, Frame
 from edge.config import FEWEST_FRAMES, SamplingConfig
 from edge.journal.records import FrameUsed
+from edge.keypoints.intrinsics import CameraDifference
 from edge.reference_map import Bounds, MapSet
 from edge.sequence import Correspondences, PlaceMatch
 from edge.telemetry import LinkStatus
@@ -50,6 +51,7 @@ class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
     stages_ms: dict[str, float]
     journal_lost: int
     camera: CameraHealth
+    camera_by_keypoints: CameraDifference | None = None
     link: LinkStatus
     mapping: MappingView | None = None
 

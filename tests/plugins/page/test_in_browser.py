@@ -32,6 +32,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from edge.keypoints.intrinsics import CameraDifference
 from edge.localization.gps_monitor import GpsVerdictState
 from edge.sequence import Correspondences
 from edge.telemetry import LinkStatus
@@ -286,7 +287,9 @@ def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: 
 def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> None:
     on_map = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
     shares = np.random.default_rng(1).random((40, 4))
-    looked = dataclasses.replace(on_the_road(1), agreeing=Correspondences(9, shares))
+    found = CameraDifference(80.0, 88.26, 0.41, -0.021, 0.008, is_another=True)
+    status = replace(on_the_road(1).status, camera_by_keypoints=found)
+    looked = dataclasses.replace(on_the_road(1), agreeing=Correspondences(9, shares), status=status)
     drawn = "document.getElementById('look').getContext('2d').getImageData(0, 0, 500, 150).data.some((one) => one)"
     shown = [looked]
     maps = dataclasses.replace(map_view(on_map), thumbnail=lambda index: THUMBNAIL)
@@ -301,8 +304,15 @@ def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> Non
             driver.save_screenshot(str(Path(PICTURES) / "look.png"))
         assert text(driver, "matched") == "40 points agree"
         assert driver.find_element("id", "place").get_attribute("src").endswith("/thumbnail/9.jpg")
+        driver.execute_script("document.getElementById('details').open = true")
+        rows = "[...document.querySelectorAll('#health div')]"
+        of_camera = f"{rows}.find((one) => one.textContent.startsWith('camera by'))"
+        until(driver, f"{of_camera} !== undefined")
+        cells = driver.execute_script(f"return [...({of_camera}).children].map((one) => one.textContent)")
+        assert cells == ["camera by keypoints", "88.3 ± 0.4 degrees, k1 -0.02 ± 0.01; config 80.0 degrees"]
+        assert driver.execute_script(f"return ({of_camera}).lastChild.className") == "warn"
         shown[0] = on_the_road(2)
-        until(driver, f"status.look === null && !{drawn}")
+        until(driver, f"status.look === null && !{drawn} && {of_camera} === undefined")
 
 
 def click(driver: Any, name: str) -> None:
