@@ -86,6 +86,14 @@ class _ConsistentPosition:
     doubt_m: float = 0.0
 
 
+def steps_of(driven_m: NDArray[np.float64], heading_deg: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Meters (N - 1,), east + north i, between positions of a drive, by odometer and heading (N,); NaN: not known."""
+    step_m, turned_deg = np.diff(driven_m), (np.diff(heading_deg) + 180.0) % 360.0 - 180.0
+    straight_m = np.where(np.abs(turned_deg) <= GENTLE_DEG, GENTLE_M, STRAIGHT_M)
+    steps = step_m * np.exp(1j * np.radians(90.0 - heading_deg[:-1] - turned_deg / 2))
+    return np.where(np.abs(step_m) <= straight_m, steps, np.nan)
+
+
 class GpsMotion:
     """The positions of one drive, one after another."""
 
@@ -100,20 +108,17 @@ class GpsMotion:
 
     def move(self, driven_m: float, heading_deg: float) -> None:
         """The vehicle has driven on, by its odometer, and has a heading now; NaN where not known."""
-        step_m, turned_deg = driven_m - self._last[0], (heading_deg - self._last[1] + 180.0) % 360.0 - 180.0
-        middle_deg = self._last[1] + turned_deg / 2
-        first = math.isnan(self._last[0]) and not self._agreed
-        self._last = driven_m, heading_deg
+        before, self._last = self._last, (driven_m, heading_deg)
         lengths, directions = self._unknown
-        if math.isnan(step_m):
-            self._unknown = lengths + (not first), directions
+        if math.isnan(driven_m - before[0]):
+            self._unknown = lengths + (not math.isnan(before[0]) or bool(self._agreed)), directions
             return
-        self._way_m += abs(step_m)
-        straight_m = GENTLE_M if abs(turned_deg) <= GENTLE_DEG else STRAIGHT_M
-        if math.isnan(middle_deg) or abs(step_m) > straight_m:
+        self._way_m += abs(driven_m - before[0])
+        step = steps_of(*np.array([before, self._last]).T)[0]
+        if cmath.isnan(step):
             self._unknown = lengths, directions + 1
         else:
-            self._moved += cmath.rect(step_m, math.radians(90.0 - middle_deg))
+            self._moved += complex(step)
 
     @property
     def doubt_m(self) -> float:
@@ -232,10 +237,8 @@ def crept_m2(
     way_m, points = np.maximum.accumulate(driven_m), points_m @ np.array([1.0, 1j])
     if len(points) < 2:
         return np.zeros(len(points))
-    turned_deg = (np.diff(heading_deg) + 180.0) % 360.0 - 180.0
-    steps = np.diff(driven_m) * np.exp(1j * np.radians(90.0 - heading_deg[:-1] - turned_deg / 2))
-    is_known = (np.abs(steps) <= STRAIGHT_M) & np.isfinite(steps)
-    moved = np.concatenate([[0j], np.cumsum(np.where(is_known, steps, np.diff(points)))])
+    steps = steps_of(driven_m, heading_deg)
+    moved = np.concatenate([[0j], np.cumsum(np.where(np.isfinite(steps), steps, np.diff(points)))])
 
     def ends(length_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """First and last rows of windows around each position; at the ends of the drive, of the nearest."""
