@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 1550,
+    "edge": 1600,
     "edge/camera": 800,
     "edge/commands": 300,
     "edge/descriptor": 500,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35200,
+    "tests": 35250,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 
