@@ -17,9 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback compare`."""
     parser.description = (
         "Compare methods on a plan (TOML; docs/evaluation.md), on a plan of Lookback (benchmark, keypoints, simulator,"
-        " real_feeds, real_front_rear), or on two recordings: feeds, videos, folders of pictures. Rows: Raw-single,"
-        " NSD-single (best match of each frame alone), Keypoints (its ten best by geometry), Raw-fc6, NSD-fc6, Raw-CR,"
-        " NSD-CR (sequences), Lookback, SeqSLAM, each with @NETWORK for another network."
+        " real_feeds, real_front_rear, real_front_rear_odometer), or on two recordings: feeds, videos, folders of"
+        " pictures. Rows: Raw-single, NSD-single (best match of each frame alone), Keypoints (ten best by geometry),"
+        " Raw-fc6, NSD-fc6, Raw-CR, NSD-CR (sequences), Lookback, SeqSLAM, each with @NETWORK for another network."
     )
     about = "a plan; or the reference recording, then the query"
     parser.add_argument("what", nargs="+", type=Path, metavar="PLAN or RECORDING", help=about)

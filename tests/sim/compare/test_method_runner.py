@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from edge.config import AcceptanceConfig, Config, SamplingConfig
 from edge.descriptor.network import Network
@@ -131,6 +132,27 @@ def test_real_streets_front_against_rear(shared: Path, tmp_path: Path) -> None:
     assert len(outcome.query.drives()) == 6
     assert len(outcome.judged) == len(outcome.query.rows) - 6 * 9
     assert outcome.answers.correct.mean() > 0.4  # a guess is right in 0.05
+
+
+def test_with_an_odometer_a_third_of_real_streets_is_accepted_and_nothing_wrong(shared: Path, tmp_path: Path) -> None:
+    """Also on the map of all others, where no place is right; docs/back-to-back.md has the figures."""
+    plan = load_plan(SHIPPED / "real_front_rear_odometer.toml")
+    plan = msgspec.structs.replace(plan, networks={"grid": NetworkPlan(model="grid")})
+    (pair,), rear, front = plan.pairs, plan.traverses["rear"].feeds, plan.traverses["front"].feeds
+    others = {f"without {one}": TraversePlan(feeds=tuple(rear[:at] + rear[at + 1 :])) for at, one in enumerate(rear)}
+    alone = {one: TraversePlan(feeds=(one,)) for one in front}
+    plan = msgspec.structs.replace(plan, traverses={**plan.traverses, **others, **alone})
+    feeds = shared / "feeds/street_front_rear"
+    runner = open_runner(plan, Folders(feeds, feeds, feeds, tmp_path))
+    answers, least = runner.run(pair, "Lookback").answers, AcceptanceConfig().confidence_from
+    accepted = np.nan_to_num(answers.confidence) >= least
+    assert (accepted.mean(), answers.correct.mean()) == (pytest.approx(0.34, abs=0.04), pytest.approx(0.88, abs=0.04))
+    assert answers.correct[accepted].all()
+    for scene, other in zip(front, others, strict=True):
+        reference, query = runner.traverse(other), runner.traverse(scene)
+        length = runner.sequence_length(pair)
+        found = runner.match(pair, runner.method("Lookback"), reference, query, length)
+        assert (np.nan_to_num(found.confidence) < least).all()
 
 
 def test_a_traverse_that_ends_earlier_is_not_described_again(tmp_path: Path, write_feed: Any) -> None:
