@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from edge.config import Config
+from edge.config import Config, RigConfig
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import WANDER, DriveErrors
 from edge.localization.place_fix import OdometryWindow, heads_along, line_middle, map_error_m, position_on_route
@@ -202,9 +202,7 @@ class Georeferencer:
     ) -> DriveErrors:
         """along_m: of the vehicle along the drive. ahead_sigma_m: of what moves all matches along the road alike."""
         whole_m = math.hypot(drive.whole_sigma_m[0], ahead_sigma_m), drive.whole_sigma_m[1]
-        ways, line_m = (along, left_of(along)), self.rig.sigma_m(match.direction, match.order)
-        if _is_opposed(match):
-            line_m = max(line_m, OPPOSED_M)
+        ways, line_m = (along, left_of(along)), changing_sigma_m(match, self.rig)
         whole = sum((m**2 * np.outer(way, way) for m, way in zip(whole_m, ways, strict=True)), start=np.zeros((2, 2)))
         around_m2 = drive.crept_at(along_m + CREPT_WITHIN_M) - drive.crept_at(along_m - CREPT_WITHIN_M)
         whole += ((1 - WANDERS) * map_m**2 + around_m2 / 2) * np.eye(2)
@@ -239,6 +237,11 @@ def _course_rad(moved_m: Vector) -> float:
 def left_of(along: Vector) -> Vector:
     """The unit vectors (..., 2) to the left of others."""
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:
+    """One standard deviation of a line along the road, but for what stays for a drive (STAYS of it) and its jitter."""
+    return max(rig.sigma_m(match.direction, match.order), OPPOSED_M if _is_opposed(match) else 0.0)
 
 
 def _is_opposed(match: PlaceMatch) -> bool:

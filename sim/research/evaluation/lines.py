@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
 from edge.localization.place_fix import line_middle
+from edge.localization.sequence_match import STAYS, changing_sigma_m
 from edge.reference_map import Route
 from edge.sequence import Direction
 from sim.research.evaluation.roads import (
@@ -39,16 +40,22 @@ from sim.world.scenario import LightName
 
 SHARPNESS = (-np.inf, 0.05, 0.1, np.inf)
 LAGS_M = (10, 20, 40, 80)
+CLAIMED = (0.994, 1.960)
+"""Standard deviations within which a normal error is in 68 and 95 %."""
 FEWEST = 20
 """Lines of which a deviation says something."""
 
 
 @dataclass(frozen=True)
 class SequenceErrors:
-    """Meters (n,) of each frame's line ahead of the vehicle, and how sharp it is; NaN where none is believed."""
+    """Meters (n,) of each frame's line ahead of the vehicle, and how sharp it is; NaN where none is believed.
+
+    sigma_m: one standard deviation of off_m, as the filter assumes it.
+    """
 
     off_m: Floats
     sharpness: Floats
+    sigma_m: Floats
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -60,7 +67,7 @@ def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, r
     """Of each frame of a drive over a road, all of it mapped; rig: with the drive's lane, and no offset."""
     config = Config(rig=rig, sampling=DEFAULT_SAMPLING)
     length, sign = config.sequence_frames, 1 if way == "forward" else -1
-    off_m, sharpness = np.full((2, len(query.raw)), np.nan)
+    off_m, sharpness, sigma_m = np.full((3, len(query.raw)), np.nan)
     with mapped(road, "whole") as map_set:
         route = Route(map_set)
         for frame, (_, match) in enumerate(driven(map_set, query, config)):
@@ -70,7 +77,8 @@ def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, r
             if line is not None:
                 was_m = query.route_m[frame - length + 1 : frame + 1].mean()
                 off_m[frame], sharpness[frame] = sign * (line.along_m - was_m), match.sharpness
-    return SequenceErrors(off_m, sharpness)
+                sigma_m[frame] = np.hypot(line.sigma_m, np.hypot(1, STAYS) * changing_sigma_m(match, rig))
+    return SequenceErrors(off_m, sharpness, sigma_m)
 
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
@@ -81,17 +89,19 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         for way in DIRECTIONS:
             for light in (CALIBRATION, *LIGHTS[way]):
                 found[way, light, number] = errors_of(road, drives[light, way], way, rig)
-    heads = "sequence matches; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off"
+    heads = (
+        "sequence matches; beyond 40 m | mean, of each road | sd on a road | 68 %, 95 % off | in the filter's 68, 95 %"
+    )
     spans = f"below {SHARPNESS[1]:g}, to {SHARPNESS[2]:g}, above"
     lags = ", ".join(map(str, LAGS_M))
     yield f"| direction, light | {heads} | alike {lags} m apart | rms by sharpness: {spans} |"
-    yield "|---|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|---|---|"
     for way in DIRECTIONS:
         by_day = [one.off_m for (of_way, light, _), one in found.items() if (of_way, light) == (way, CALIBRATION)]
         offset_m = float(np.nanmedian(np.concatenate(by_day)))
         of_way = {
             light: [
-                SequenceErrors(one.off_m - offset_m, one.sharpness)
+                replace(one, off_m=one.off_m - offset_m)
                 for (direction, of_light, _), one in found.items()
                 if (direction, of_light) == (way, light)
             ]
@@ -111,12 +121,15 @@ def _cells(several: list[SequenceErrors]) -> str:
     means = ", ".join(f"{np.nanmean(one):.1f}" for one in right) if len(right) <= 4 else f"{np.nanmean(joined):.1f}"
     deviation_m = np.sqrt(np.mean([np.nanvar(one) for one in right]))
     within = ", ".join(f"{one:.1f}" for one in np.quantile(known, [0.68, 0.95]))
+    share = np.abs(joined) / np.concatenate([one.sigma_m for one in several])
+    held = ", ".join(f"{np.mean(share[~np.isnan(joined)] <= sigmas):.2f}" for sigmas in CLAIMED)
     alike = ", ".join(f"{alikeness(right, lag_m):.2f}" for lag_m in LAGS_M)
     by_sharpness = []
     for low, high in pairwise(SHARPNESS):
         chosen = joined[(sharpness > low) & (sharpness <= high) & ~np.isnan(joined)]
         by_sharpness.append(f"{np.sqrt(np.mean(np.square(chosen))):.1f}" if len(chosen) >= FEWEST else "-")
-    cells = [f"{len(known)}; {wrong}", means, f"{deviation_m:.1f} m", f"{within} m", alike, ", ".join(by_sharpness)]
+    spread = f"{deviation_m:.1f} m", f"{within} m"
+    cells = [f"{len(known)}; {wrong}", means, *spread, held, alike, ", ".join(by_sharpness)]
     return " | ".join(cells)
 
 
