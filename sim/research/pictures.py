@@ -76,11 +76,11 @@ def checksum_of_sources(name: str) -> str:
     return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in DRAWN_BY[name])).hexdigest()[:16]
 
 
-def note_sources(folder: Path, name: str) -> None:
-    """Write beside a picture what has just drawn it."""
+def note(folder: Path, name: str, checksum: str) -> None:
+    """Write beside a picture the checksum of what it was made of."""
     file = folder / MADE_OF
     known = msgspec.json.decode(file.read_bytes(), type=dict[str, str]) if file.exists() else {}
-    noted = dict(sorted({**known, name: checksum_of_sources(name)}.items()))
+    noted = dict(sorted({**known, name: checksum}.items()))
     file.write_bytes(msgspec.json.format(msgspec.json.encode(noted)) + b"\n")
 
 
@@ -134,7 +134,7 @@ def write_page_picture(folder: Path) -> None:
                 running.callback(process.terminate)
             time.sleep(UNDER_WAY_S)
             if photograph_page(f"http://127.0.0.1:{PAGE_PORT}/", folder / PAGE, *PAGE_PX):
-                note_sources(folder, PAGE)
+                note(folder, PAGE, checksum_of_sources(PAGE))
 
 
 def photograph_page(url: str, path: Path, width: int, height: int) -> bool:

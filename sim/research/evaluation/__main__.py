@@ -1,6 +1,6 @@
 """Measure a table of the docs on simulated roads, and write it between the marks of its name on a page.
 
-    python -m sim.research.evaluation belief --seeds 9203 9311 --cache FOLDER [--page docs/tables/evaluation.md]
+    python -m sim.research.evaluation belief --seeds 9203 9311 --cache FOLDER [--page docs/tables/back-to-back.md]
 
 What is rendered and described stays in the cache, and is not made again.
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, facing, lengths, lines, poses, reliability
+from sim.research.evaluation import belief, facing, lengths, lines, pairs, poses, reliability
 from sim.research.trial.table import put_between
 
 
@@ -38,6 +38,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "networks": {"nargs": "+", "default": ["grid"], "help": "names, files or folders of networks (default grid)"},
     "feeds": {"type": Path, "help": "folder with the recordings of the plan real_front_rear"},
     "picture": {"type": Path, "help": "draw it into this file"},
+    "pictures": {"type": _made, "required": True, "help": "folder for the pictures"},
     "light": {"choices": poses.ALL_LIGHTS, "action": "append", "help": "only this one"},
     "map-mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the map's")},
     "mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the other")},
@@ -51,6 +52,7 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "lengths": (lengths.rows, (*ROADS, "length", "draws")),
     "facing": (facing.rows, (*ROADS, "length")),
     "lines": (lines.rows, (*ROADS, "length")),
+    "pairs": (pairs.rows, (*ROADS, "length", "pictures")),
     "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
     "looks": (poses.looks_on_map, (*ROADS, "light", "draws", *MOUNTS)),

@@ -51,7 +51,7 @@ CAR_PARK_M = 15.0
 """Radius of the rounds that are driven on it."""
 FORK_RAD = 0.5
 OFF_MAP = slice(FIRST_FRAME, None)
-SHOWN: tuple[Cut, ...] = ("whole", "thirds")
+SHOWN: tuple[Cut, ...] = ("whole", "second half", "thirds")
 """Parts of the road that have a row."""
 Layout = Callable[[Floats, DriveDescriptors, DriveDescriptors], tuple[DriveDescriptors, slice]]
 """A drive, and its frames that are on no mapped road: of a mapped road (n, 2), meters east and north in the direction

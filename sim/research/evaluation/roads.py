@@ -254,16 +254,23 @@ def judge(query: DriveDescriptors, mapped_m: Floats, beliefs: Beliefs, ahead_m: 
     return BeliefScore(answers_within(answered[counted], off_m[counted], on_map[counted], TOLERANCE_M), first_m)
 
 
+def scenarios(seed: int, length_m: float) -> tuple[Scenario, dict[tuple[LightName, Direction], Scenario]]:
+    """Of a road's map by the rear camera, and of the front camera's drives over it."""
+    scene = partial(Scenario, seed=seed, length_m=length_m)
+    ways = enumerate(product((CALIBRATION, *LIGHTS["forward"]), DIRECTIONS), start=2)
+    return scene(view="rear", drive_seed=1), {
+        (light, way): scene(light=light, direction=way, drive_seed=drive_seed)
+        for drive_seed, (light, way) in ways
+        if light in (CALIBRATION, *LIGHTS[way])
+    }
+
+
 def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network | None = None) -> Iterator[World]:
     """The road of each seed as the rear camera saw it, and the drives on it; by fc6 unless a network is given."""
     for seed in seeds:
-        scene = partial(Scenario, seed=seed, length_m=length_m)
-        drives = {
-            (light, way): described(scene(light=light, direction=way, drive_seed=drive_seed), folder, network=network)
-            for drive_seed, (light, way) in enumerate(product((CALIBRATION, *LIGHTS["forward"]), DIRECTIONS), start=2)
-            if light in (CALIBRATION, *LIGHTS[way])
-        }
-        yield described(scene(view="rear", drive_seed=1), folder, network=network), drives
+        mapping, driving = scenarios(seed, length_m)
+        drives = {case: described(scene, folder, network=network) for case, scene in driving.items()}
+        yield described(mapping, folder, network=network), drives
 
 
 def judge_world(
