@@ -457,15 +457,6 @@ def _unusable_paths(config: Config) -> Iterator[tuple[str, str]]:
         yield "[map] path", "is empty; name the map's folder"
 
 
-def checked_option(config: ConfigStruct, option: str, **changes: object) -> ConfigStruct:
-    """A section with some keys replaced by a command's option; ConfigError names the option."""
-    try:
-        return msgspec.convert({**msgspec.structs.asdict(config), **changes}, type(config))
-    except msgspec.ValidationError as error:
-        what = str(error).partition(" - at ")[0]
-        raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
-
-
 def change_paths(config: ConfigStruct, change: Callable[[str, str], str], section: str = "") -> ConfigStruct:
     """The config, or a section, with each path of a file or folder changed. change: from the key, as in errors."""
     changes: dict[str, object] = {}

@@ -9,8 +9,20 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TextIO
 
+import msgspec
+
+from edge.config import ConfigStruct
 from edge.errors import ConfigError, SetupError, reason
 from edge.extras import install_command
+
+
+def checked_option(config: ConfigStruct, option: str, **changes: object) -> ConfigStruct:
+    """A section with some keys replaced by a command's option; ConfigError names the option."""
+    try:
+        return msgspec.convert({**msgspec.structs.asdict(config), **changes}, type(config))
+    except msgspec.ValidationError as error:
+        what = str(error).partition(" - at ")[0]
+        raise ConfigError(f"{option}: {what[:1].lower() + what[1:]}") from None
 
 
 @contextmanager

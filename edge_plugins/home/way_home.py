@@ -62,11 +62,6 @@ class WayHome:
         return [finding.text for finding in self.findings if finding.refuses]
 
     @property
-    def warnings(self) -> list[str]:
-        """What the pilot must know before."""
-        return [finding.text for finding in self.findings if not finding.refuses]
-
-    @property
     def briefs(self) -> list[str]:
         """The warnings in lines that a pilot can read while driving."""
         return [finding.brief for finding in self.findings if not finding.refuses]

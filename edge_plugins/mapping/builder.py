@@ -27,7 +27,7 @@ from edge.geodesy import POSITION_SOURCES, PositionSource
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.costs import encode, project, squared_norms
-from edge.reference_map.place_records import ASSUMED_SIGMA_M, PLACE
+from edge.reference_map.place_records import PLACE
 from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
 from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows
@@ -243,17 +243,3 @@ def thumbnail(image: NDArray[np.uint8]) -> bytes:
     whole = image[: height * factor, : width * factor]
     small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])[1].tobytes()
-
-
-def spell_accuracy(places: NDArray[np.void]) -> str:
-    """For people: how accurate the known positions are, what measured them, and what is assumed."""
-    known = places[~np.isnan(places["lat_deg"])]
-    if not known.size:
-        return "no positions"
-    given = known["position_sigma_m"][~np.isnan(known["position_sigma_m"])]
-    counts = np.bincount(known["position_source"], minlength=len(POSITION_SOURCES))
-    sources = ", ".join(name for name, count in zip(POSITION_SOURCES, counts, strict=True) if count)
-    parts = [f"{np.median(given):.1f} m median, {given.max():.1f} m at worst"] if given.size else []
-    if given.size < known.size:
-        parts.append(f"not recorded for {known.size - given.size} places, {ASSUMED_SIGMA_M:g} m is assumed")
-    return f"{'; '.join(parts)} (source: {sources})"

@@ -18,11 +18,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from edge.config import PINHOLE, CameraConfig, Lens, checked_option
+from edge.config import PINHOLE, CameraConfig, Lens
 from edge.errors import FeedError
 from edge.feed import FeedRow, Pictures, View
 from sim.datasets.alignment import Alignment
-from sim.output import needing
+from sim.output import checked_option, needing
 
 TruthKind = Literal["positions", "rows", "route_m"]
 

@@ -21,10 +21,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
-from edge.config import PINHOLE, CameraConfig, Lens, checked_option
+from edge.config import PINHOLE, CameraConfig, Lens
 from edge.errors import ConfigError
 from sim.datasets.boxes import content_of
 from sim.datasets.tables import read_text
+from sim.output import checked_option
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ import msgspec
 from tqdm import tqdm
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.config import Config, SamplingConfig, checked_option, load_config
+from edge.config import Config, SamplingConfig, load_config
 from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
 from edge.feed import Feed, read_feed
@@ -25,7 +25,7 @@ from edge.reference_map.checksums import ChecksumSchedule
 from edge.reference_map.store import MapHeader
 from edge.sequence import PlaceMatch
 from sim.maps.command import add_feed_options, add_spacing_options, feed_options, sampling_from
-from sim.output import writing
+from sim.output import checked_option, writing
 from sim.traverse import config_as_mapped, driven_m, traverse
 
 log = logging.getLogger(__name__)

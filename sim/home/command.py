@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from edge.config import RigConfig, checked_option
+from edge.config import RigConfig
 from edge.errors import ConfigError
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.way_home import HomeStart, plan_way_home
 from sim.home.files import encoder_of, write_way_home
+from sim.output import checked_option
 
 LIMITS = {
     "turning_radius_m": "the vehicle's smallest turning radius",

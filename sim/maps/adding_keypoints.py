@@ -14,7 +14,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from edge.camera.preprocessing import preprocessed_feed
-from edge.config import CameraConfig, Config, checked_option, load_config
+from edge.config import CameraConfig, Config, load_config
 from edge.errors import ConfigError, MapError
 from edge.feed import Feed, FeedImages, read_feed
 from edge.files import AtomicFolder
@@ -25,6 +25,7 @@ from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.store import HEADER, KEYPOINTS, PLACES, encode_header
 from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows, keypoints_key
 from sim.maps.known_distances import spell_distances
+from sim.output import checked_option
 from sim.traverse import with_course
 
 WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-deg"

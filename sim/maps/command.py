@@ -12,7 +12,7 @@ import numpy as np
 
 from edge.camera.preprocessing import preprocessed_feed
 from edge.commands.parser import fill_all
-from edge.config import FIRST_NETWORK, Config, DescriptorConfig, SamplingConfig, checked_option, load_config
+from edge.config import FIRST_NETWORK, Config, DescriptorConfig, SamplingConfig, load_config
 from edge.descriptor.model_file import network_of_map
 from edge.descriptor.network import Network
 from edge.descriptor.open_network import open_network
@@ -30,6 +30,7 @@ from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, key_of
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.known_distances import spell_distances
 from sim.maps.shrinking import shrink_to
+from sim.output import checked_option
 from sim.traverse import driven_m
 
 

@@ -14,15 +14,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.errors import FrameError, MapError
 from edge.feed import decode_picture
+from edge.geodesy import POSITION_SOURCES
 from edge.reference_map import ReferenceMap, Route, maps_in, open_map, open_map_set
 from edge.reference_map.map_folder import KEEP, is_retired
 from edge.reference_map.map_set import MapSet, name_of
+from edge.reference_map.place_records import ASSUMED_SIGMA_M
 from edge.reference_map.store import HEADER, MapHeader
 from edge_plugins.layers.stored import StoredMap, stored_maps
-from edge_plugins.mapping.builder import spell_accuracy
 from edge_plugins.mapping.place_log import logs_in, map_of
 from sim.maps.agreement import disagreements
 from sim.maps.keys import make_key, sign_map
@@ -74,7 +76,7 @@ def _info(args: argparse.Namespace) -> int:
         _tell_of_map(open_map(args.map))
         return 0
     print(f"maps      {maps}, in {args.map}")
-    print(f"accuracy  {spell_accuracy(maps.places)}")
+    print(f"accuracy  {_accuracy(maps.places)}")
     for name, header in zip(maps.names, maps.headers, strict=True):
         print(f"map       {name}: {header.places} places, {_size_mb(header):.1f} MB, {_spell_bounds(header)}")
     for excluded in maps.excluded:
@@ -99,7 +101,7 @@ def _tell_of_map(reference_map: ReferenceMap) -> None:
         print(f"reduced   to {header.dimensions} of {header.model.dimensions} dimensions per region")
     print(f"sampling  {sampling[header.sampling.by]}")
     print(f"places    {header.places}, {int(np.isfinite(places['lat_deg']).sum())} of them with a position")
-    print(f"accuracy  {spell_accuracy(places)}")
+    print(f"accuracy  {_accuracy(places)}")
     print(f"bounds    {_spell_bounds(header)}")
     key = header.keypoints_key
     if key is not None:
@@ -223,3 +225,17 @@ def _keep(args: argparse.Namespace) -> int:
             (args.map / KEEP).touch()
     print(f"{args.map}: {'may be deleted' if args.undo else 'kept'}")
     return 0
+
+
+def _accuracy(places: NDArray[np.void]) -> str:
+    """For people: how accurate the known positions are, what measured them, and what is assumed."""
+    known = places[~np.isnan(places["lat_deg"])]
+    if not known.size:
+        return "no positions"
+    given = known["position_sigma_m"][~np.isnan(known["position_sigma_m"])]
+    counts = np.bincount(known["position_source"], minlength=len(POSITION_SOURCES))
+    sources = ", ".join(name for name, count in zip(POSITION_SOURCES, counts, strict=True) if count)
+    parts = [f"{np.median(given):.1f} m median, {given.max():.1f} m at worst"] if given.size else []
+    if given.size < known.size:
+        parts.append(f"not recorded for {known.size - given.size} places, {ASSUMED_SIGMA_M:g} m is assumed")
+    return f"{'; '.join(parts)} (source: {sources})"
