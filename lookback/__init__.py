@@ -37,7 +37,7 @@ from typing import Any
 
 from edge import __version__
 from edge.errors import LookbackError as Error
-from edge.keypoints import InlierMatches, Keypoints
+from edge.keypoints import Keypoints
 from edge.sequence import PlaceMatch
 from lookback.description import describe, normalize
 from lookback.maps import Map, Recognizer
@@ -46,6 +46,7 @@ from lookback.plotting import plot
 from lookback.scoring import Curve, auc, match_pairs, pr_curve, recall_at, truth
 from lookback.verification import keypoints, verify
 from sim.compare.matching import Matches
+from sim.evaluation.matched_points import InlierMatches
 
 __all__ = [
     "Curve",

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import InlierMatches, Keypoints, matching
+from edge.keypoints import Keypoints
 from edge.keypoints.network import MOST, KeypointNetwork
 from lookback.description import image_of
+from sim.evaluation import matched_points
+from sim.evaluation.matched_points import InlierMatches
 
 Picture = str | Path | NDArray[np.uint8]
 
@@ -39,7 +41,7 @@ def verify(query: Picture | Keypoints, reference: Picture | Keypoints) -> Inlier
     True
     """
     first, second = (one if isinstance(one, Keypoints) else keypoints(one) for one in (query, reference))
-    return matching.verify(first, second)
+    return matched_points.verify(first, second)
 
 
 @lru_cache(maxsize=1)

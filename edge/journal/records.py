@@ -26,27 +26,6 @@ RENAMED = {
     "keeps": "held_axes",
 }
 """Keys of schema 2, as they are called now."""
-HELD_AXES = {"along": "along-track", "across": "cross-track"}
-GPS_STATES = {
-    "agrees": "consistent",
-    "doubtful": "suspect",
-    "disagrees": "inconsistent",
-    "wrong": "faulty",
-    "map wrong": "map faulty",
-}
-"""Values of schema 2, as they are called now."""
-
-
-def in_todays_words(fields: dict[str, Any]) -> dict[str, Any]:
-    """The keys and words of a record of schema 2 as those of today; any other as it is."""
-    if fields.get("event") == "gps_judged":
-        return {**fields, "state": GPS_STATES.get(fields.get("state", ""), fields.get("state"))}
-    if RENAMED.keys().isdisjoint(fields):
-        return fields
-    today: dict[str, Any] = with_todays_keys(fields)
-    if isinstance(held := today.get("held_axes"), str):
-        today["held_axes"] = HELD_AXES.get(held, held)
-    return today
 
 
 def with_todays_keys(value: Any) -> Any:

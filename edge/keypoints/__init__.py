@@ -1,6 +1,6 @@
 """Where in the picture two views agree: points that a network finds, their matches, and what geometry says of them.
 
-    image (H, W, 3) --network--> Keypoints --matching--> InlierMatches
+    image (H, W, 3) --network--> Keypoints
     a drive's Keypoints --drive_points--> MapPoints of each row --pose, with what is seen--> RelativePose
 
 A camera that looks the same way as the map's finds the place in one picture. Where the views are opposite, nothing
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from edge.keypoints.points import MapPoints
 from edge.keypoints.view_geometry import CameraModel
 
-__all__ = ["CameraModel", "InlierMatches", "Keypoints", "MapPoints"]
+__all__ = ["CameraModel", "Keypoints", "MapPoints"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,24 +36,3 @@ class Keypoints:
 
     def __len__(self) -> int:
         return len(self.xy)
-
-    def best(self, most: int) -> Keypoints:
-        """The first `most` of them."""
-        return Keypoints(self.xy[:most], self.scores[:most], self.descriptors[:most], self.size)
-
-
-@dataclass(frozen=True, eq=False)
-class InlierMatches:
-    """Which points of two pictures are the same ones, seen from two places.
-
-    matches: (M, 2) int32, rows of the query's points and of the reference's that one fundamental matrix explains.
-    candidates: how many points were the most alike in both directions, of which these are a part.
-    """
-
-    matches: NDArray[np.int32]
-    candidates: int
-
-    @property
-    def inliers(self) -> int:
-        """M: in pictures of web cameras 141 at the same place by day in the median, 20 by night; 7 at another."""
-        return len(self.matches)

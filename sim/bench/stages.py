@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from edge.config import CameraConfig, Config
 from edge.descriptor.model_file import GRID, XFEAT, resolve_model
 from edge.descriptor.network import IMAGE, Network, cut_regions, open_session, pictures_for
-from edge.keypoints.matching import verify
 from edge.keypoints.network import KeypointNetwork
 from edge.reference_map.costs import CostMatcher, encode, inverse_lengths, squared_norms
 from edge.sequence import VIEWS_OPPOSED
@@ -26,6 +25,7 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
 from sim.bench.frames import SIZE_PX, smooth_picture
 from sim.bench.table import Row, Run, raced
+from sim.evaluation.matched_points import verify
 
 faiss.omp_set_num_threads(1)
 VGA = f"{SIZE_PX[0]}x{SIZE_PX[1]}"

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from edge.keypoints import Keypoints
-from edge.keypoints.matching import verify
 from edge.keypoints.network import MOST, KeypointNetwork
 from sim.compare.matching import Matches
 from sim.compare.traverses import MethodTraverse, open_pictures
+from sim.evaluation.matched_points import verify
 
 
 class Verification:
@@ -54,7 +54,7 @@ class Verification:
 
         Of as many inliers, the place that was ranked first stays first.
         """
-        places, frames = ([one.best(most) for one in self.keypoints(each)] for each in (reference, query))
+        places, frames = ([_best(one, most) for one in self.keypoints(each)] for each in (reference, query))
         inliers = np.full(matches.ranked.shape, -1)
         for frame, ranked in enumerate(matches.ranked):
             for rank, place in enumerate(ranked[ranked >= 0]):
@@ -70,3 +70,8 @@ class Verification:
 
         place, confidence = ranked[:, 0], inliers[:, 0].astype(np.float64)
         return replace(matches, place=place, confidence=confidence, ranking=ranking, confidence_of=inliers_in)
+
+
+def _best(points: Keypoints, most: int) -> Keypoints:
+    """The first `most` of them."""
+    return Keypoints(points.xy[:most], points.scores[:most], points.descriptors[:most], points.size)

@@ -13,10 +13,11 @@ import pytest
 from msgspec import Struct
 
 from edge.config import RigConfig
-from edge.journal.records import GPS_STATES, KINDS, RENAMED
+from edge.journal.records import KINDS, RENAMED
 from edge.localization.gps_monitor import GpsVerdictState
 from edge.telemetry import LinkStatus
 from edge.telemetry.shadow import ShadowPosition
+from sim.journal import GPS_STATES
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("edge", "edge_plugins", "sim", "lookback")
@@ -81,7 +82,7 @@ def test_the_glossary_is_read_whole() -> None:
 
 @pytest.mark.parametrize(("term", "name", "_", "file"), ROWS, ids=[row[0] for row in ROWS])
 def test_each_term_of_the_glossary_is_found_in_code_and_docs(term: str, name: str, _: str, file: str) -> None:
-    source = (ROOT / "edge" / file).read_text(encoding="utf-8")
+    source = (ROOT / ("" if file.startswith("sim/") else "edge") / file).read_text(encoding="utf-8")
     assert name in defined_in(source), f"{file} has no {name}"
     assert is_used(term, source), f"{file} does not say {term!r}"
     assert any(is_used(term, page.read_text(encoding="utf-8")) for page in OTHER_PAGES), f"no page says {term!r}"

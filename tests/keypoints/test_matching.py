@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
-from edge.keypoints.matching import mutual_matches, verify
+from edge.keypoints.matching import mutual_matches
+from sim.evaluation.matched_points import verify
 
 SIZE = (240, 320)
 

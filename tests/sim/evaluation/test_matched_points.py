@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints import InlierMatches, Keypoints
+from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
-from sim.evaluation.matched_points import side_by_side, with_lines
+from sim.evaluation.matched_points import InlierMatches, side_by_side, with_lines
 
 
 def points(xy: list[tuple[float, float]], size: tuple[int, int]) -> Keypoints:
