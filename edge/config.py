@@ -235,7 +235,7 @@ class RigConfig(Struct, frozen=True, forbid_unknown_fields=True):
         return self.left_reverse_m if direction == "reverse" else self.left_forward_m
 
     def sigma_m(self, direction: Literal["forward", "reverse"], order: Literal["same", "swapped"]) -> float:
-        """The standard deviation along the route that remains for matches of that kind, in meters."""
+        """The along-track standard deviation that remains for matches of that kind, in meters."""
         return float(getattr(self, f"sigma_{direction}_{order}_m")) or self.sigma_along_m
 
 

@@ -95,8 +95,8 @@ class Daemon:
         is_place = self._sampler.is_place(frame.stamp_ns, distance_m)
         if is_place:
             self._process_frame(frame, distance_m)
-        elif self._recognizer.may_look_again(frame.stamp_ns, distance_m):
-            self._look_again(frame, distance_m)
+        elif self._recognizer.may_verify_again(frame.stamp_ns, distance_m):
+            self._verify_again(frame, distance_m)
         return is_place
 
     def _process_frame(self, frame: Frame, distance_m: float | None) -> None:
@@ -121,8 +121,8 @@ class Daemon:
         # Only here: a file that is written anew while nothing is seen would make old statistics look fresh.
         self.parts.warm_start.keep_if_due(now_ns)
 
-    def _look_again(self, frame: Frame, distance_m: float | None) -> None:
-        """Look at a further picture while the vehicle stands, and nothing is believed; publish the place it shows."""
+    def _verify_again(self, frame: Frame, distance_m: float | None) -> None:
+        """Verify a further picture while the vehicle stands, and nothing is believed; publish the place it shows."""
         displacement = self._autopilot.vehicle.motion.displacement(frame.stamp_ns)
         reckoned = self._drive.dead_reckoning_position(displacement)
         travel = MotionPrior(distance_m, 0, self._search_area(), self._turn_around.course_rad, reckoned)
@@ -159,7 +159,7 @@ class Daemon:
             self._distance_gaps = self._autopilot.vehicle.motion.gaps
             self._recognizer.restart_odometer()
         try:
-            observe = self._recognizer.look_again if again else self._recognizer.observe
+            observe = self._recognizer.verify_again if again else self._recognizer.observe
             match = observe(frame.image, frame.stamp_ns, travel)
         except MapError:
             left = self.parts.verification.without_cut(self._recognizer.map_set)

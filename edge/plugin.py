@@ -52,9 +52,9 @@ class RecognizerView:
         self.raw_of, self.describe = recognizer.raw_of, recognizer.describe
 
     @property
-    def agreeing(self) -> Correspondences | None:
-        """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
-        return self._recognizer.matcher.agreeing
+    def correspondences(self) -> Correspondences | None:
+        """The points by which the newest frame shows a place; None where it does not, or was not verified."""
+        return self._recognizer.matcher.correspondences
 
     @property
     def camera(self) -> CameraDifference | None:

@@ -8,7 +8,7 @@ in and out; nothing of a vehicle is needed. From two folders of pictures to reca
     reference, query = lookback.describe("out"), lookback.describe("home")
     similarity = lookback.compare(lookback.normalize(query), lookback.normalize(reference), orders=True)
     truth = lookback.truth("home", "out", tolerance=20)
-    found = lookback.search(similarity, length=20, views=("rear", "front"))  # where each camera looked
+    found = lookback.search(similarity, length=20, views=("rear", "front"))  # where each camera faced
     print(lookback.recall_at(similarity, truth), lookback.recall_at(found, truth))
     lookback.plot({"frames": lookback.pr_curve(similarity, truth), "sequences": lookback.pr_curve(found, truth)})
 
@@ -20,7 +20,7 @@ The steps, each of which can be replaced by your own arrays:
     nearest     S -> the best place of each frame alone
     search      S -> the best place by a sequence of frames, along the reference and against it (eq. 2 and 3)
     believe     descriptors -> places with the probability that each is right, as the vehicle's daemon has it
-    keypoints   a picture -> its points; verify: which of two pictures' points agree, so one look says the place
+    keypoints   a picture -> its points; verify: which of two pictures' points agree, so one picture gives the place
     truth       two recordings -> which places are right (Q, N); recall_at, pr_curve, auc, match_pairs score by it
     plot        curves, or S with what was found
     Map, Recognizer   a map on the disk, and one picture after another recognized on it

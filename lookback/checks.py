@@ -84,7 +84,7 @@ def field_of_view(given: float) -> float:
 
 
 def views(given: Any) -> tuple[View, View]:
-    """Where the cameras of reference and query look."""
+    """Where the cameras of reference and query face."""
     known, found = get_args(View), tuple(given) if isinstance(given, Iterable) else ()
     if len(found) != 2 or any(one not in known for one in found):
         raise ValueError(f"views are two of {', '.join(map(repr, known))}: of reference and query; not {given!r}")

@@ -17,7 +17,7 @@ from edge.config import NETWORKS, CameraConfig, DescriptorConfig, Lens, Sampling
 from edge.errors import MapError, ModelError
 from edge.feed import View, decode_picture
 from edge.keypoints import CameraModel
-from edge.keypoints.mount import turned_aside
+from edge.keypoints.mount import yaw_of
 from edge.keypoints.pose import RelativePose, pose_to_keyframe
 from edge.recognition.recognizer import model_key, open_recognizer
 from edge.reference_map import MapSet, ReferenceMap, open_map
@@ -52,7 +52,7 @@ class Map:
         """Describe a recording or a folder of pictures, and write its map into a new folder.
 
         model: as of `describe`, but a file of `lookback model import`. spacing_m: between places; of a recording that
-        knows no meters every picture is one. view: which way the camera looked (None: as recorded, else front).
+        knows no meters every picture is one. view: which way the camera faced (None: as recorded, else front).
         fov_deg: horizontal, of the pictures (None: as recorded). Where it is known they have keypoints, see `pose`.
         Raises `Error`.
         """
@@ -113,7 +113,7 @@ class Map:
 
         picture: a file, or an image (H, W, 3) uint8 BGR. fov_deg: horizontal, of its camera (None: that of the map),
         with the lens and its distortion by OpenCV, see docs/cameras.md. None where too few points agree: it shows
-        another place, or its camera looked the other way. Raises `Error` for a map without keypoints.
+        another place, or its camera faced the other way. Raises `Error` for a map without keypoints.
         """
         key, records = self.opened.header.keypoints_key, self.opened.keypoints
         if key is None or records is None:
@@ -126,15 +126,15 @@ class Map:
         camera = CameraModel(key.width, height, *optics)
         there, points = keypoints_of(records[place], key), points_of(records[place])
         found = pose_to_keyframe(query, there, points, camera)
-        # A map has its points as a camera would that looks along the road: this one's may look beside it.
-        return found and found.turned(turned_aside(camera_of(key).directions(there.xy), points.places[:, :2]))
+        # A map has its points in the frame of a camera that faces along the road: this one's may face beside it.
+        return found and found.turned(yaw_of(camera_of(key).directions(there.xy), points.places[:, :2]))
 
 
 class Recognizer:
     """Recognizes pictures of a drive on a map, in their order, as the daemon does."""
 
     def __init__(self, reference: Map, *, length: int | None = None, view: View = "front") -> None:
-        """length: frames of a sequence (None: 80 m of them). view: which way the camera looks.
+        """length: frames of a sequence (None: 80 m of them). view: which way the camera faces.
 
         Pictures are to be as far apart as places, unless `observe` is given the distance driven.
         """

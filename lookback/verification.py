@@ -1,4 +1,4 @@
-"""Where in two pictures the same points are: a place by one look."""
+"""Where in two pictures the same points are: a place by one picture."""
 
 from __future__ import annotations
 

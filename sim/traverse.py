@@ -1,7 +1,7 @@
 """A feed as the places of a traverse: the frames that the sampling chooses, with the distance driven so far.
 
 What the daemon knows of its vehicle without a place, its course and whether it has turned around, follows from the
-positions here. Where GPS and odometry would reckon it is not said: by its positions a recording is judged.
+positions here. A dead reckoning position is not given: by its positions a recording is judged.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ FROZEN_AFTER_NS = 2_000_000_000
 REOPEN_FIRST_NS = 3_000_000_000
 REOPEN_LAST_NS = 60_000_000_000
 STEP_PX = 4
-"""One pixel of a square of so many is looked at, by OpenCV: slices of NumPy take 10 to 15 times as long."""
+"""One pixel of a square of so many is checked, by OpenCV: slices of NumPy take 10 to 15 times as long."""
 BLANK = "the image is blank; is the lens covered, or the exposure wrong?"
 FROZEN = "the image is frozen"
 

@@ -55,7 +55,7 @@ Longitude = Annotated[float | None, unit("deg", "longitude (WGS 84), null where 
 Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from north, null where not known", 2)]
 Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none", 3)]
 Points = Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")]
-SigmaAlong = Annotated[float | UnsetType, unit("m", "one standard deviation along the route", 3)]
+SigmaAlong = Annotated[float | UnsetType, unit("m", "one standard deviation along-track", 3)]
 HeldAxes = Annotated[
     Literal["along-track", "cross-track"] | UnsetType,
     unit("", "the axis on which the position is the autopilot's own; absent: on none"),
@@ -160,10 +160,10 @@ class FrameUsed(Record, frozen=True, tag="frame"):
     place: Annotated[int | None, unit("row", "row of the matched place in its map")] = None
     map_row: Annotated[int | None, unit("row", "row of that place in the feed that the map was built from")] = None
     uniqueness: Annotated[
-        float | None, unit("", "lowest cost away from the place over its own; 1 is ambiguous, less is worse than there")
+        float | None, unit("", "lowest cost elsewhere over its own; 1: perceptual aliasing, below: better there")
     ] = None
     confidence: Annotated[float | None, unit("", "probability that this place is right, 0 to 1")] = None
-    distance: Annotated[float | None, unit("", "mean cosine distance along the matched line")] = None
+    distance: Annotated[float | None, unit("", "mean cosine distance over the sequence match")] = None
     direction: Direction | None = None
     order: Order | None = None
     lat_deg: Latitude = None
@@ -179,7 +179,7 @@ class PlaceFix(Record, frozen=True, tag="place"):
     lat_deg: Latitude
     lon_deg: Longitude
     heading_deg: Heading
-    sigma_along_m: Annotated[float, unit("m", "one standard deviation along the route", 2)]
+    sigma_along_m: Annotated[float, unit("m", "one standard deviation along-track", 2)]
     sigma_cross_track_m: Annotated[float, unit("m", "one standard deviation cross-track", 2)]
     direction: Direction
     order: Order
@@ -193,10 +193,10 @@ class PlaceFix(Record, frozen=True, tag="place"):
     ] = UNSET
     confidence: Annotated[float, unit("", "probability that the place is right, 0 to 1", 3)] = 0.0
     velocity_error: Annotated[float, unit("", "estimated error of the autopilot's velocity, as a share of it", 4)] = 0.0
-    disputed: Annotated[bool, unit("", "whether the newest matches in a row disagree with this position")] = False
+    disputed: Annotated[bool, unit("", "whether the newest matches fail the innovation test")] = False
     by_lane: Annotated[bool, unit("", "whether nothing but the lane says where cross-track it is")] = False
     points: Annotated[
-        int | UnsetType, unit("", "keypoints of the newest match that agree where the camera was; absent of a line")
+        int | UnsetType, unit("", "inliers of the newest pose relative to a keyframe; absent of a sequence match")
     ] = UNSET
 
     @property
@@ -243,7 +243,7 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
     map: MapName = UNSET
     level_along_m: Annotated[
-        float | None, unit("m", "protection level along the route, null where nothing bounds the position", 2)
+        float | None, unit("m", "protection level along-track, null where nothing bounds the position", 2)
     ] = None
     level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
     points: Points = UNSET
@@ -261,7 +261,7 @@ class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
     sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth", 3)]
     distance_m: Distance
     map: MapName = UNSET
-    level_along_m: Annotated[float | None, unit("m", "protection level along the route, as in `fix_sent`", 2)] = None
+    level_along_m: Annotated[float | None, unit("m", "protection level along-track, as in `fix_sent`", 2)] = None
     level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
     points: Points = UNSET
     sigma_along_m: SigmaAlong = UNSET

@@ -1,9 +1,9 @@
 """Where in the picture two views agree: points that a network finds, their matches, and what geometry says of them.
 
     image (H, W, 3) --network--> Keypoints
-    a drive's Keypoints --drive_points--> MapPoints of each row --pose, with what is seen--> RelativePose
+    a drive's Keypoints --drive_points--> MapPoints of each keyframe --pose, with a frame--> RelativePose
 
-A camera that looks the same way as the map's finds the place in one picture. Where the views are opposite, nothing
+A camera that faces the same way as the map's finds the place in one picture. Where the views are opposite, nothing
 here is loaded.
 """
 

@@ -31,13 +31,13 @@ def points_of_drive(
     camera: CameraModel,
     rows: Sequence[int],
     *,
-    looks_back: bool = False,
+    faces_back: bool = False,
     mount: Mount | None = None,
 ) -> Iterator[tuple[MapPoints, Mount]]:
     """What `points_of` has of some rows of a drive, one row after another.
 
     keypoints_of: of a row. route_m: driven so far, and heading: of the vehicle, clockwise in radians, each (N,). Where
-    either is NaN, no distance is known. looks_back: the camera, which is a rear one. mount: as
+    either is NaN, no distance is known. faces_back: the camera, which is a rear one. mount: as
     other rows of the drive have it.
     """
     kept = lru_cache(WINDOW)(keypoints_of)
@@ -45,7 +45,7 @@ def points_of_drive(
         lambda row, other: mutual_matches(*(kept(r).descriptors for r in (row, other)))
     )
     east_m, north_m = _reckoned(route_m, heading)
-    heading = heading + np.pi * looks_back
+    heading = heading + np.pi * faces_back
     for row in rows:
         near = _near(route_m, heading, row)
         found = np.full((len(near), len(kept(row)), 2), np.nan)

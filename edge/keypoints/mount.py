@@ -1,6 +1,6 @@
-"""How a camera is mounted: by how much it looks down, and to the right, of the way it moves.
+"""How a camera is mounted: its pitch down, and its yaw to the right, against the way it moves.
 
-Each row says so with its points (`points_of`), to 0.4 and 1.0 degrees; all rows of 300 m together to about 0.5.
+Each keyframe says so with its points (`points_of`), to 0.4 and 1.0 degrees; all of 300 m together to about 0.5.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROW_SIGMA = float(np.radians(5.0))
-"""Of a mount, where a row says it by itself."""
+"""Of a mount by one keyframe alone."""
 MOUNT_SIGMA = float(np.radians(2.0))
-"""Of a camera that was mounted by hand to look along the road."""
+"""Of a camera that was mounted by hand to face along the road."""
 SHARED = 200.0
-"""Rows that count as one: their errors are four times what least squares says, and neighbors err alike."""
+"""Keyframes that count as one: their errors are four times what least squares says, and neighbors err alike."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,14 +28,14 @@ class Mount:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """(3, 3): a ray (right, down, ahead) of a camera that looks level along the road as this one has it."""
+        """(3, 3): a ray (right, down, ahead) of a camera that faces level along the road in the frame of this one."""
         (sin_down, sin_right), (cos_down, cos_right) = np.sin(self.radians), np.cos(self.radians)
         down = np.array([[1, 0, 0], [0, cos_down, -sin_down], [0, sin_down, cos_down]])
         right = np.array([[cos_right, 0, -sin_right], [0, 1, 0], [sin_right, 0, cos_right]])
         return np.asarray(down @ right)
 
     def leveled(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Directions (..., 2) of this camera as one would have them that looks level along the road."""
+        """Directions (..., 2) of this camera in the frame of one that faces level along the road."""
         rays = directions @ self.rotation[:2] + self.rotation[2]
         found: NDArray[np.float64] = rays[..., :2] / rays[..., 2:]
         return found
@@ -64,8 +64,8 @@ class Mount:
         return 1.0
 
 
-def turned_aside(mounted: NDArray[np.float64], leveled: NDArray[np.float64]) -> float:
-    """By how much a camera looks to the right of the road, in radians; mounted, leveled: (n, 2) as `Mount.leveled`.
+def yaw_of(mounted: NDArray[np.float64], leveled: NDArray[np.float64]) -> float:
+    """Yaw of a camera to the right of the road, in radians; mounted, leveled: (n, 2) as `Mount.leveled`.
 
     By the rotation of least squares (Kabsch 1976).
     """
@@ -77,7 +77,7 @@ def turned_aside(mounted: NDArray[np.float64], leveled: NDArray[np.float64]) -> 
 
 
 def unknown(sigma: float) -> Mount:
-    """Of a camera that looks level along the road, to a standard deviation."""
+    """Of a camera that faces level along the road, to a standard deviation."""
     return Mount(np.zeros(2), np.eye(2) / sigma**2)
 
 

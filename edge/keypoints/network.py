@@ -112,7 +112,7 @@ def _cubic(away: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _fine(heat: NDArray[np.float32], at: NDArray[np.intp]) -> NDArray[np.float64]:
-    """By how much (K, 2) the peaks of parabolas through the logarithms of pixels and their neighbors lie aside."""
+    """Offsets (K, 2) of the peaks of parabolas through the logarithms of pixels and their neighbors."""
     logs = np.log(np.pad(heat, 1, mode="edge") + 1e-6)
     x, y = at.T + 1
     here = logs[y, x]

@@ -1,8 +1,8 @@
-"""How far away what a row of the map shows is, by all rows within 10 m of it at once.
+"""The map points of a keyframe: distances of its keypoints, by all keyframes within 10 m of it at once.
 
-Made from pairs of rows, distances were so uncertain that poses were pulled to where the map was driven: by +1.2 m
-across and -1.4 degrees in the mean, since distant points fix only the sum of the two. Here each keypoint of a row is
-a point that its matches in all rows around must see: least squares over its direction and its inverse distance.
+Made from pairs of keyframes, distances were so uncertain that poses were biased to where the map was driven: by +1.2 m
+cross-track and -1.4 degrees in the mean, since distant points fix only the sum of the two. Here each keypoint is a
+point that its matches in all keyframes around must see: least squares over its direction and its inverse distance.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WIDER = (3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class MapPoints:
-    """Map points (K,): keypoints of a row in its own frame, that of its camera as if it looked level along the road.
+    """Map points (K,): keypoints of a keyframe in its own frame, of a camera that faces level along the road.
 
     places: (K, 3) direction (x / z, y / z), and 1 / z in 1/m, NaN where the distance is not known. sigma: (K,) of
     1 / z.
@@ -116,8 +116,8 @@ def _agree(
     points: NDArray[np.float64], seen: NDArray[np.float64], cameras: NDArray[np.float64], limit: float
 ) -> NDArray[np.bool_]:
     """Which directions (1 + V, K) are where they must be."""
-    sight = Projection(cameras, points)
-    found: NDArray[np.bool_] = (np.square(seen - sight.directions).sum(axis=-1) < limit**2) & (sight.depth > 0)
+    projected = Projection(cameras, points)
+    found: NDArray[np.bool_] = (np.square(seen - projected.directions).sum(axis=-1) < limit**2) & (projected.depth > 0)
     return found
 
 
@@ -136,11 +136,14 @@ def _adjusted(
     And the variance of 1 / z (K,). The row's own camera is fixed but for the mount. at: of the cameras as they are
     known, as is `begun` of the mount. seen: as leveled by the mount so far. Points are eliminated (Schur).
     """
-    sight, size, others = Projection(cameras, points), len(points), len(cameras) - 1
-    seen, must_be = (np.where(kept[..., np.newaxis], one, 0.0) for one in (seen, sight.directions))
+    projected, size, others = Projection(cameras, points), len(points), len(cameras) - 1
+    seen, must_be = (np.where(kept[..., np.newaxis], one, 0.0) for one in (seen, projected.directions))
     weight = kept[..., np.newaxis] / pixel * mount.pixels(must_be)
     off = (seen - must_be) * weight
-    by_point, by_camera = sight.by_point() * weight[..., np.newaxis], (sight.by_camera() * weight[..., np.newaxis])[1:]
+    by_point, by_camera = (
+        projected.by_point() * weight[..., np.newaxis],
+        (projected.by_camera() * weight[..., np.newaxis])[1:],
+    )
     by_mount = mount.derivatives(seen, must_be) * weight[..., np.newaxis]
     shared = by_mount.shape[-1]
     # (K, 3, 3), (K, 3, 1) of the points, (V, 4, 4), (V, 4) of the cameras, (K, 3, 4 V + S) of both and the mount

@@ -1,9 +1,9 @@
-"""Where a camera is by what it sees of the points of one row of the map: east, north and heading from one look.
+"""The relative pose of a camera to one keyframe of the map, by the map points that both see (PnP).
 
-The unknowns are meters to the right and ahead of the row's camera, the turn, and the pitch, which is a nuisance: cars
-nod. And each point's distance, since the map knows it only so well: it is solved for together with the pose. With
-distances as the map has them, poses are pulled towards where the map was driven (errors in variables), 3.5 m aside by
-0.25 m and 0.4 degrees in the mean; so by 0.05 m and 0.1 degrees. Gauss and Newton with the robust cost of Geman and
+The unknowns are meters to the right and ahead of the keyframe's camera, the turn, and the pitch, a nuisance parameter:
+cars nod. And each point's inverse distance, which is uncertain in the map: it is estimated with the pose. With the
+map's distances as they are, poses are biased towards where the map was driven (errors in variables), 3.5 m cross-track
+by 0.25 m and 0.4 degrees in the mean; so by 0.05 m and 0.1 degrees. Gauss and Newton with the robust cost of Geman and
 McClure, from several starts at once.
 """
 
@@ -206,8 +206,8 @@ def _whitened(
     """
     places = np.broadcast_to(points.places, (*inverse.shape, 3)).copy()
     places[..., 2] = inverse
-    sight = Projection(cameras[:, np.newaxis, :4], places)
-    must_be, by_inverse, jacobian = sight.directions, sight.by_inverse() / pixel, sight.by_camera() / pixel
+    projected = Projection(cameras[:, np.newaxis, :4], places)
+    must_be, by_inverse, jacobian = projected.directions, projected.by_inverse() / pixel, projected.by_camera() / pixel
     if cameras.shape[1] > 4:
         must_be, slope, by_lens = bent(must_be, cameras[:, np.newaxis, 4:])
         by_inverse = (slope @ by_inverse[..., np.newaxis])[..., 0]
@@ -220,7 +220,7 @@ def _whitened(
     found = known + sigma * (along * off).sum(axis=-1) / (1 + length_sq)
     jacobian -= share[..., np.newaxis] * (along[..., np.newaxis, :] @ jacobian)
     off -= share * (along * off).sum(axis=-1, keepdims=True)
-    off[sight.depth < NEAREST] = 10 * WIDEST * KERNEL
+    off[projected.depth < NEAREST] = 10 * WIDEST * KERNEL
     return off, jacobian, np.maximum(found, FARTHEST)
 
 

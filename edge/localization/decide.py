@@ -33,8 +33,8 @@ class StateEstimate:
 
     place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. autopilot:
     what the autopilot reports, without what is known to be wrong of it, which is_led says that there is. covariance:
-    what bounds its position. evidence: what places have shown so far. cross_track: see `Tracker`. is_blurred: whether
-    the newest frame's place is recognized, and no line shows where exactly.
+    of its position. evidence: by the places so far. cross_track: see `Tracker`. is_blurred: whether the newest frame's
+    place is recognized, and no sequence match shows where exactly.
     """
 
     place: PlaceFix | None
@@ -51,11 +51,11 @@ def decide(
     now_ns: int, known: StateEstimate, limits: FixRequest, gates: GatesConfig, rules: Sequence[Rule] = RULES
 ) -> Fix | NoFix:
     """A position that may be published at a moment, or why none may."""
-    place, motion, own, bound, claims = known.place, known.motion, known.autopilot, known.covariance, known.evidence
+    place, motion, own, bound, history = known.place, known.motion, known.autopilot, known.covariance, known.evidence
     if place is None:
         return refusal(GateInputs(gates, limits, own, known.is_blurred), rules) or NoFix(NO_PLACES)
 
-    # What would be sent: along the way and across it, the better of the place and the autopilot's own position.
+    # What would be sent: along-track and cross-track, the better of the place and the autopilot's own position.
     axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
     if limits.again is not None:
         best: FixCandidate | None = FixCandidate(place, limits.again.held_axes)
@@ -63,14 +63,14 @@ def decide(
         best = better_of(place, own, axes_m, by_gps=bound.aiding is not None and bound.aiding.by_gps)
     sent = best or FixCandidate(place)
     # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
-    claim = Evidence() if motion is None or not place.is_position else claims.of(place, motion)
-    place_wrong = claims.wrong(claim)
+    evidence = Evidence() if motion is None or not place.is_position else history.of(place, motion)
+    place_wrong = history.wrong(evidence)
     autopilot = innovation_of(place, motion, own, bound, known.cross_track)
     likelihood, may_be_shifted = autopilot.likelihood(place)
-    wrong = another_place(claim, place_wrong, likelihood, may_be_shifted=may_be_shifted)
+    wrong = another_place(evidence, place_wrong, likelihood, may_be_shifted=may_be_shifted)
     # How far off it may be, also by GPS and motion since, in which no place has a part.
     level = level_of(
-        sent.place, claim, claims, bound.dead_reckoning_offset(sent.place, motion, own), own.speed_mps or 0.0, gates
+        sent.place, evidence, history, bound.dead_reckoning_offset(sent.place, motion, own), own.speed_mps or 0.0, gates
     )
 
     facts = GateInputs(

@@ -23,7 +23,7 @@ from edge.sequence import PlaceMatch
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 Moment: TypeAlias = Literal["exposure", "now"]
 BOUND_WRONG = 0.1
-"""Probability that what bounded the autopilot last was wrong, where it was not a position of ours: see `integrity`."""
+"""Probability that the last aiding of the autopilot was wrong, where it was not a fix of ours: see `integrity`."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
     where that is unknown; without_gps: the same by what GPS has no part in. gps: where GPS has the vehicle then.
-    missed: places passed before it without a frame. in_line: whether a line may lead through the frame, see
+    missed: places passed before it without a frame. in_line: whether the frame is part of the sequence, see
     `PlaceRecognizer`. timestamp_sigma_s: one standard deviation of the time of exposure.
     """
 
@@ -61,7 +61,7 @@ class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_
 class AutopilotState(Struct, frozen=True, tag="Own"):
     """The autopilot state, as it reports it; None: not known.
 
-    gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS bounds it, in each direction. motion: by its
+    gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS aids it, in each direction. motion: by its
     velocity at the position's moment; without_gps: see `ImageProcessed`. scale: what GPS has shown of the odometer by
     which the autopilot moves without it, see `OdometerCalibration`. accuracy_m: of the position, by its own word.
     driven_m: in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is
@@ -107,10 +107,10 @@ class FixFeedback(Struct, frozen=True, tag="Used", rename={"remaining_m": "left_
 
 
 class Discontinuity(Struct, frozen=True, tag="Break"):
-    """What was known of the past does not hold: a blindness, a vehicle that was carried, an autopilot that rebooted.
+    """A break in time: a blindness, a vehicle that was carried, an autopilot that rebooted.
 
     blind, carried: no position rests on frames from before; what is known of GPS stays. reboot: the autopilot may be
-    another one, and nothing bounds its position any more; what places and GPS showed of the vehicle holds as far as it
+    another one, and its position has no aiding any more; what places and GPS showed of the vehicle holds as far as it
     can have gone meanwhile (`Odometry.unknown_m`).
     """
 
@@ -150,8 +150,8 @@ UNBOUNDED = ProtectionLevel(math.inf, math.inf)
 class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
-    level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as a bound of
-    the autopilot's, once that has used it. motion: see `ImageProcessed`, at its moment. held_axes: whether the
+    level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as an aiding of
+    the autopilot, once that has used it. motion: see `ImageProcessed`, at its moment. held_axes: whether the
     autopilot's own position is kept along-track, and cross-track.
     """
 

@@ -1,9 +1,9 @@
-"""What fixes have shown so far: one count of independent evidence. Pure.
+"""The evidence of fixes so far, counted by independent segments. Pure.
 
-Fixes that moved as the vehicle did are one claim. Those of it that may be wrong together are one stretch: the errors of
-matches are alike over CORRELATION_M, what a road looks like over SAME_ROAD, and the positions of one recording over
-SAME_RECORDING, however many segments it has; but those of a drive that is as long, and was found to move as its vehicle
-did, are wrong all or none. All count by displacement, so that laps add nothing.
+Fixes that moved as the vehicle did are one body of evidence. Those of it that may be wrong together are one independent
+segment: the errors of matches are alike over CORRELATION_M, the views of a road over SAME_ROAD, and the positions of
+one recording over SAME_RECORDING, however many segments it has; but those of a drive that is as long, and was found to
+move as its vehicle did, are wrong all or none. All count by displacement, so that laps add nothing.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from edge.localization.filter import CORRELATION_M
 from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
 
 STRETCH_WRONG = 5e-3
-"""Probability that all of a stretch is wrong: it was mapped wrongly, or its road resembles another."""
+"""Probability that all of a segment is wrong: it was mapped wrongly, or its road resembles another."""
 SAME_ROAD, SAME_RECORDING = 1.5, 5.0
 """Times `confirm_m` within which fixes may be wrong together. A road resembled another one for 128 m at the vehicle's
 own pace, whatever recording shows it; 410 m of one recording that were 150 m wrong once confirmed themselves."""
 ALIKE_M, ALIKE_SHARE = 3.0, 0.1
 """Two fixes moved as the vehicle did if they differ from its displacement by at most so many meters and that share."""
-CLAIMS, KEPT = 8, 64
-"""The newest claims, and observations of each, that are kept: as many of those as 4 km have."""
+HISTORIES, KEPT = 8, 64
+"""The newest bodies of evidence, and observations of each, that are kept: as many of those as 4 km have."""
 SPREAD_M = 1000.0
 """A place that is wrong may be anywhere within so many meters along the road."""
 
@@ -36,7 +36,7 @@ SPREAD_M = 1000.0
 class Observation(OdometryDatum):
     """A fix that is CORRELATION_M from those before it; sigma_m: of its distance from the truth.
 
-    before: where the observation before it puts the vehicle, moved on by its velocity; None for the first of a claim.
+    before: where the observation before it puts the vehicle, moved on by its velocity; None for the first.
     checked_m: how far apart the positions of its drive of the map are, if all moved as that vehicle did; else 0.
     """
 
@@ -63,46 +63,46 @@ class Evidence:
 
 
 class EvidenceHistory:
-    """The newest claims."""
+    """The newest bodies of evidence: each says that the vehicle is elsewhere than the others do."""
 
     def __init__(self, gates: GatesConfig) -> None:
         self._gates = gates
-        self._claims: deque[Evidence] = deque(maxlen=CLAIMS)
+        self._kept: deque[Evidence] = deque(maxlen=HISTORIES)
 
     def contradict_nothing(self) -> None:
-        """The autopilot's position is bounded anew: what disagreed with it before was its own error."""
-        for claim in self._claims:
-            claim.likelihood, claim.may_be_shifted = math.inf, False
+        """The autopilot's position is aided anew: what contradicted it before was its own error."""
+        for evidence in self._kept:
+            evidence.likelihood, evidence.may_be_shifted = math.inf, False
 
     def of(self, fix: PlaceFix, displacement: Odometry) -> Evidence:
         """The newest one that the fix belongs to; one without observations if there is none."""
-        alike = (one for one in reversed(self._claims) if _moved_alike(one.observations[-1], fix, displacement))
+        alike = (one for one in reversed(self._kept) if _moved_alike(one.observations[-1], fix, displacement))
         return next(alike, Evidence())
 
     def observe(self, fix: PlaceFix, displacement: Odometry, likelihood: float, *, may_be_shifted: bool) -> None:
-        """Keep what the fix says."""
-        claim = self.of(fix, displacement)
-        if not claim.observations:
-            self._claims.append(claim)
-        claim.likelihood = min(claim.likelihood, likelihood)
-        claim.may_be_shifted |= may_be_shifted
-        newest = claim.observations[-1] if claim.observations else None
+        """Add a fix to its evidence."""
+        evidence = self.of(fix, displacement)
+        if not evidence.observations:
+            self._kept.append(evidence)
+        evidence.likelihood = min(evidence.likelihood, likelihood)
+        evidence.may_be_shifted |= may_be_shifted
+        newest = evidence.observations[-1] if evidence.observations else None
         if _is_after_silence(newest, displacement) or all(
-            _apart_m(one, displacement) >= CORRELATION_M for one in claim.observations
+            _apart_m(one, displacement) >= CORRELATION_M for one in evidence.observations
         ):
             assert fix.lat_deg is not None and fix.lon_deg is not None
             drift = max(self._gates.drift_percent / 100, fix.velocity_error)
             before = None if newest is None else newest.reckoned(fix, displacement, drift)
             where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-            claim.observations.append(Observation(*where, None, fix.recording, fix.checked_m or 0.0, before))
-            del claim.observations[:-KEPT]
+            evidence.observations.append(Observation(*where, None, fix.recording, fix.checked_m or 0.0, before))
+            del evidence.observations[:-KEPT]
 
-    def wrong(self, claim: Evidence) -> float:
-        """Probability that the newest fix of a claim is of another place, before anything speaks for or against it.
+    def wrong(self, evidence: Evidence) -> float:
+        """Probability that the newest fix is of another place, before anything speaks for or against it.
 
-        All stretches are wrong; or those after a silence are, in which the vehicle may have gone to where they say.
+        All segments are wrong; or those after a silence are, in which the vehicle may have gone to where they say.
         """
-        observations = claim.observations
+        observations = evidence.observations
         wrong = STRETCH_WRONG ** len(self.independent_segments(observations))
         for at in range(1, len(observations)):
             if _is_after_silence(observations[at - 1], observations[at].displacement):
@@ -112,32 +112,32 @@ class EvidenceHistory:
         return min(wrong, 1.0)
 
     def independent_segments(self, observations: list[Observation]) -> list[IndependentSegment]:
-        """The independent stretches of observations, oldest first."""
-        stretches: list[IndependentSegment] = []
+        """The independent segments of observations, oldest first."""
+        segments: list[IndependentSegment] = []
         for one in observations:
-            same = next((stretch for stretch in stretches if not self._independent(one, stretch[0])), None)
+            same = next((segment for segment in segments if not self._independent(one, segment[0])), None)
             if same is None:
-                stretches.append([one])
+                segments.append([one])
             else:
                 same.append(one)
-        return stretches
+        return segments
 
     def wrong_together(self, observations: list[Observation]) -> IndependentSegment:
-        """Those that may be wrong together with the newest one, wherever the ground of `stretches` begins."""
+        """Those that may be wrong together with the newest one, wherever an independent segment begins."""
         return [one for one in observations if not self._independent(one, observations[-1])]
 
     def _independent(self, one: Observation, other: Observation) -> bool:
-        """Whether two observations are of different stretches: apart by displacement, not by what was driven."""
-        # By a velocity that may be too large, so that a whole stretch that is wrong is not two.
+        """Whether two observations are of different segments: apart by displacement, not by what was driven."""
+        # By a velocity that may be too large, so that one segment that is wrong is not two.
         unit_m = (1 + self._gates.drift_percent / 100) * self._gates.confirm_m
-        # A drive of the map that moved as its vehicle did may be wrong as a whole only, and then has two stretches.
+        # A drive of the map that moved as its vehicle did may be wrong as a whole only, and then has two segments.
         is_whole = min(one.checked_m, other.checked_m) >= SAME_RECORDING * unit_m
         times = SAME_RECORDING if one.recording == other.recording and not is_whole else SAME_ROAD
         return _apart_m(one, other.displacement) >= times * unit_m
 
 
 def _moved_alike(before: Observation, fix: PlaceFix, displacement: Odometry) -> bool:
-    """Whether the fixes moved as the autopilot's velocity says since the newest observation of a claim."""
+    """Whether the fixes moved as the autopilot's velocity says since the newest observation of an evidence."""
     then = before.displacement
     driven_m = math.hypot(*displacement.since(then))
     most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(then)
@@ -150,7 +150,7 @@ def _is_after_silence(before: Observation | None, displacement: Odometry) -> boo
 
 
 def alike_m(driven_m: float, velocity_error: float) -> float:
-    """By how much two fixes that far apart may differ from the vehicle's displacement and count as one claim."""
+    """By how much two fixes that far apart may differ from the vehicle's displacement and be one evidence."""
     return ALIKE_M + (ALIKE_SHARE + velocity_error) * driven_m
 
 

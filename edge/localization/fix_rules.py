@@ -20,10 +20,10 @@ from edge.localization.events import UNBOUNDED, AutopilotState, Fix, FixRequest,
 
 @dataclass(frozen=True)
 class GateInputs:
-    """The row that the rules check; what has no value was not known.
+    """The inputs that the rules check; None: not known.
 
     autopilot, is_blurred: see `StateEstimate`. place: the position. age_s: since its moment. distance_m: from the
-    autopilot's own. move_m: the same, 0 where nothing bounds that one: after a reboot without GPS it may be the mere
+    autopilot's own. move_m: the same, 0 where that has no aiding: after a reboot without GPS it may be the mere
     origin. is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another
     place, infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a reset,
     whether the autopilot is beyond doubt off by it.
@@ -131,21 +131,21 @@ RULES = (
         lambda now: (now.autopilot.speed_mps or 0.0) < now.gates.min_speed_mps,
     ),
     Rule(
-        "the newest matches disagree",
+        "the innovation test fails",
         "matches or dead reckoning contradict the estimate",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.place is not None and now.place.disputed,
     ),
     Rule(
         "impossibly far",
-        "over `max_move_m` from where GPS or a position bounded the autopilot",
+        "over `max_move_m` from the autopilot's own position, if GPS or a fix has aided that since boot",
         "test_situations_in_which_nothing_is_published",
         lambda now: now.move_m > now.gates.max_move_m,
         lacks=lambda now: f"{now.move_m:.0f} m",
     ),
     Rule(
         "not confirmed by another place yet",
-        "the probability of a wrong match is above `risk`",
+        "no independent segment confirms it: the probability of a wrong match is above `risk`",
         "test_two_segments_of_one_recording_do_not_confirm_each_other",
         lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
         lacks=lambda now: f"{now.distance_m:.0f} m from the autopilot" if now.is_contradicted else "",
@@ -159,8 +159,8 @@ RULES = (
     ),
     Rule(
         "less accurate than the autopilot",
-        "a reset whose sigma, along-track and cross-track, is over 1.2 times the autopilot's (1.0 times after GPS), or "
-        "over 10 m and over half of the autopilot's; any sigma over 10 m where nothing measures the velocity",
+        "a reset needs a sigma, along-track or cross-track, of at most 10 m and 1.2 times the autopilot's (1.0 times "
+        "after GPS), or of at most half the autopilot's; where nothing measures the velocity, of at most 10 m",
         "test_a_reset_never_makes_a_position_less_accurate",
         lambda now: now.worse_m is not None,
         is_certain=True,
@@ -184,7 +184,7 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
 
     detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
     distance_m: from the autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
-    confirms: the position by which an autopilot that agrees with it is bounded, though it is not sent; see `AGREES`.
+    confirms: the position that aids an autopilot which agrees with it, though it is not sent; see `AGREES`.
     """
 
     reason: str

@@ -1,13 +1,13 @@
-"""What the places say of GPS, whether it is ignored then, and what is left of a report without it. Pure.
+"""Fault detection of GPS by the places: its verdict, and the state without a GPS that is ignored. Pure.
 
 GPS is faulty once a hypothesis of it (`hypotheses`) is likelier than that all is right, by Wald's boundary, and
 likelier than that the map is elsewhere. It is consistent again where it has been where the vehicle is for two
 correlation lengths.
 
-An autopilot that steers by a GPS that is dragged across the road leaves the road, and GPS stays on it. Then no place is
-believed that could contradict GPS. What is left is that GPS goes on along the mapped drive of the last believed place,
-and nothing of that drive is recognized. That alone is no call: a changed road looks the same to the daemon. Where GPS
-moved otherwise than the vehicle as well, two witnesses of three speak against it.
+Spoofing that drifts cross-track steers an autopilot off the road, while GPS stays on it. Then no place is believed that
+could contradict GPS. What is left: GPS goes on along the mapped drive of the last believed place, and nothing of that
+drive is recognized. That alone declares no fault: a changed road is not recognized either. Where GPS moved otherwise
+than the vehicle as well, two witnesses of three speak against it.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ AGREED_M = 30.0
 LONGEST_GAP_M = 240.0
 """Without a place or without GPS, after which nothing is known of it."""
 DEPARTS_M = 25.0
-"""How far GPS is off a recording that keeps its shape before it is faulty by that alone, if no looks show the place: by
-looks, a vehicle on a road that leads away is seen aside."""
+"""How far GPS is off a recording that keeps its shape before it is faulty by that alone, without keypoint poses: these
+measure the cross-track position of a vehicle on a road that leads away."""
 COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 FIRM = 0.985
 """Confidence of a firm recognition: known after CORRELATION_M of it, until as much was less firm or unseen.
@@ -58,8 +58,8 @@ MOST_PLACES = 2
 class GpsVerdict:
     """What the places say of GPS now.
 
-    east_m, north_m: GPS less places, by the newest sightings; None where there are none. doubt: evidence that GPS is
-    faulty, as a share of what it takes to call it so: 0 to 1, None where nothing is known.
+    east_m, north_m: GPS less places, by the newest matches; None where there are none. doubt: evidence that GPS is
+    faulty, as a share of what it takes to declare it so: 0 to 1, None where nothing is known.
     """
 
     state: GpsVerdictState = "cannot say"
@@ -161,8 +161,8 @@ class GpsMonitor:
         Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
         """
         is_far = tracker.is_looked or tracker.gps_off("gps dragged") >= DEPARTS_M
-        is_drag = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
-        departs = is_far and is_drag and tracker.is_checked
+        drifts = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
+        departs = is_far and drifts and tracker.is_checked
         is_known = frame.without_gps is not None
         if self._has_agreed and gps >= self._call and gps - of_map >= SUSPECT and (is_known or departs):
             return "faulty"
@@ -240,7 +240,7 @@ class UnseenRoad:
         """The answer to one more frame.
 
         by_gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
-        steers by it, and lags a receiver that is dragged off. doubt: see `GpsVerdict`; 0 where GPS is not suspect.
+        steers by it, and lags a receiver that is spoofed. doubt: see `GpsVerdict`; 0 where GPS is not suspect.
         """
         if match is None:
             self.reset()  # a sequence begins anew, and cannot be recognized yet
@@ -273,7 +273,7 @@ class UnseenRoad:
         offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
         ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
         if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), by_gps[0].sigma_m):
-            # For long, it has turned off; a filter that catches up with a dragged receiver is back soon.
+            # For long, it has turned off; a filter that catches up with a spoofed receiver is back soon.
             self._beside_m += self._route.drive(last.place_index).spacing_m
             if self._beside_m > UNSEEN_M:
                 self.reset()
@@ -287,7 +287,7 @@ class UnseenRoad:
 def _where(gps: GpsFix | None, own: AutopilotState, frame: ImageProcessed) -> list[GpsFix]:
     """Where GPS has the vehicle at the exposure of a frame: by the receiver, and by the filter that may use it.
 
-    Also while the filter is away from a receiver that is dragged off faster than it follows.
+    Also while the filter is away from a receiver whose spoofing drift is faster than it follows.
     """
     position, found = own.position, [] if gps is None else [gps]
     if position is not None and own.gps != "not healthy":

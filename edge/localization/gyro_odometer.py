@@ -1,7 +1,7 @@
 """The vehicle's own motion by what no filter has touched: the gyros' rates and a speed in which GPS has no part. Pure.
 
-An autopilot's heading is no witness of its GPS: EKF3 turned it by 7 to 8.5 degrees within 10 s to follow a GPS that was
-dragged aside at 1 m/s, on three recorded drives, so that wheels times heading agreed with GPS. Here the heading is the
+An autopilot's heading is no witness of its GPS: EKF3 turned it by 7 to 8.5 degrees within 10 s to follow a cross-track
+spoofing drift of 1 m/s, on three recorded drives, so that wheels times heading agreed with GPS. Here the heading is the
 integral of rates alone. How it lies to the north, and the bias of the gyros, are states of the `filter`.
 """
 
@@ -68,7 +68,7 @@ class GyroOdometer:
     def displacement(self, stamp_ns: int) -> Odometry | None:
         """Meters at a moment, not turned to the north; None where no rate or no speed is known around then.
 
-        A leg is one of the gyros: over a silence of the speed, the heading is still known.
+        An epoch is one of the gyros: over a silence of the speed, the heading is still known.
         """
         moved, turned = self._moved.displacement(stamp_ns), self._turned.at(stamp_ns)
         if moved is None or turned is None:

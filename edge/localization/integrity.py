@@ -3,13 +3,13 @@
 The autopilot has no such checks, and a wrong position does more harm than none. Two hypotheses explain a fix that is
 `distance_m` from where the autopilot believes to be:
 
-    right   the place is right, and the autopilot is wrong by that distance: as its own uncertainty says, or, where
-            what bounded it last was wrong, by anything
+    right   the place is right, and the autopilot is wrong by that distance: as its own covariance says, or, where its
+            last aiding was wrong, by anything
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
-            to bound the autopilot, the map as a whole is shifted, or, where own motion since GPS or since the last
+            to aid the autopilot, the map as a whole is shifted, or, where dead reckoning since GPS or since the last
             matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, SHIFT_M)
 
-`place_wrong` is STRETCH_WRONG for each stretch that is independent (`evidence`). Evidence is gathered from every
+`place_wrong` is STRETCH_WRONG for each independent segment (`evidence`). Evidence is gathered from every
 match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
 could refute it.
 """
@@ -35,11 +35,11 @@ from edge.localization.odometry_datum import DeadReckoningOffset
 from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, protection_level
 
 ONE_MORE = BOUND_WRONG / STRETCH_WRONG
-"""What bounded the autopilot last was wrong with BOUND_WRONG; after a fix, with ONE_MORE times that of the fix: what
-moves the autopilot away from it must rest on one stretch more than what put it there."""
+"""The last aiding of the autopilot was wrong with probability BOUND_WRONG; after a fix, with ONE_MORE times that of the
+fix: a fix that moves the autopilot away must rest on one independent segment more."""
 CARRIED = 1e-3
-"""But for this probability, a judgment: that the vehicle was carried or towed since. Without it, one that was set 30 m
-ahead while it rolled was never believed again, though every look showed it."""
+"""Least probability, a judgment, that the vehicle was carried or towed since. Without it, one that was set 30 m ahead
+while it rolled was never believed again, though every keypoint pose showed it."""
 MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
 """Probability that a map is shifted as a whole, or that a street beside looks the same, and by how much then:
 judgments, see docs/integrity.md."""
@@ -50,19 +50,19 @@ accurate than ACCURATE_M the autopilot must be BOUND times as uncertain, since i
 a bound, not what is expected; where nothing measures its velocity, none is sent. Messages that are weighed need none of
 this."""
 BESIDE_M = 6.0
-"""Standard deviation of the autopilot's position across the road up to which it is kept where only the lane says
-otherwise: on recorded drives at dusk resets to the lane were off across it by -0.94 and -1.02 times what the vehicle
-was beside it, and further than 7 to 11 m off nothing is recognized. So far beside its lane an autopilot steers by its
-own position: without that, positions of simulated ones are off by 1.4 times what they say."""
+"""Cross-track standard deviation of the autopilot's position up to which it is held where only the lane contradicts it:
+on recorded drives at dusk resets to the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from
+it, and further than 7 to 11 m off nothing is recognized. An autopilot that steers by its own position is as far from
+its lane: without that, rms over sigma of positions of simulated ones is 1.4."""
 
 
 OFF_SIGMAS = 2.0
 """A reset is a correction: of an autopilot that is further from the position than `min_move_m` and OFF_SIGMAS standard
-deviations of it, in a direction in which the position is measured; AGREE_SIGMAS where only lines measure it, whose
+deviations of it, on an axis on which the position is measured; AGREE_SIGMAS where only sequence matches do, whose
 error is alike for 150 m. A reset costs what the filter knows of how its heading error has moved it, which it would
 take back once its compass finds that error (EKF3's `setLatLng` clears those covariances). On real ArduPilot 4.6.3,
-home at night by lines, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median, 95 %), and at dusk 39 resets 11.9 /
-17.3 m of 2.4 / 2.8 m. With 2.5 by lines, wheels that are 3 % wrong were corrected sooner on two roads (24.3 -> 17.6 m,
+home at night by these, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median, 95 %), and at dusk 39 resets 11.9 /
+17.3 m of 2.4 / 2.8 m. With 2.5 by these, wheels that are 3 % wrong were corrected sooner on two roads (24.3 -> 17.6 m,
 14.3 -> 9.7 m, 95 %), and right ones were made worse on a third (3.0 -> 22.9 m; learned ones 15.5 m)."""
 
 
@@ -75,10 +75,10 @@ class FixCandidate(NamedTuple):
 
 @dataclass(frozen=True)
 class Innovation:
-    """The autopilot's own position against a place, and how far beside the road own motion has the vehicle.
+    """The autopilot's own position against a place, and the cross-track distance of dead reckoning from the road.
 
     distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps,
-    fault_probability: whether GPS bounded it last, and the probability that what did was wrong. cross_track: see
+    fault_probability: whether GPS aided it last, and the probability that the aiding was wrong. cross_track: see
     `Tracker`.
     """
 
@@ -89,7 +89,7 @@ class Innovation:
     cross_track: tuple[float, float] | None
 
     def likelihood(self, place: PlaceFix) -> tuple[float, bool]:
-        """How likely both make the position, 1 / m, infinite where nothing bounds it; whether all places may be off."""
+        """Likelihood of the position by both, 1 / m, infinite without aiding; whether all places may be off."""
         likelihood, is_shift = math.inf, False
         if self.distance_m is not None and self.sigma_m is not None:
             likelihood = likelihood_of(self.distance_m, math.hypot(self.sigma_m, place.sigma_m), self.fault_probability)
@@ -110,7 +110,7 @@ def innovation_of(
     bound: AutopilotCovariance,
     cross_track: tuple[float, float] | None,
 ) -> Innovation:
-    """Where nothing bounds the autopilot's position, as after a reboot too: by GPS and motion since."""
+    """Of an autopilot's position without aiding, as after a reboot: by GPS and motion since."""
     sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
     reckoned = None if sigma_m is not None else bound.dead_reckoning_offset(place, motion, own)
     if reckoned is not None:
@@ -135,34 +135,34 @@ def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: 
     return wrong / (wrong + (1 - place_wrong) * likelihood)
 
 
-def another_place(claim: Evidence, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
-    """Probability that a position is of another place than its claim says; infinite where nothing was observed.
+def another_place(evidence: Evidence, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
+    """Probability that a position is of another place than its evidence; infinite where nothing was observed.
 
     An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that is not
     known says nothing against a place, and nothing for it.
     """
-    if not claim.observations:
+    if not evidence.observations:
         return math.inf
-    likelihood = min(claim.likelihood, 1 / SPREAD_M if math.isinf(likelihood) else likelihood)
-    return wrong_probability(place_wrong, likelihood, may_be_shifted=may_be_shifted or claim.may_be_shifted)
+    likelihood = min(evidence.likelihood, 1 / SPREAD_M if math.isinf(likelihood) else likelihood)
+    return wrong_probability(place_wrong, likelihood, may_be_shifted=may_be_shifted or evidence.may_be_shifted)
 
 
 def level_of(
     fix: PlaceFix,
-    claim: Evidence,
-    claims: EvidenceHistory,
+    evidence: Evidence,
+    history: EvidenceHistory,
     reckoned: DeadReckoningOffset | None,
     speed_mps: float,
     gates: GatesConfig,
 ) -> ProtectionLevel:
-    """By the places of a claim and by what no place had a part in, whatever the autopilot believes now.
+    """By the places of one evidence and by dead reckoning without places, whatever the autopilot believes now.
 
-    All stretches may be wrong; by different amounts they would not be one claim. Or the newest one alone is, from
-    one of its observations on: then that before it bounds the position. Infinite where nothing was observed.
+    All independent segments may be wrong, by the same amount: else they would not agree. Or the newest alone is, from
+    one of its observations on: then the one before it bounds the position. Infinite where nothing was observed.
     """
-    if not claim.observations:
+    if not evidence.observations:
         return UNBOUNDED
-    count = len(claims.independent_segments(claim.observations))
+    count = len(history.independent_segments(evidence.observations))
     alike = 2 * UNNOTICED_M / SPREAD_M
     shifted = MAP_SHIFTED
     if reckoned is not None:
@@ -170,7 +170,7 @@ def level_of(
     all_wrong = FaultProbabilities(
         _wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG
     )
-    before = [one.before for one in claims.wrong_together(claim.observations) if one.before is not None]
+    before = [one.before for one in history.wrong_together(evidence.observations) if one.before is not None]
     hypotheses = [
         (all_wrong, reckoned),
         *((FaultProbabilities(_wrong(STRETCH_WRONG, one, fix), 0.0, 0.0), one) for one in before),
@@ -198,9 +198,9 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
 def better_of(
     fix: PlaceFix, own: AutopilotState, axes_m: tuple[float, float] | None, *, by_gps: bool
 ) -> FixCandidate | None:
-    """Along the way and across it, the better of a fix and the autopilot's own position.
+    """Along-track and cross-track, the better of a fix and the autopilot's own position.
 
-    axes_m: standard deviations of the latter, None where they do not count; by_gps: whether GPS bounded it last. None
+    axes_m: standard deviations of the latter, None where they do not count; by_gps: whether GPS aided it last. None
     where the fix is better in neither. Where they contradict each other, the fix: it is published only where its place
     is certain.
     """
@@ -214,7 +214,7 @@ def better_of(
     if any(
         abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
     ):
-        return FixCandidate(fix)  # what bounds the autopilot is wrong
+        return FixCandidate(fix)  # the autopilot's aiding was wrong
     own_along_m, own_cross_m = axes_m
     grows = 1.0 if by_gps else GROWS
     holds_along = fix.sigma_along_m > _most_m(own_along_m, grows)

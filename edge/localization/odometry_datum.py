@@ -12,7 +12,7 @@ from edge.localization.dead_reckoning import Odometry
 
 @dataclass(frozen=True)
 class DeadReckoningOffset:
-    """Where the vehicle is by an anchor: meters east and north of a fix, and one standard deviation."""
+    """The vehicle by a datum and dead reckoning: meters east and north of a fix, and one standard deviation."""
 
     east_m: float
     north_m: float

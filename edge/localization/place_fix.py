@@ -1,8 +1,8 @@
 """From a match to a position of the vehicle on the ground; nowhere else are positions of matches made. Pure.
 
-A line through the last frames is best known in its middle: one that is too steep by a little ends too far by half its
-length times that. So the filter uses the middle, and moves it on to the newest frame by the autopilot's velocity. On
-simulated drives home (night, dusk, rain) the end is then right to 3.0 m where it was to 5.0.
+A sequence match is most accurate at its midpoint: a small error of its slope, times half its length, is an error of its
+end. So the filter uses the midpoint, and moves it on to the newest frame by the autopilot's velocity. On simulated
+drives home (night, dusk, rain) the end is then right to 3.0 m where it was to 5.0.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from edge.config import RigConfig
 from edge.journal.records import FrameUsed, PlaceFix
 from edge.reference_map import Position, Route
-from edge.sequence import MOST_ASIDE_RAD, Direction, PlaceMatch
+from edge.sequence import MOST_OFF_COURSE_RAD, Direction, PlaceMatch
 
 UNTRACKED_SIGMA_M = 10.0
-"""Of a match that the filter does not follow: the first lines on a stretch were up to 20 m off."""
+"""Of a match that the filter does not follow: the first sequence matches on a road were up to 20 m off."""
 WIDTH_SHARE = 0.06
-"""Standard deviation of a line's middle over the match's half_width_places: measured on the same drives."""
+"""Standard deviation of a match's midpoint over its half_width_places: measured on the same drives."""
 PUSHED = 3.0
-"""Places from an end of the drive within which a line may have been pushed."""
+"""Places from an end of the drive within which a match may be biased inward."""
 JITTER_M = 1.5
 """What else differs from match to match."""
 MAP_LEAST_M = 1.0
@@ -47,7 +47,7 @@ def map_error_m(position: Position) -> float:
 
 def match_position(match: PlaceMatch, route: Route, rig: RigConfig) -> Position | None:
     """Where the vehicle was at the match's newest frame: the place moved by the rig's offset."""
-    # What keypoints show lies at the vehicle. The place of a line lies ahead of it.
+    # A keypoint pose is that of the vehicle. The place of a sequence match lies ahead of it.
     ahead_m = rig.ahead_m(match.direction, match.order) if match.has_line else 0.0
     # On the way back "ahead" is towards the start of the map's drive.
     offset_m = -ahead_m if match.direction == "forward" else ahead_m
@@ -103,7 +103,7 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
 
 @dataclass(frozen=True)
 class SequenceMidpoint:
-    """Meters along the drive, in its own route_m: of the place at the line's first frame, its middle, and its newest.
+    """Meters along the drive, in its own route_m: of the places at the first frame, the middle, and the newest frame.
 
     back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of the places
     and the width of the match.
@@ -123,10 +123,10 @@ class SequenceMidpoint:
         return abs(self.ends_m - self.begins_m)
 
 
-def line_middle(match: PlaceMatch, route: Route, frames: int) -> SequenceMidpoint | None:
-    """The middle of a line through so many frames; None where there is none, or no meters, and where it may be pushed.
+def sequence_midpoint(match: PlaceMatch, route: Route, frames: int) -> SequenceMidpoint | None:
+    """The midpoint of a match of so many frames; None without a sequence or meters, and where it may be biased.
 
-    Where only some of the frames are on the map, the best line still lies on it, and so begins or ends at its end.
+    Where only some of the frames are on the map, the best match still lies on it, and so begins or ends at its end.
     """
     if not match.has_line:
         return None
@@ -148,11 +148,11 @@ def line_middle(match: PlaceMatch, route: Route, frames: int) -> SequenceMidpoin
 
 def heads_along(road_rad: float, heading_rad: float) -> bool:
     """Whether a vehicle goes along the road of a match, which may go on through a turn of the map's drive."""
-    return math.cos(road_rad - heading_rad) >= math.cos(MOST_ASIDE_RAD)
+    return math.cos(road_rad - heading_rad) >= math.cos(MOST_OFF_COURSE_RAD)
 
 
 class OdometryWindow:
-    """Where the vehicle was by its own reckoning at each frame of the newest line, (n <= length, k) meters."""
+    """The vehicle's dead reckoning at each frame of the newest sequence, (n <= length, k) meters."""
 
     def __init__(self, length: int) -> None:
         """length: frames in a sequence."""
@@ -162,7 +162,7 @@ class OdometryWindow:
         return len(self._readings)
 
     def add(self, reading: NDArray[np.float64]) -> None:
-        """A frame that a line may lead through was exposed there."""
+        """The reading at a further frame of the sequence."""
         self._readings.append(reading)
 
     def back(self, frames: float) -> NDArray[np.float64]:
@@ -173,5 +173,5 @@ class OdometryWindow:
         return self._readings[first] + (at - first) * (self._readings[after] - self._readings[first])
 
     def clear(self) -> None:
-        """The next frame begins a new line."""
+        """The next frame begins a new sequence."""
         self._readings.clear()

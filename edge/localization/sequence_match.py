@@ -1,7 +1,7 @@
-"""A match on the ground: where the vehicle was when its line passed a place, and how it has moved since.
+"""A match on the ground: the vehicle's position at its midpoint, and its displacement since.
 
-Where the frame's keypoints say where its camera was (`KeyframeMatch`), they alone count: a `PoseMeasurement`. Else the
-middle of a line is best known, and says how far the vehicle is along the map's drive.
+Where the frame has a keypoint pose (`KeyframeMatch`), that alone counts: a `PoseMeasurement`. Else a sequence match is
+most accurate at its midpoint, and measures the vehicle's along-track position on the map's drive.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ import numpy as np
 from edge.config import Config, RigConfig
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import WANDER, DriveErrors
-from edge.localization.place_fix import OdometryWindow, heads_along, line_middle, map_error_m, position_on_route
+from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
 from edge.localization.pose_measurement import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_pose
 from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
 SHARP = 0.15
-"""Sharpness of a line below which it may be wrong by more, inversely, since a vehicle that leaves its lane sees less of
-what the map shows. In 68 recorded drives of 29 courses, positions by lines of 0.05 to 0.08 were off by 1.3 times what
-they said, sharper ones by 0.8 to 1.1. Only where both cameras see the same."""
+"""Sharpness of a sequence match below which its sigma grows, inversely, since a vehicle that leaves its lane sees less
+of the map's view. In 68 recorded drives of 29 courses, rms over sigma was 1.3 at a sharpness of 0.05 to 0.08, and 0.8
+to 1.1 above. Only where both cameras face the same way."""
 OPPOSED_M = 7.5
-"""The least standard deviation of a line along the road where the two cameras look opposite ways. On three roads that
-nothing was tuned on, in five lights, it is 5.9 to 9.3 m, alike over 45 m, and no sharpness tells it."""
+"""The least along-track standard deviation of a sequence match where the two cameras face opposite ways. On three roads
+that nothing was tuned on, in five lights, it is 5.9 to 9.3 m, alike over 45 m, whatever the sharpness."""
 STAYS = 0.35
-"""Standard deviation of what stays of a line's error for a drive, as a share of what changes."""
+"""Standard deviation of what stays of a sequence match's error for a drive, as a share of what changes."""
 
 
 WANDERS = 0.5
@@ -61,9 +61,9 @@ class RoutePoint(NamedTuple):
 class SequenceMatch:
     """A sequence match in local meters, measured at its midpoint.
 
-    mapped: its drive of the map. midpoint: where the vehicle was at the middle of its line. along_m: of the
-    vehicle now, along the drive. sigma_factor: times by which it may be wrong by more than a match whose line is sharp.
-    pose: what one picture says, in place of a line; `midpoint` is then where the vehicle is.
+    mapped: its drive of the map. midpoint: where the vehicle was at the middle of the sequence. along_m: of the vehicle
+    now, along the drive. sigma_factor: of its sigma, over that of a sharp match. pose: the keypoint pose, in place of a
+    sequence; `midpoint` is then where the vehicle is.
     """
 
     match: PlaceMatch
@@ -86,20 +86,20 @@ class SequenceMatch:
 
 
 class Georeferencer:
-    """Matches in local meters, with the readings of the vehicle's displacement that their lines need."""
+    """Matches in local meters, with the odometer's readings at the frames of the sequence."""
 
     def __init__(self, route: Route, config: Config) -> None:
         self.route, self.rig = route, config.rig
         self.length = config.sequence_frames
-        """Frames of a line."""
+        """Frames of a sequence."""
         self._readings = OdometryWindow(self.length)
-        self._looks_back = config.camera.view == "rear"
+        self._faces_back = config.camera.view == "rear"
         self._heading_sigma_rad = math.radians(config.tracking.heading_error_deg)
         self.origin: Origin | None = None
         """Of local meters."""
 
     def clear(self) -> None:
-        """The next frame begins a new line."""
+        """The next frame begins a new sequence."""
         self._readings.clear()
 
     def add(self, displacement_m: Vector) -> None:
@@ -118,47 +118,47 @@ class Georeferencer:
         return position_on_route(self.route, match.place_index, offset_m, match.direction)
 
     def of(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
-        """The line of a match in local meters; None where the map has no positions, or if the line led another way.
+        """A match in local meters; None where the map has no positions, or where the vehicle's course differs.
 
         timestamp_sigma_m: one standard deviation along the road by that of the time of exposure.
         """
-        line = line_middle(match, self.route, self.length)
-        if line is None or len(self._readings) < self.length:
+        middle = sequence_midpoint(match, self.route, self.length)
+        if middle is None or len(self._readings) < self.length:
             return None
-        begin, middle, end = (self._on_drive(match, along_m) for along_m in (line.begins_m, line.along_m, line.ends_m))
-        if begin is None or middle is None or end is None:
+        begin, there, end = (self._on_drive(match, m) for m in (middle.begins_m, middle.along_m, middle.ends_m))
+        if begin is None or there is None or end is None:
             return None
-        if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * line.back))):
+        if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * middle.back))):
             return None
         faint = 1.0 if _is_opposed(match) else max(1.0, SHARP / match.sharpness)
-        since_m = self._since(line.back)
+        since_m = self._since(middle.back)
         sign = -1 if match.direction == "reverse" else 1
         drive = self.route.drive(match.place_index)
         return SequenceMatch(
             match=match,
             mapped=drive,
-            midpoint=LocalMidpoint(middle.place_m + self._left_m(match) * left_of(middle.along), middle.along, since_m),
-            along_m=line.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
-            sigma_m=line.sigma_m,
-            errors=self._errors(match, drive, line.along_m, middle.along, middle.map_sigma_m, timestamp_sigma_m),
+            midpoint=LocalMidpoint(there.place_m + self._left_m(match) * left_of(there.along), there.along, since_m),
+            along_m=middle.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
+            sigma_m=middle.sigma_m,
+            errors=self._errors(match, drive, middle.along_m, there.along, there.map_sigma_m, timestamp_sigma_m),
             sigma_factor=faint,
         )
 
     def pose_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
-        """What one picture says, of its own drive; None where it is nothing, or the map has no heading of the row."""
+        """The keypoint pose of a match, with its drive; None without one, or if the keyframe has no heading."""
         seen = match.seen
         if seen is None:
             return None
         route, drive, rig = self.route, self.route.drive(seen.place_index), self.rig
-        way: Direction = "reverse" if route.looks_back(seen.place_index) != self._looks_back else "forward"
+        way: Direction = "reverse" if route.faces_back(seen.place_index) != self._faces_back else "forward"
         match = replace(match, place_index=seen.place_index, direction=way, order="same")
         row = route.position(seen.place_index, 0.0)
         if row is None or row.heading_deg is None:
             return None
         row_rad = math.radians(row.heading_deg)
-        looks_rad = row_rad + math.pi * route.looks_back(seen.place_index)
-        position_m, pose = camera_pose(seen, self.local(row), looks_rad, self._heading_sigma_rad)
-        heading_rad = looks_rad + seen.turn_rad + math.pi * self._looks_back
+        camera_rad = row_rad + math.pi * route.faces_back(seen.place_index)
+        position_m, pose = camera_pose(seen, self.local(row), camera_rad, self._heading_sigma_rad)
+        heading_rad = camera_rad + seen.turn_rad + math.pi * self._faces_back
         heads = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         position_m = position_m - rig.look_ahead_m(match.direction) * heads
         forward_m = float((position_m - self.local(row)) @ np.array([math.sin(row_rad), math.cos(row_rad)]))
@@ -169,23 +169,23 @@ class Georeferencer:
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         along_m = route.route_m(seen.place_index) + forward_m
         camera_m = math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
-        look = PoseMeasurement(position_m, pose, heading_rad, seen.points)
+        measured = PoseMeasurement(position_m, pose, heading_rad, seen.points)
         return SequenceMatch(
             match=match,
             mapped=drive,
             midpoint=LocalMidpoint(position_m, along, np.zeros(4)),
             along_m=along_m,
-            sigma_m=math.sqrt(float(along @ look.covariance @ along)),
+            sigma_m=math.sqrt(float(along @ measured.covariance @ along)),
             errors=self._errors(match, drive, along_m, along, map_error_m(row), camera_m),
             sigma_factor=1.0,
-            pose=look,
+            pose=measured,
         )
 
     def course(self, displacement_m: Vector) -> tuple[float, float] | None:
-        """Where the vehicle reckons to go at a frame, in radians clockwise from north, and the variance.
+        """The vehicle's course at a frame by dead reckoning, in radians clockwise from north, and the variance.
 
-        Of two steps between frames each has the course of its middle, which is followed on to the newest frame.
-        displacement_m: (4,) at that; None where no line leads through it.
+        Two steps between frames give the course at their middles, which is extrapolated to the newest frame.
+        displacement_m: (4,) at that; None where the frame is not part of the sequence.
         """
         if len(self._readings) < 3:
             return None
@@ -200,20 +200,20 @@ class Georeferencer:
     def _errors(
         self, match: PlaceMatch, drive: MapDrive, along_m: float, along: Vector, map_m: float, ahead_sigma_m: float
     ) -> DriveErrors:
-        """along_m: of the vehicle along the drive. ahead_sigma_m: of what moves all matches along the road alike."""
+        """along_m: of the vehicle along the drive. ahead_sigma_m: of the along-track error that all matches share."""
         whole_m = math.hypot(drive.whole_sigma_m[0], ahead_sigma_m), drive.whole_sigma_m[1]
-        ways, line_m = (along, left_of(along)), changing_sigma_m(match, self.rig)
+        ways, match_m = (along, left_of(along)), changing_sigma_m(match, self.rig)
         whole = sum((m**2 * np.outer(way, way) for m, way in zip(whole_m, ways, strict=True)), start=np.zeros((2, 2)))
         around_m2 = drive.crept_at(along_m + CREPT_WITHIN_M) - drive.crept_at(along_m - CREPT_WITHIN_M)
         whole += ((1 - WANDERS) * map_m**2 + around_m2 / 2) * np.eye(2)
-        of_map, of_line = (math.sqrt(WANDERS) * map_m, whole), (STAYS * line_m, line_m, self.rig.sigma_cross_track_m)
-        return DriveErrors(*of_map, *of_line, AIM_RAD, drive.crept_at(along_m))
+        of_map, of_match = (math.sqrt(WANDERS) * map_m, whole), (STAYS * match_m, match_m, self.rig.sigma_cross_track_m)
+        return DriveErrors(*of_map, *of_match, AIM_RAD, drive.crept_at(along_m))
 
     def _left_m(self, match: PlaceMatch) -> float:
         return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m
 
     def _on_drive(self, match: PlaceMatch, along_m: float) -> RoutePoint | None:
-        """Where the vehicle is on the map's drive when a line is `along_m` along it."""
+        """Where the vehicle is on the map's drive when its sequence match is at `along_m`."""
         sign = 1 if match.direction == "forward" else -1
         found = self.position(match, along_m - sign * self._ahead_m(match))
         if found is None or found.heading_deg is None:
@@ -240,10 +240,10 @@ def left_of(along: Vector) -> Vector:
 
 
 def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:
-    """One standard deviation of a line along the road, but for what stays for a drive (STAYS of it) and its jitter."""
+    """One standard deviation of a match along-track, but for what stays for a drive (STAYS of it) and its jitter."""
     return max(rig.sigma_m(match.direction, match.order), OPPOSED_M if _is_opposed(match) else 0.0)
 
 
 def _is_opposed(match: PlaceMatch) -> bool:
-    """Whether the two cameras look opposite ways."""
+    """Whether the two cameras face opposite ways."""
     return (match.direction, match.order) == ("forward", "swapped")

@@ -1,4 +1,4 @@
-"""Which frames are looked at, for which places of the map, and where what is seen puts the vehicle along a drive."""
+"""Which frames are verified by keypoints, against which places, and the vote of each for a point along a drive."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from edge.sequence.keyframe_consensus import (
 from edge.sequence.place_search import NearestOf
 
 EVERY, SELDOM, PATIENCE = 2, 4, 10
-"""Frames, of which one is looked at; seldom while a sharp line leads to the place, and after so many looks in vain.
-With 5 pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a second without keypoints,
-51 so, and 75 where every second frame was looked at."""
+"""One in so many frames is verified; one in SELDOM while a sharp sequence match leads to the place, and after so many
+verifications in vain. With 5 pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a
+second without keypoints, 51 so, and 75 where every second frame was verified."""
 NEAREST, APART = 30, 2
 """Places by the newest frame alone that are tried where nothing is believed, and how far they are apart: on the way
 home on a rear camera's map (two roads, 240 frames) one within 8 m of the right one was among 10 of them in .93, among
@@ -42,16 +42,16 @@ home on a rear camera's map (two roads, 240 frames) one within 8 m of the right 
 AMONG = 200
 """Places by the newest frame alone that these are chosen from: others are neighbors, or were seen another way."""
 LIKELY = 0.5
-"""Confidence of looks from which what they saw goes with a line: a road that is not mapped had weaker ones."""
-BY_LOOKS_M = 4.0
-"""As far from a place that looks believe others are tried."""
+"""Confidence of keyframe matches from which their pose goes with a sequence match: on an unmapped road it was less."""
+BY_KEYFRAMES_M = 4.0
+"""Around a place that keyframe matches believe, others within so many meters are tried."""
 
 
 class JointBelief(NamedTuple):
-    """What votes and looks say together.
+    """The belief by votes and keyframe matches together.
 
-    votes: the place they speak for, with what looks say of it. match: of a place that looks believe, where no line that
-    the votes believe leads to it. seen: what the newest frame showed of the place, where a line leads to it.
+    votes: the place that votes speak for, weighed with keyframe matches. match: of a place that keyframe matches
+    believe, where votes believe no sequence match to it. seen: keyframe match of the newest frame, where they do.
     """
 
     votes: PlaceBelief | None
@@ -60,7 +60,7 @@ class JointBelief(NamedTuple):
 
 
 class KeyframeMatcher:
-    """Looks at some frames of a drive on some maps."""
+    """Matches some frames of a drive with the keyframes of some maps."""
 
     def __init__(self, map_set: MapSet, drives: Drives, config: Config, network: KeypointNetwork | None = None) -> None:
         """network: None for one that is opened when it is needed."""
@@ -71,7 +71,7 @@ class KeyframeMatcher:
         self.reset()
 
     def grow(self, map_set: MapSet, drives: Drives) -> None:
-        """Look for the places of a set from now on that has further ones after those of the last one."""
+        """Match with a set from now on that has further places after those of the last one."""
         self._verification.use_maps(map_set, drives)
         self._map_set, self._drives = map_set, drives
 
@@ -80,16 +80,16 @@ class KeyframeMatcher:
         self._verification.network = network
 
     def reset(self) -> None:
-        """Nothing that was seen so far counts."""
+        """No match so far counts."""
         self._kept = KeyframeConsensus()
         self._alike = deque[list[KeyframeVote]](maxlen=KEPT)
-        """By each of the newest looks, two places that it could not tell apart; none by one that could."""
-        self._unlooked, self._in_vain = SELDOM, 0  # frames since a look, and looks since one that showed a place
-        self._has_line = False
+        """By each of the newest verifications, two places that it could not tell apart; none by one that could."""
+        self._unverified, self._in_vain = SELDOM, 0  # frames since a verification, verifications since a match
+        self._has_sequence = False
         self._around: tuple[PlaceBelief, float, float] | None = None
-        self._is_seen_there = False  # by looks, so that no other place is tried
+        self._is_seen_there = False  # by keyframe matches, so that no other place is tried
         self._is_lost = False
-        self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was looked at
+        self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was verified
 
     @property
     def is_possible(self) -> bool:
@@ -97,9 +97,9 @@ class KeyframeMatcher:
         return self._verification.is_possible
 
     @property
-    def agreeing(self) -> Correspondences | None:
-        """The points by which the newest frame shows the place that is believed; None where it was not looked at."""
-        return self._verification.agreeing if self._newest is not None else None
+    def correspondences(self) -> Correspondences | None:
+        """The points by which the newest frame shows the place that is believed; None where it was not verified."""
+        return self._verification.correspondences if self._newest is not None else None
 
     @property
     def camera(self) -> CameraDifference | None:
@@ -107,13 +107,13 @@ class KeyframeMatcher:
         return self._verification.camera
 
     def is_due(self) -> bool:
-        """Whether this frame is to be looked at."""
-        self._unlooked += 1
+        """Whether this frame is to be verified."""
+        self._unverified += 1
         self._newest = None
-        every = SELDOM if self._has_line or self._in_vain >= PATIENCE else EVERY
-        return self.is_possible and self._unlooked >= every
+        every = SELDOM if self._has_sequence or self._in_vain >= PATIENCE else EVERY
+        return self.is_possible and self._unverified >= every
 
-    def look(
+    def verify(
         self,
         image: NDArray[np.uint8],
         nearest: NearestOf,
@@ -121,54 +121,54 @@ class KeyframeMatcher:
         driven_m: float,
         uncertain_m: float,
     ) -> None:
-        """Look at a picture, to which some places are nearest. driven_m, uncertain_m: by then. MapError as `costs`."""
+        """Verify a picture by its nearest places. driven_m, uncertain_m: odometer, its sigma. MapError as `costs`."""
         places = self._candidates(nearest, course_rad, driven_m)
         if not places:
             return
-        self._unlooked = 0
-        seen = self._verification.look(image, places)
-        self._newest = None if seen is None else (seen, self._sighted(seen, driven_m, uncertain_m))
+        self._unverified = 0
+        seen = self._verification.verify(image, places)
+        self._newest = None if seen is None else (seen, self._vote_of(seen, driven_m, uncertain_m))
         self._kept.add(self._newest[1] if self._newest else None)
-        self._alike.append([self._sighted(one, driven_m, uncertain_m) for one in self._verification.alike])
+        self._alike.append([self._vote_of(one, driven_m, uncertain_m) for one in self._verification.alike])
         self._in_vain = self._in_vain + 1 if seen is None else 0
         self._is_lost = seen is None and self._around is not None
 
     def answer(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
     ) -> JointBelief:
-        """What the votes' belief and that of looks say together.
+        """The belief by votes and keyframe matches together.
 
         prior_of: odds of being at a point along a drive without either. slack_m: by how much two votes may differ.
         """
-        looks = self._kept.belief(driven_m, self._least, self._drives.positions_m, prior_of)
+        keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m, prior_of)
         votes = self._doubted(votes, prior_of, driven_m, slack_m)
-        if looks is None or not self._is_mapped(looks):
+        if keyframes is None or not self._is_mapped(keyframes):
             return JointBelief(votes)
-        is_one_place = votes is not None and self._is_one_place(votes, looks, slack_m)
-        seen = self._seen_at(looks) if looks.confidence >= LIKELY else None
-        by_looks, by_votes = joined(looks, votes, self._least, is_one_place=is_one_place)
+        is_one_place = votes is not None and self._is_one_place(votes, keyframes, slack_m)
+        seen = self._seen_at(keyframes) if keyframes.confidence >= LIKELY else None
+        by_keyframes, by_votes = joined(keyframes, votes, self._least, is_one_place=is_one_place)
         if is_one_place and votes is not None and votes.is_believed:
             return JointBelief(by_votes, seen=seen)
-        return JointBelief(by_votes, self._match_of(by_looks, seen) if by_looks.is_believed else None)
+        return JointBelief(by_votes, self._match_of(by_keyframes, seen) if by_keyframes.is_believed else None)
 
     def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
-        """Look around the place that is believed from the next frame on; None: anywhere."""
+        """Verify places around the believed one from the next frame on; None: anywhere."""
         self._around, self._is_seen_there = None, False
-        self._has_line = match is not None and match.has_line and match.sharpness >= LEAST_SHARPNESS
+        self._has_sequence = match is not None and match.has_line and match.sharpness >= LEAST_SHARPNESS
         if match is None:
             return
         drive, along_m = self._drives.drive_of(match.place_index), self._drives.along_m(match.place_index)
         place = PlaceBelief(drive, along_m, match.direction, match.confidence, is_believed=True)
-        looks = self._kept.belief(driven_m, self._least, self._drives.positions_m)
-        if looks is not None and looks.confidence >= LIKELY and self._is_one_place(place, looks, slack_m):
-            self._around, self._is_seen_there = (looks, driven_m, BY_LOOKS_M), True
+        keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m)
+        if keyframes is not None and keyframes.confidence >= LIKELY and self._is_one_place(place, keyframes, slack_m):
+            self._around, self._is_seen_there = (keyframes, driven_m, BY_KEYFRAMES_M), True
         else:
             self._around = place, driven_m, slack_m
 
     def _doubted(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
     ) -> PlaceBelief | None:
-        """The votes' belief, beside places elsewhere that looks could not tell from another one."""
+        """The votes' belief, beside places elsewhere that verification could not tell from another one."""
         against = 0.0
         for one in chain.from_iterable(self._alike):
             at_m = one.now_m(driven_m)
@@ -182,32 +182,32 @@ class KeyframeMatcher:
         confidence = odds / (1 + odds + against)
         return replace(votes, confidence=confidence, is_believed=confidence >= self._least)
 
-    def _is_mapped(self, looks: PlaceBelief) -> bool:
+    def _is_mapped(self, belief: PlaceBelief) -> bool:
         """Whether a place lies so near that the vehicle may have seen it, not past the end of its drive or in a gap."""
-        nearest_m = self._drives.along_m(self._drives.nearest(looks.drive, looks.along_m))
-        return abs(math.remainder(looks.along_m - nearest_m, self._drives.lap_m(looks.drive))) <= MOST_AHEAD_M
+        nearest_m = self._drives.along_m(self._drives.nearest(belief.drive, belief.along_m))
+        return abs(math.remainder(belief.along_m - nearest_m, self._drives.lap_m(belief.drive))) <= MOST_AHEAD_M
 
-    def _seen_at(self, looks: PlaceBelief) -> KeyframeMatch | None:
-        """What the newest frame showed of the place that looks believe; None where it was not that."""
+    def _seen_at(self, belief: PlaceBelief) -> KeyframeMatch | None:
+        """The keyframe match of the newest frame, if it is of the place that is believed."""
         if self._newest is None:
             return None
-        seen, sighted = self._newest
-        is_there = sighted.drive == looks.drive and abs(sighted.along_m - looks.along_m) <= APART_M
-        return seen if is_there and sighted.direction == looks.direction else None
+        seen, vote = self._newest
+        is_there = vote.drive == belief.drive and abs(vote.along_m - belief.along_m) <= APART_M
+        return seen if is_there and vote.direction == belief.direction else None
 
-    def _match_of(self, looks: PlaceBelief, seen: KeyframeMatch | None) -> PlaceMatch:
-        """A place that looks alone say."""
-        place_index = self._drives.nearest(looks.drive, looks.along_m) if seen is None else seen.place_index
+    def _match_of(self, belief: PlaceBelief, seen: KeyframeMatch | None) -> PlaceMatch:
+        """The match at a place that keyframe matches alone believe."""
+        place_index = self._drives.nearest(belief.drive, belief.along_m) if seen is None else seen.place_index
         name, row = self._map_set.locate(place_index)
         return PlaceMatch(
             place_index=place_index,
             place=row,
-            direction=looks.direction,
+            direction=belief.direction,
             order="same",
             slope=0.0,
             distance=0.0,
             uniqueness=1.0,
-            confidence=looks.confidence,
+            confidence=belief.confidence,
             accepted=True,
             seen=seen,
             has_line=False,
@@ -222,9 +222,9 @@ class KeyframeMatcher:
         return bool(np.hypot(*np.diff(self._drives.positions_m(drives, along_m), axis=0)[0]) <= slack_m)
 
     def _candidates(self, nearest: NearestOf, course_rad: float | None, driven_m: float) -> list[int]:
-        """Places to try, the likeliest first: anywhere, until looks have shown one, and after one that showed nothing.
+        """Places to try, the likeliest first: anywhere, until one is believed, and after a verification in vain.
 
-        Where lines alone lead to a place, a look there is compared with other places as well.
+        Where sequence matches alone lead to a place, others are tried as well.
         """
         if self._around is None or self._is_lost:
             self._is_lost = False
@@ -242,8 +242,8 @@ class KeyframeMatcher:
     def _anywhere(self, nearest: NearestOf, course_rad: float | None) -> list[int]:
         return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
 
-    def _sighted(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
-        """A look on the map's drive: the camera of a place looks along it, or back."""
+    def _vote_of(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
+        """A keyframe match as a vote for a point along the map's drive; the place's camera faces along it, or back."""
         drive, direction = self._drives.drive_of(seen.place_index), self._verification.direction(seen.place_index)
         along_m = self._drives.along_m(seen.place_index) + self._verification.facing(seen.place_index) * seen.ahead_m
         odds = seen.confidence / (1 - seen.confidence)

@@ -1,9 +1,9 @@
-"""One look: which of some places of the map a picture shows, by the points that both have, and from where.
+"""Geometric verification: which of some places of the map a picture shows, by keypoints of both, and its pose there.
 
     picture -> keypoints -> matches with each candidate -> poses by the best, and by the best elsewhere
             -> the same pose by rows around the best
 
-A candidate has keypoints of the network that ships, and its camera looked the way that the vehicle's does.
+A candidate has keypoints of the network that ships, and its camera faced as the vehicle's does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from edge.keypoints.view_geometry import Intrinsics
 from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
-from edge.sequence import MOST_ASIDE_RAD, Correspondences, Direction, KeyframeMatch
+from edge.sequence import MOST_OFF_COURSE_RAD, Correspondences, Direction, KeyframeMatch
 from edge.sequence.keyframe_consensus import ENOUGH, confidence_of
 
 MOST = 300
@@ -40,7 +40,7 @@ on a rear camera's map (two roads, 480 frames) the best of 3 of 30 was right in 
 .84, and in .80 where the best was the one of most matches that one fundamental matrix explains."""
 ELSEWHERE_M, MOST_ELSEWHERE = 20.0, 0.3
 """What a place so far away may have of the best one's support, by the best of VERIFIED poses there. It was at most 0.19
-of it on the way home at night, 0.68 in the median on a street that repeats every 54 m (81 and 90 looks over 3). With
+of it on the way home at night, 0.68 in the median on a street that repeats every 54 m (81 and 90 pictures over 3). With
 0.5, 16 of 250 frames on the way home along that street are believed, 6 of them wrong, with 0.3 6 and 6.
 """
 ROWS_M = -4.0, 4.0, -8.0, 8.0
@@ -66,10 +66,10 @@ class PlaceVerification:
         """What pictures said of the vehicle's camera, once they are enough."""
         self._newest: tuple[Keypoints, int, RelativePose] | None = None
         self.alike: tuple[KeyframeMatch, ...] = ()
-        """Of the newest look, which showed none of them alone: two places, one elsewhere than the other."""
+        """Two places far apart that the newest verification could not tell apart; none if it could."""
 
     def use_maps(self, map_set: MapSet, drives: Drives) -> None:
-        """Look for the places of these maps from now on; drives: theirs."""
+        """Verify against the places of these maps from now on; drives: theirs."""
         self._map_set, self._drives = map_set, drives
         keys = [header.keypoints_key for header in map_set.headers]
         self._keys = [key if key is not None and key.sha256 == self._made_by else None for key in keys]
@@ -86,11 +86,11 @@ class PlaceVerification:
         return KeypointNetwork()
 
     def direction(self, place: int) -> Direction:
-        """In which a vehicle passes a place whose camera looked the way that its own does."""
+        """Of travel past a place in which the vehicle's camera faces as that of the place did."""
         return "forward" if self._view_of(place) == self._view else "reverse"
 
     def facing(self, place: int) -> int:
-        """1 where the place's camera looked along its drive, -1 where it looked back."""
+        """1 where the place's camera faced along its drive, -1 where it faced back."""
         return 1 if self._view_of(place) == "front" else -1
 
     def _view_of(self, place: int) -> str:
@@ -120,9 +120,9 @@ class PlaceVerification:
         if course_rad is None or math.isnan(heading_deg):
             return True
         heading_rad = math.radians(heading_deg) + math.pi * (direction == "reverse")
-        return math.cos(heading_rad - course_rad) >= math.cos(MOST_ASIDE_RAD)
+        return math.cos(heading_rad - course_rad) >= math.cos(MOST_OFF_COURSE_RAD)
 
-    def look(self, image: NDArray[np.uint8], places: Sequence[int]) -> KeyframeMatch | None:
+    def verify(self, image: NDArray[np.uint8], places: Sequence[int]) -> KeyframeMatch | None:
         """The place that a picture (H, W, 3) uint8 BGR shows, of some candidates and those around them; None: none.
 
         MapError for a map that was cut off.
@@ -206,8 +206,8 @@ class PlaceVerification:
         return support
 
     @property
-    def agreeing(self) -> Correspondences | None:
-        """Of the newest look, None where it showed no place; for people, of whom most never ask."""
+    def correspondences(self) -> Correspondences | None:
+        """Of the newest verification, None without a match; computed when asked for: only people read it."""
         if self._newest is None:
             return None
         query, place, pose = self._newest

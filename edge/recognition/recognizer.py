@@ -1,7 +1,7 @@
 """The place recognizer: one frame in, one answer out. No camera, no link, no file, no clock.
 
-image -> regions -> descriptor -> `SequenceMatcher`: online NSD -> cost row -> lines through the last rows -> belief
-      -> keypoints, where the maps have them -------------> ten places ------------------------------------>
+image -> regions -> descriptor -> `SequenceMatcher`: online NSD -> cost row -> sequence match -> belief
+      -> keypoints, where the maps have them -------------> candidates -> keyframe match ---->
 
     recognizer = open_recognizer(load_config(path))
     match = recognizer.observe(image, stamp_ns)
@@ -42,9 +42,9 @@ CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
 2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8;
 after a tow of 100 m one was 2.3 times as far apart."""
 
-LOOK_AGAIN_NS, LOOKS_AGAIN = 1_000_000_000, 3
-"""How long after a picture from the same spot another one is looked at, and how often: more show nothing new, until the
-picture has changed CARRIED times as much since as within that time, as noise and passing cars change it."""
+VERIFY_AGAIN_NS, VERIFICATIONS = 1_000_000_000, 3
+"""Pause between verifications of pictures from one spot, and their number: more show nothing new, until the picture has
+changed CARRIED times as much since as within that time, as noise and passing cars change it."""
 STANDS_M = 0.2
 """Driven since the newest frame, up to which a vehicle stands where that was."""
 
@@ -123,12 +123,12 @@ class PlaceRecognizer:
         self.was_carried = False
         """Whether the vehicle was moved without its wheels before the newest frame, so that nothing before counts."""
         self.is_in_line = False
-        """Whether a line may lead through the newest frame: it shows another place, so far from the last one."""
+        """Whether the newest frame is part of the sequence: it shows another place, so far from the last one."""
         self.state: State = "warming up"
-        self._looks_left = 0
-        self._looked: tuple[_UsedFrame, _UsedFrame] | None = None
-        """From the spot of the newest frame, while nothing is believed there: the first picture of what is looked at,
-        and the newest."""
+        self._verifications_left = 0
+        self._verified: tuple[_UsedFrame, _UsedFrame] | None = None
+        """From the spot of the newest frame, while nothing is believed there: the first picture that was verified since
+        the view changed, and the newest."""
 
     @property
     def map_set(self) -> MapSet:
@@ -140,7 +140,7 @@ class PlaceRecognizer:
     ) -> PlaceMatch | None:
         """Match one frame (H, W, 3) uint8 BGR; None while warming up, searching, and while the vehicle stands.
 
-        On a map with keypoints there may be an answer meanwhile, by looks alone.
+        On a map with keypoints there may be an answer meanwhile, by keyframe matches alone.
 
         stamp_ns: exposure time on any one clock; it only serves to notice gaps and to hold events off.
         """
@@ -151,14 +151,15 @@ class PlaceRecognizer:
             # A feed whose every frame is a place has passed one, even if it looks like the last.
             self._used.unmoved += self.config.sampling.by == "frames"
             self.state = "standing"
-            return self._look_again(image, frame, travel) if self._is_look_due(stamp_ns) else None
+            return self._verify_again(image, frame, travel) if self._is_verification_due(stamp_ns) else None
         self.was_carried = self._used.is_carried(frame)
         self._reset_after_gap(frame)
         travel = replace(travel, missed=travel.missed + self._used.unmoved)
         self._used.newest, self._used.unmoved = frame, 0
         self.is_in_line = travel.distance_m is not None or not self.matcher.needs_odometer
         match = self.matcher.push(raw, travel, image)
-        self._looks_left, self._looked = LOOKS_AGAIN, None if match is not None and match.accepted else (frame, frame)
+        self._verifications_left = VERIFICATIONS
+        self._verified = None if match is not None and match.accepted else (frame, frame)
         if match is None:
             off_the_map = self.is_in_line and self.matcher.has_lines
             self.state = "off the map" if off_the_map else "searching" if self.matcher.is_scanning else "warming up"
@@ -172,34 +173,34 @@ class PlaceRecognizer:
         is_unknown = last is not None and last.distance_m is None
         return is_unknown and frame.distance_m is not None and self.matcher.needs_odometer
 
-    def may_look_again(self, stamp_ns: int, distance_m: float | None) -> bool:
+    def may_verify_again(self, stamp_ns: int, distance_m: float | None) -> bool:
         """Whether a further picture from the spot of the newest frame, where the vehicle stands, may show its place."""
         last = self._used.newest
-        if last is None or distance_m is None or last.distance_m is None or not self._is_look_due(stamp_ns):
+        if last is None or distance_m is None or last.distance_m is None or not self._is_verification_due(stamp_ns):
             return False
         return abs(distance_m - last.distance_m) <= STANDS_M
 
-    def look_again(
+    def verify_again(
         self, image: NDArray[np.uint8], stamp_ns: int, travel: MotionPrior = NOTHING_KNOWN
     ) -> PlaceMatch | None:
-        """Such a picture (H, W, 3) uint8 BGR: a place that is believed by looks, else None."""
+        """Such a picture (H, W, 3) uint8 BGR: a place that is believed by keyframe matches, else None."""
         self.was_carried = self.is_in_line = False
-        return self._look_again(image, _UsedFrame(self.describe(image), stamp_ns, travel.distance_m), travel)
+        return self._verify_again(image, _UsedFrame(self.describe(image), stamp_ns, travel.distance_m), travel)
 
-    def _is_look_due(self, stamp_ns: int) -> bool:
-        looked = self._looked
-        return self.matcher.may_look and looked is not None and stamp_ns - looked[1].stamp_ns >= LOOK_AGAIN_NS
+    def _is_verification_due(self, stamp_ns: int) -> bool:
+        verified = self._verified
+        return self.matcher.may_verify and verified is not None and stamp_ns - verified[1].stamp_ns >= VERIFY_AGAIN_NS
 
-    def _look_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: MotionPrior) -> PlaceMatch | None:
-        assert self._looked is not None  # or none would be due
-        first, before = self._looked
+    def _verify_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: MotionPrior) -> PlaceMatch | None:
+        assert self._verified is not None  # or none would be due
+        first, before = self._verified
         if first.change_to(frame) > CARRIED * before.change_to(frame):
-            first, self._looks_left = frame, LOOKS_AGAIN
-        self._looked, self._looks_left = (first, frame), self._looks_left - 1
-        match = self.matcher.look_again(image, frame.raw, travel) if self._looks_left >= 0 else None
+            first, self._verifications_left = frame, VERIFICATIONS
+        self._verified, self._verifications_left = (first, frame), self._verifications_left - 1
+        match = self.matcher.verify_again(image, frame.raw, travel) if self._verifications_left >= 0 else None
         if match is None or not match.accepted:
             return None
-        self.state, self._looked = "on the map", None
+        self.state, self._verified = "on the map", None
         return self._as_event(match, frame.stamp_ns)
 
     def _as_event(self, match: PlaceMatch, stamp_ns: int) -> PlaceMatch:
@@ -240,7 +241,7 @@ class PlaceRecognizer:
     def reset(self) -> None:
         """Begin a new sequence with the next frame (after a blindness); the statistics stay."""
         self.matcher.reset()
-        self._used.newest, self._used.unmoved, self._looked = None, 0, None
+        self._used.newest, self._used.unmoved, self._verified = None, 0, None
         self.state = "warming up"
 
     def begin_way_back(self) -> None:
@@ -248,14 +249,14 @@ class PlaceRecognizer:
         self.matcher.begin_way_back()
 
     def restart_odometer(self) -> None:
-        """The distance driven before cannot be compared with what follows: the frames of both lie on no line."""
+        """The distance driven before cannot be compared with what follows: no sequence has frames of both."""
         if self._used.newest is not None:
             self._used.newest = replace(self._used.newest, distance_m=None)
         if self.matcher.needs_odometer:
             self.matcher.reset()
 
     def _reset_after_gap(self, frame: _UsedFrame) -> None:
-        """A line needs frames that follow each other: start a new one after a gap, or when time went back.
+        """A sequence has frames that follow each other: begin a new one after a gap, or when time went back.
 
         Not where the odometer says that hardly anything was passed meanwhile: the vehicle stood.
         """

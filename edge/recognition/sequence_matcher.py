@@ -1,8 +1,8 @@
 """Raw descriptors in, matches out: online normalization, costs, sequence search, and the place belief.
 
-raw descriptor (R, D) -> online NSD -> cost row -> best line -> vote -> PlaceConsensus -> belief
-                                       also of half a sequence, where GPS reckoned on the map
-picture, of a map with keypoints ----> ten places --------------------> PlaceLooks -----> belief
+raw descriptor (R, D) -> online NSD -> cost row -> best match -> vote -> PlaceConsensus -> belief
+                            also of half a sequence, with a dead reckoning position on the map
+picture, of a map with keypoints ----> candidates ---------------> KeyframeMatcher -----> belief
 
     matcher = SequenceMatcher(map_set, config)
     matches = [matcher.push(raw) for raw in descriptors]  # each raw is (R, D) float32
@@ -52,7 +52,7 @@ def no_stopwatch(stage: str) -> None:
 
 
 class SequenceMatcher:
-    """The online statistics, the ring, the best line through it, and the place that the lines agree on."""
+    """The online statistics, the ring, its best sequence match, and the place that the matches agree on."""
 
     _drives: Drives
 
@@ -70,13 +70,13 @@ class SequenceMatcher:
         self.search = PlaceSearch(map_set, self._config, self._stopwatch)
         self._normalizer.clear_ring()
         self.best: PlaceMatch | None = None
-        """The best line after the newest frame, wherever the place is believed to be (eq. 3, the paper's answer)."""
+        """The best sequence match of the newest frame, wherever the place is believed (eq. 3, the paper's answer)."""
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
         self._unmeasured: int | None = 0  # frames of this sequence, as long as none had a known distance
         self._begin_consensus()
-        self._looks = self._open_looks(map_set)
+        self._keyframes = self._open_keyframes(map_set)
 
-    def _open_looks(self, map_set: MapSet) -> KeyframeMatcher | None:
+    def _open_keyframes(self, map_set: MapSet) -> KeyframeMatcher | None:
         """None where no map has keypoints, which needs none of their code."""
         if all(header.keypoints_key is None for header in map_set.headers):
             return None
@@ -89,10 +89,10 @@ class SequenceMatcher:
         was_metric = self._drives.is_metric
         self.search.grow(map_set, self._normalizer.rows)
         self._drives = Drives(map_set, self._config.sampling.spacing_m)
-        if self._looks is not None:
-            self._looks.grow(map_set, self._drives)
+        if self._keyframes is not None:
+            self._keyframes.grow(map_set, self._drives)
         else:  # the map of this drive has its first places
-            self._looks = self._open_looks(map_set)
+            self._keyframes = self._open_keyframes(map_set)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 
@@ -104,8 +104,7 @@ class SequenceMatcher:
     def _begin_statistics(self) -> None:
         """Start with the statistics of the map, with the weight of some frames.
 
-        A mean over the first frames alone would remove most of what they show, since they show the same stretch of
-        road.
+        A mean over the first frames alone would remove most of what they show, since they show the same piece of road.
         """
         places = self.map_set.index.places
         if places:
@@ -159,7 +158,7 @@ class SequenceMatcher:
             self.best = None
             return None
         step, usual = self._steps.next(odometer_m, travel.missed, self._drives.spacing_m), self._usual_step
-        if step > (1 + MOST_MISSED * self._config.sequence_frames) * usual:  # too long for a line to run over
+        if step > (1 + MOST_MISSED * self._config.sequence_frames) * usual:  # too long for one sequence
             self.reset()
         match = self.best = self._best_line(raw, travel, step, usual, is_measured=odometer_m is not None)
         some_excluded = self.search.part is not None and self.search.part.excludes
@@ -172,8 +171,8 @@ class SequenceMatcher:
             key=lambda one: one.confidence,
             default=None,
         )
-        if image is not None and self._looks is not None and self._looks.is_due():
-            self._look(image, travel, self.search.nearest)
+        if image is not None and self._keyframes is not None and self._keyframes.is_due():
+            self._verify(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
         self._stopwatch("belief")
@@ -182,7 +181,7 @@ class SequenceMatcher:
     def _belief_of_halves(
         self, odometer_m: float | None, step: float, prior: tuple[Prior, AwayOf] | None
     ) -> PlaceBelief | None:
-        """What the votes of half sequences say, which count with a reckoning alone: so long they are not searched."""
+        """By the votes of half sequences, which count only with a prior by dead reckoning; else none is searched."""
         if prior is None:
             self._of_halves.reset()
             return None
@@ -191,47 +190,49 @@ class SequenceMatcher:
     def _vote(self, line: PlaceMatch | None) -> PlaceVote | None:
         return PlaceVote.of(line, self._drives, self._config.rig) if line else None
 
-    def look_again(self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: MotionPrior) -> PlaceMatch | None:
+    def verify_again(
+        self, image: NDArray[np.uint8], raw: NDArray[np.float32], travel: MotionPrior
+    ) -> PlaceMatch | None:
         """A further picture (H, W, 3) uint8 BGR from where the newest frame was, for its keypoints alone.
 
         raw: its descriptor (R, D), by which places to try are chosen: what stood before the camera may be gone.
         """
-        self._look(image, travel, partial(self.search.nearest, row=self._normalizer.normalized(raw)))
+        self._verify(image, travel, partial(self.search.nearest, row=self._normalizer.normalized(raw)))
         believed = self._believed(None, None, self._prior(travel.dead_reckoning))
         self._follow(believed)
         return believed
 
-    def _look(self, image: NDArray[np.uint8], travel: MotionPrior, nearest: NearestOf) -> None:
-        if self._looks is not None:
+    def _verify(self, image: NDArray[np.uint8], travel: MotionPrior, nearest: NearestOf) -> None:
+        if self._keyframes is not None:
             driven = self._consensus.driven_m, self._consensus.uncertain_m
-            self._looks.look(image, nearest, travel.course_rad, *driven)
+            self._keyframes.verify(image, nearest, travel.course_rad, *driven)
             self._stopwatch("keypoints")
 
     @property
-    def may_look(self) -> bool:
+    def may_verify(self) -> bool:
         """Whether the maps have keypoints that compare with those of a picture."""
-        return self._looks is not None and self._looks.is_possible
+        return self._keyframes is not None and self._keyframes.is_possible
 
     @property
-    def agreeing(self) -> Correspondences | None:
-        """The points by which the newest frame shows a place; None where it does not, or was not looked at."""
-        return None if self._looks is None else self._looks.agreeing
+    def correspondences(self) -> Correspondences | None:
+        """The points by which the newest frame shows a place; None where it does not, or was not verified."""
+        return None if self._keyframes is None else self._keyframes.correspondences
 
     @property
     def camera(self) -> CameraDifference | None:
         """What keypoints said of the vehicle's camera, once they are enough."""
-        return None if self._looks is None else self._looks.camera
+        return None if self._keyframes is None else self._keyframes.camera
 
     def use_keypoints(self, network: KeypointNetwork) -> None:
         """Find keypoints by this network, not by one of its own."""
         self._keypoints = network
-        if self._looks is not None:
-            self._looks.use_network(network)
+        if self._keyframes is not None:
+            self._keyframes.use_network(network)
 
     def _best_line(
         self, raw: NDArray[np.float32], travel: MotionPrior, step: float, usual: float, *, is_measured: bool
     ) -> PlaceMatch | None:
-        """The best line after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
+        """The best sequence match after one raw descriptor (R, D), wherever it is (eq. 3, the paper's answer).
 
         step, usual, is_measured: see `PlaceSearch.push`.
         """
@@ -255,11 +256,11 @@ class SequenceMatcher:
     ) -> PlaceMatch | None:
         """The match at the place that is believed, with what pictures and odometer say alone.
 
-        match, votes: the best line, and what the votes say with the prior; None where there is no line yet.
+        match, votes: the best sequence match, and the votes' belief with the prior; None where there is none yet.
         """
         by_votes = None if match is None else self._consensus.by_votes
         alone = self._answer(by_votes, None, match)
-        if votes is by_votes and (prior is None or self._looks is None):
+        if votes is by_votes and (prior is None or self._keyframes is None):
             return alone
         both = self._answer(votes, None if prior is None else partial(_odds, *prior), match, alone)
         if both is None:
@@ -269,22 +270,22 @@ class SequenceMatcher:
     def _answer(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, *lines: PlaceMatch | None
     ) -> PlaceMatch | None:
-        """The match at the place that votes and looks together make most probable."""
-        if self._looks is None:
+        """The match at the place that votes and keyframe matches together make most probable."""
+        if self._keyframes is None:
             return self._match_of(votes, *lines)
-        answer = self._looks.answer(votes, prior_of, self._consensus.driven_m, self._consensus.settings.slack_m)
+        answer = self._keyframes.answer(votes, prior_of, self._consensus.driven_m, self._consensus.settings.slack_m)
         found = answer.match or self._match_of(answer.votes, *lines)
         return found if found is None or answer.seen is None else replace(found, seen=answer.seen)
 
     def _follow(self, believed: PlaceMatch | None) -> None:
-        """Search and look around the place that is believed from the next frame on; None or unbelieved: anywhere."""
+        """Search and verify around the believed place from the next frame on; None or unbelieved: anywhere."""
         at = believed if believed is not None and believed.accepted else None
         self.search.follow(at.place_index if at else None)
-        if self._looks is not None:
-            self._looks.follow(at, self._consensus.driven_m, self._consensus.settings.slack_m)
+        if self._keyframes is not None:
+            self._keyframes.follow(at, self._consensus.driven_m, self._consensus.settings.slack_m)
 
     def _match_of(self, belief: PlaceBelief | None, *lines: PlaceMatch | None) -> PlaceMatch | None:
-        """A line that ends at the place that the recent matches agree on: the first of some, else the best of all.
+        """A match that ends at the place that the recent ones agree on: the first of some, else the best of all.
 
         Where nothing is believed, or none ends there, the first of them as it is.
         """
@@ -299,8 +300,8 @@ class SequenceMatcher:
     def needs_odometer(self) -> bool:
         """Whether frames without a known distance are not matched: sampled by time meanwhile, and not as the map was.
 
-        Their line ended elsewhere: while a link was silent, on five simulated roads, 58 of 419 places that were
-        believed were over 20 m off.
+        Their sequence matches ended elsewhere: while a link was silent, on five simulated roads, 58 of 419 places that
+        were believed were over 20 m off.
         """
         return self._drives.is_metric and self._config.sampling.by == "distance"
 
@@ -315,7 +316,7 @@ class SequenceMatcher:
         return spell_spacing(self._config.sampling, self._drives.spacing_m if self._drives.is_metric else None)
 
     def begin_way_back(self) -> None:
-        """The vehicle has turned around: the side of the road is another one, and no line goes on.
+        """The vehicle has turned around: the side of the road is another one, and no sequence goes on.
 
         What follows is normalized by the way out's statistics at first.
         """
@@ -329,8 +330,8 @@ class SequenceMatcher:
         """Begin a new sequence with the next descriptor; the normalization's statistics stay."""
         self._normalizer.clear_ring()
         self.search.clear()
-        if self._looks is not None:
-            self._looks.reset()
+        if self._keyframes is not None:
+            self._keyframes.reset()
         self._consensus.reset()
         self._of_halves.reset()
         self._unmeasured = 0

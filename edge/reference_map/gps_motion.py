@@ -1,8 +1,8 @@
-"""Whether positions move as the odometer and the heading say: those of a GPS that is dragged move otherwise.
+"""Whether positions move as the odometer and the heading say: those of a spoofed GPS move otherwise.
 
 A position is compared with earlier ones, each with the motion since: steps as long as the odometer says, in the
 direction of the heading. Both may differ by one scale and rotation, the median of the drive so far: wheels and a
-compass are wrong alike for long. What disagrees is never compared with, so that a GPS that was dragged stays wrong.
+compass are wrong alike for long. What disagrees is never compared with, so that a spoofed GPS stays wrong.
 
 A burst of multipath agrees once the way is long enough, since either may be wrong by then. So what a position differs
 from the best known one before is in its standard deviation, and scale and rotation are learned between positions that
@@ -30,7 +30,7 @@ WINDOWS_M = (0.0, 20.0, 50.0, 100.0, 200.0)
 OFF_M, OFF_SIGMAS, OFF_SHARE = 5.0, 4.3, 0.05
 """By how much both may differ: the greater of the first and so many standard deviations of a position (3 of a
 difference), and that share of the way. On recorded drives of rovers with GPS they differed by at most 1.4 m over 20 m,
-2.9 m over 50, 5.5 m over 100 and 7.3 m over 200; with GPS dragged by 1 m/s at 4 m/s by 16 to 43 m."""
+2.9 m over 50, 5.5 m over 100 and 7.3 m over 200; with a spoofing drift of 1 m/s at 4 m/s by 16 to 43 m."""
 DRIFT = 0.02
 """One standard deviation of the way by odometer and heading: a third of what both differed by at most, see above."""
 LEARNED_M, LEARNED_FROM_M, LEARNED_LEAST = 100.0, 20.0, 5

@@ -168,7 +168,7 @@ class MapSet:
         return [self.maps[index].path for index in self.index.maps_of(ranges)]
 
     def folders_behind(self, place_index: int, sequence_length: int) -> list[Path]:
-        """Of the maps that a match rests on: that of its place, and the tiles that its line may have come from."""
+        """Of the maps that a match rests on: that of its place, and the tiles that its sequence may have come from."""
         return self.folders_of(self.index.widened([(place_index, place_index + 1)], sequence_length))
 
     def check_places(self, ranges: Ranges) -> None:

@@ -60,7 +60,7 @@ class PlaceIndex:
         return list(pairwise(self._segments))
 
     def view(self, segment: int) -> str:
-        """Where the camera looked that drove a segment."""
+        """Where the camera of a segment faced."""
         return self._views[segment]
 
     def recording(self, segment: int) -> str:

@@ -17,12 +17,12 @@ from edge.reference_map.place_records import ASSUMED_SIGMA_M, sigmas_m
 from edge.reference_map.store import MapHeader
 
 BEYOND = 1024
-"""Places of a drive that are looked at beyond the borders of a tile: more than any line is long."""
+"""Places of a drive that are read beyond the borders of a tile: more than any sequence is long."""
 KEPT_DRIVES = 16
 GAP = 2.0
 """Steps of more than so many times the median are gaps: places that were not mapped, for want of a picture."""
 UNKNOWN_WHOLE_M = 8.0, 4.5
-"""One standard deviation, along a drive and across it, of what all its positions are off by together where nothing says
+"""One standard deviation, along-track and cross-track, of what all positions of a drive are off by where nothing says
 how well pictures and positions were laid over each other: a video that is 2 s off at 15 m/s is 30 m off, four of them.
 With more, positions would not be certain enough (10 m) for an autopilot that drifts."""
 NO_LAP_M = 1e12
@@ -48,9 +48,10 @@ class MapDrive:
     """What is known of a segment around a place: how far it goes along its route_m, and how far places are apart.
 
     NaN where the map knows no meters. segment: its number. recording: that it comes from, see `PlaceIndex`. checked_m:
-    how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. whole_sigma_m: along
-    and across, of what all its positions are off by together. Arrays: of the places with a position, in their order;
-    lon_deg has no jump at 180 degrees, heading_deg is the course where the map has none. crept_m2: see `gps_motion`.
+    how far its positions lie apart, if they are known to have moved as the vehicle did; else 0. whole_sigma_m:
+    along-track and cross-track, of what all its positions are off by together. Arrays: of the places with a position,
+    in their order; lon_deg has no jump at 180 degrees, heading_deg is the course where the map has none. crept_m2: see
+    `gps_motion`.
     """
 
     segment: int
@@ -110,8 +111,8 @@ class Route:
         """The row of the feed that a place was built from."""
         return int(self._places["row"][place_index])
 
-    def looks_back(self, place_index: int) -> bool:
-        """Whether the camera that a place was seen by looked back along its drive."""
+    def faces_back(self, place_index: int) -> bool:
+        """Whether the camera of a place faced back along its drive."""
         return self._index.view(self._index.segment_of(place_index)) == "rear"
 
     def reaches(self, place_index: int, along_m: float) -> bool:
@@ -303,7 +304,7 @@ class Drives:
 
 
 def _usual_step_m(route_m: NDArray[np.float64]) -> float:
-    """By how many meters places that follow each other differ on average, gaps aside; NaN where that is not known.
+    """By how many meters places that follow each other differ on average, without gaps; NaN where that is not known.
 
     The average, since a line of 80 places is 79 times as long, and its middle 39 times as far back: where steps are
     uneven, as of a video, the median is 3 % more (2.06 m of 2.00), which is 2 m.

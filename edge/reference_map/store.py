@@ -97,7 +97,7 @@ class RegionsKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Places [start, end) of one drive, and where its camera looked; no trajectory crosses into the next segment.
+    """Places [start, end) of one drive, and where its camera faced; no trajectory crosses into the next segment.
 
     moved_as_driven: whether all its positions moved as an odometer and the heading said (`gps_motion`). whole_sigma_m:
     one standard deviation along the drive of what all its positions are off by together, beside their own, as by the

@@ -23,18 +23,18 @@ ORDERS: tuple[Order, ...] = ("same", "swapped")
 """Rows of a cost row, in this order."""
 
 VIEWS_ALIKE: tuple[Alignment, ...] = (("forward", "same"), ("reverse", "swapped"))
-"""What can occur if both cameras look ahead, or both back."""
+"""What can occur if both cameras face ahead, or both back."""
 
 VIEWS_OPPOSED: tuple[Alignment, ...] = (("forward", "swapped"), ("reverse", "same"))
-"""What can occur if one camera looks ahead and one back: on the way back along the map the two look the same way."""
+"""What can occur if one camera faces ahead and one back: on the way back along the map the two face the same way."""
 
-MOST_ASIDE_RAD = math.radians(60)
+MOST_OFF_COURSE_RAD = math.radians(60)
 """Between the way that the vehicle goes and that of the road that it matches. Where a mapped drive turned round and the
-vehicle went on, places of the way back were believed for 40 m, and an honest GPS was called 37 m wrong."""
+vehicle went on, places of the way back were believed for 40 m, and an honest GPS was declared faulty by 37 m."""
 
 LEAST_SHARPNESS = 0.05
-"""A line that is less sharp says nothing of where the vehicle is. 52 recorded drives on maps with keypoints have 7,565
-positions, none beyond 3 sigma, and with 0.02 7,987, none either. But on five simulated roads at dusk, autopilots
+"""A less sharp sequence match gives no position. 52 recorded drives on maps with keypoints have 7,565 positions, none
+beyond 3 sigma, and with 0.02 7,987, none either. But on five simulated roads at dusk, autopilots
 with wheels 0.3 % wrong, 3.6 m off alone (95 %), are 12 to 13 m off with 0.02, on three of them 6.1 m with 0.05."""
 
 
@@ -45,7 +45,7 @@ class KeyframeMatch:
     place_index: of that place, counted through all maps that are open. points: matches of known distance that agree on
     the pose. right_m, ahead_m, turn_rad: of the frame's camera from the place's, in that one's frame, turned clockwise;
     covariance: (3, 3) of these three, of geometry alone, without the error of the map's position. confidence: that this
-    place is right, by this look alone.
+    place is right, by this match alone.
     """
 
     place_index: int
@@ -75,9 +75,9 @@ class Correspondences(NamedTuple):
 
 @dataclass(frozen=True)
 class PlaceMatch:
-    """Place recognition by a line through the last frames: the place that the newest one shows, believed or not.
+    """Place recognition by a sequence of the last frames: the place of the newest one, believed or not.
 
-    place_index: of the place where the line ends, counted through all maps that are open.
+    place_index: of the place where the line through the cost matrix ends, counted through all maps that are open.
     map, place: name of the map that it lies in, None where there is only one, and its row there.
     direction: "forward" if places were passed in the map's order, "reverse" if backwards.
     order: "swapped" if the query's left region matched the map's right.
@@ -88,11 +88,11 @@ class PlaceMatch:
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
     means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.dead_reckoning`,
-    None where it is this one; whoever judges what the reckoning rests on, goes by `alone`. half_width_places: half the
-    number of places around it that are nearly as good. seen: what the frame's keypoints say of where its camera was, of
-    the place that is believed; None where they say nothing, or were not asked. has_line: False where no line leads to
-    the place, which is believed by looks alone, as of a vehicle that stands; it then is that of `seen`, and slope,
-    distance and the like say nothing. event: accepted, and not held off.
+    None where it is this one; whoever judges dead reckoning by places goes by `alone`. half_width_places: half the
+    number of places around it that are nearly as good. seen: the keyframe match of the frame with the place that is
+    believed; None without one, or where the frame was not verified. has_line: False where the place is believed by
+    keyframe matches alone, as of a vehicle that stands; it then is that of `seen`, and slope, distance and the like say
+    nothing. event: accepted, and not held off.
     """
 
     place_index: int

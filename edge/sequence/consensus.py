@@ -20,15 +20,15 @@ a few meters; without an odometer also 0 of places that advance slower or faster
 Support is the share of the newest frames (half a sequence) that are like the place of their match, and whose match is
 where the others are: a vehicle that turned off the mapped road must not be believed on it for as long as the old votes
 count.
-Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it. Where it is
-reckoned without any place (`prior`), each place has odds of its own: they multiply those of its votes, and what speaks
+Confidence is the probability that the place is right, for a vehicle that is as often off the map as on it. With a dead
+reckoning position (`prior`), each place has odds of its own: they multiply those of its votes, and what speaks
 for another place counts by that place's odds. Votes count less if the vehicle was less likely on the map's roads over
 their line than it is now: those from before it came onto the map do not speak against a place.
 Lines of half a sequence vote among themselves in the same way. Their belief counts where it is the more certain one,
-and only with a reckoning: it comes sooner after the map begins, but by their votes alone a car park was believed (18 of
-2,904 frames, at most .942; none with a reckoning).
+and only with dead reckoning: it comes sooner after the map begins, but by their votes alone a car park was believed (18
+of 2,904 frames, at most .942; none with dead reckoning).
 Uniqueness says how much worse the best line elsewhere is; sharpness, how much worse the lines a little before and after
-are, which a stretch that only resembles this kind of road does not show; row support, how often the place was among the
+are, which a segment that only resembles this kind of road does not show; row support, how often the place was among the
 most similar ones by the newest frame alone.
 """
 
@@ -77,13 +77,13 @@ _LENGTHS = ("at_m", "uncertain_m", "offset_m", "start_m", "end_m", "lap_m", "ahe
 _KINDS = {"drive": "i8", "sign": "f8", "weight": "f4", "row_share": "f8", "was_believed": "?", "road": "f4"}
 _VOTE = np.dtype([*((name, "f8") for name in _LENGTHS), *_KINDS.items()], align=True)
 """A vote as it is kept. at_m, uncertain_m: driven, and how uncertain that was; offset_m, start_m, end_m, lap_m and
-ahead_m: along the drive; sign: 1 forward, -1 reverse. road: mean of `Prior.road` over the frames of its line, 1 where
-nothing is reckoned."""
+ahead_m: along the drive; sign: 1 forward, -1 reverse. road: mean of `Prior.road` over the frames of its line, 1
+without dead reckoning."""
 Floats = NDArray[np.float64]
 PositionsOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
 """Meters east and north (n, 2) of points along some drives: their numbers (n,), and along_m (n,); NaN where unknown."""
 AwayOf = Callable[[NDArray[np.int64], NDArray[np.float64]], NDArray[np.float64]]
-"""Meters (n,) of such points from where the vehicle is reckoned."""
+"""Meters (n,) of such points from the dead reckoning position."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class PlaceConsensus:
         self._positions_of = positions_of
         self._was_measured = False
         self.by_votes: PlaceBelief | None = None
-        """The newest belief without what is reckoned."""
+        """The newest belief without dead reckoning."""
         self.reset()
 
     def reset(self) -> None:
@@ -266,7 +266,7 @@ class PlaceConsensus:
             case = self._case(evidence, leader)
         odds = self._odds(prior, away_of, evidence)
         both = self._believe(case, evidence, odds)
-        # Of what the votes say and what is more likely there, the more probable: a reckoning may be far off.
+        # Of what the votes say and what is more likely there, the more probable: dead reckoning may be far off.
         chosen = int((evidence.live * odds).argmax())
         if self._agree[leader, chosen]:  # the same place
             return both

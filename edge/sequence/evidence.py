@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig
 from edge.reference_map import COST_ONE
-from edge.sequence import MOST_ASIDE_RAD, ORDERS, Direction, PlaceMatch
+from edge.sequence import MOST_OFF_COURSE_RAD, ORDERS, Direction, PlaceMatch
 from edge.sequence.search import NO_LINE, SequenceCosts, SequenceSearch
 
 BESIDE = 0.3
@@ -120,8 +120,8 @@ class Roads:
         (first, last), found = self._around, {}
         ways: tuple[tuple[Direction, NDArray[np.float64]], ...] = (("forward", along), ("reverse", -along))
         for direction, ahead in ways:
-            aside = np.concatenate([[0], np.cumsum(ahead < math.cos(MOST_ASIDE_RAD))])
-            found[direction] = aside[last + 1] - aside[first] == last + 1 - first
+            against = np.concatenate([[0], np.cumsum(ahead < math.cos(MOST_OFF_COURSE_RAD))])
+            found[direction] = against[last + 1] - against[first] == last + 1 - first
         return found
 
 
@@ -167,8 +167,7 @@ def match_at(
 def sharpness(costs: NDArray[np.int32], place: int, window: float) -> float:
     """Cost of the cheaper line that ends 0.3 windows away over that of `place`, less 1; 0 where there is none.
 
-    costs: (n,) line costs of one segment. window: in places. A stretch that only resembles
-    this kind of road is not sharp.
+    costs: (n,) line costs of one segment. window: in places. A road that only resembles this kind of road is not sharp.
     """
     step = max(1, round(BESIDE * window))
     beside = [int(costs[at]) for at in (place - step, place + step) if 0 <= at < len(costs) and costs[at] != NO_LINE]

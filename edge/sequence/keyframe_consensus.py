@@ -1,19 +1,20 @@
-"""What looks at single frames add up to: which place is believed by keypoints, and how that goes with the votes. Pure.
+"""The belief in a place by keyframe matches of single frames, and how it joins that of the votes. Pure.
 
-    support = points * share^2, summed over the rows of the map that say the same pose
+    support = inliers * share^2, summed over the keyframes of the map that say the same pose
     odds = (support / EVEN)^POWER, at most MOST_ODDS, of the strongest of two or more that agree; of one alone / ALONE
 
-Points are the matches of a row that agree on the pose, which are such a share of all that it has with the picture.
-Two looks agree if their poses are as far apart along the map's drive as was driven between them, which right ones are
-to a meter or two. What looks like a place of the map without being it often does so for some frames on end: so further
-looks that agree do not add to the strongest, and no number of them goes beyond MOST_ODDS. What looks and votes say of
-one place adds up, what they say of two places speaks against both:
+Inliers are such a share of all keypoint matches of a keyframe and the picture. Two keyframe matches agree if their
+poses are as far apart along the map's drive as was driven between them: right ones are, to a meter or two. A street
+that resembles a place often does so for some frames on end: so further matches that agree do not add to the strongest,
+and no number of them goes beyond MOST_ODDS. Of one place, the surer of keyframe matches and votes counts; those of two
+places speak against each other:
 
     P(place) = odds / (1 + odds of this place + odds of the other)
 
-Of 1,680 looks at two simulated roads, each against the map of the other, 124 showed a place; the strongest had a
-support of 11.7, the next 9.2. Of 360 looks at their own roads, home, in another lane and in other light, .58 were right
-and a fifth stronger; by sqrt(points * share * inliers) of one row, the strongest 21.8 and 21.6, .42 were.
+Of 1,680 pictures of two simulated roads, each against the map of the other, 124 matched a place; the strongest had a
+support of 11.7, the next 9.2. Of 360 on their own roads, home, in another lane and in other light, .58 were right and
+a fifth stronger; by sqrt(inliers * share * inliers of a fundamental matrix) of one keyframe, the strongest 21.8 and
+21.6, .42 were.
 """
 
 from __future__ import annotations
@@ -30,30 +31,30 @@ from edge.sequence import Direction
 from edge.sequence.consensus import PlaceBelief, PositionsOf
 
 EVEN, POWER = 6.5, 3.0
-"""A logistic regression of those looks gave a power of 2.5 to 3.5 and even odds at 1.5 to 3.2. Here they are at 6.5, so
+"""A logistic regression of those matches gave a power of 2.5 to 3.5, even odds at 1.5 to 3.2. Here they are at 6.5, so
 that a place is believed from a support of 13.5 on: more places look alike where a map is larger."""
 ALONE = 11.5
-"""By how much the odds of one look are lower than those of two that agree: no single one is believed, unless it is
-where the vehicle is reckoned."""
+"""By how much the odds of one match are lower than those of two that agree: no single one is believed, unless dead
+reckoning has the vehicle there."""
 MOST_ODDS = 22.0
 """0.957, which the least of a prior brings below what is believed: a street of the same plan is not told from its twin.
 """
 ENOUGH = EVEN * MOST_ODDS ** (1 / POWER)
 """Support beyond which more makes no place surer."""
 KEPT = 4
-"""Looks that count, the newest among them."""
+"""Verified frames that count, the newest among them."""
 APART_M = 2.0
 """By which two poses of one place may differ, beside what the odometer is off by."""
 MAPS_APART_M = 6.0
 """The same of two drives on one street, whose positions are by GPS."""
 REACH_M = 60.0
-"""Driven since a look, beyond which it does not count."""
+"""Driven since a match, beyond which it does not count."""
 
 PriorOf: TypeAlias = Callable[[int, float], float]
 
 
 def confidence_of(support: float) -> float:
-    """That one look alone is right, by the support of all rows."""
+    """That one match alone is right, by the support of all keyframes."""
     odds: float = min((support / EVEN) ** POWER, MOST_ODDS) / ALONE
     return odds / (1 + odds)
 
@@ -65,9 +66,9 @@ def sign_of(direction: Direction) -> int:
 
 @dataclass(frozen=True)
 class KeyframeVote:
-    """A look on the map: where it puts the vehicle along a drive, and which way that goes.
+    """A keyframe match as a vote: the vehicle's point along a drive of the map, and its direction of travel.
 
-    lap_m: see `PlaceVote`. at_m, uncertain_m: driven by then, and how uncertain that is. odds: by this look alone.
+    lap_m: see `PlaceVote`. at_m, uncertain_m: driven by then, and how uncertain that is. odds: by this match alone.
     """
 
     drive: int
@@ -84,22 +85,22 @@ class KeyframeVote:
 
 
 class KeyframeConsensus:
-    """The newest looks, and the belief that they add up to."""
+    """The newest votes by keyframes, and the belief that they add up to."""
 
     def __init__(self) -> None:
         self._kept = deque[KeyframeVote | None](maxlen=KEPT)
 
-    def add(self, sighted: KeyframeVote | None) -> None:
-        """A look at a frame; None if it showed no place of the map."""
-        self._kept.append(sighted)
+    def add(self, vote: KeyframeVote | None) -> None:
+        """Of a verified frame; None if it matched no place of the map."""
+        self._kept.append(vote)
 
     def belief(
         self, driven_m: float, least: float, positions_of: PositionsOf, prior_of: PriorOf | None = None
     ) -> PlaceBelief | None:
-        """The place that most speaks for, after so much was driven; None where nothing was seen.
+        """The place that most speaks for, after so much was driven; None without a match.
 
         least: the confidence from which it is believed. positions_of: where points along drives lie. prior_of: odds of
-        being at a point along a drive without any look.
+        being at a point along a drive without any match.
         """
         kept = [one for one in self._kept if one is not None and driven_m - one.at_m <= REACH_M]
         best: tuple[float, KeyframeVote, list[KeyframeVote]] | None = None
@@ -118,7 +119,7 @@ class KeyframeConsensus:
 
 
 def _agree(one: KeyframeVote, other: KeyframeVote, driven_m: float, positions_of: PositionsOf) -> bool:
-    """Whether two looks put the vehicle at one place."""
+    """Whether two votes put the vehicle at one place."""
     apart_m = abs(one.uncertain_m - other.uncertain_m) + APART_M
     at_m, other_m = one.now_m(driven_m), other.now_m(driven_m)
     if (one.drive, one.direction) == (other.drive, other.direction):
@@ -128,17 +129,17 @@ def _agree(one: KeyframeVote, other: KeyframeVote, driven_m: float, positions_of
 
 
 def joined(
-    looks: PlaceBelief, votes: PlaceBelief | None, least: float, *, is_one_place: bool
+    keyframes: PlaceBelief, votes: PlaceBelief | None, least: float, *, is_one_place: bool
 ) -> tuple[PlaceBelief, PlaceBelief | None]:
-    """Both beliefs with what they say together: of one place, or against each other. least: see `KeyframeConsensus`."""
+    """Both beliefs, weighed with each other: of one place, or against each other. least: see `KeyframeConsensus`."""
     if votes is None:
-        return looks, None
-    odds = [one.confidence / max(1 - one.confidence, 1e-9) for one in (looks, votes)]
+        return keyframes, None
+    odds = [one.confidence / max(1 - one.confidence, 1e-9) for one in (keyframes, votes)]
     if is_one_place:
-        of_looks = of_votes = max(looks.confidence, votes.confidence)
+        of_keyframes = of_votes = max(keyframes.confidence, votes.confidence)
     else:
-        of_looks, of_votes = (own / (1 + sum(odds)) for own in odds)
+        of_keyframes, of_votes = (own / (1 + sum(odds)) for own in odds)
     return (
-        replace(looks, confidence=of_looks, is_believed=of_looks >= least),
+        replace(keyframes, confidence=of_keyframes, is_believed=of_keyframes >= least),
         replace(votes, confidence=of_votes, is_believed=of_votes >= least),
     )

@@ -1,12 +1,12 @@
 """A lane beside the map's drive: the left and the right region of a frame show different places there.
 
-Both cameras look the same way. To a vehicle that is further left than the one that made the map, what stands on the
+Both cameras face the same way. To a vehicle that is further left than the one that made the map, what stands on the
 left is nearer, so that the left region shows what the map's camera saw from further back, and the right region what it
 saw from further ahead. The paper matches both regions of a frame together. In a lane whose distance from the map's
 drive is known (`[rig] left_reverse_m`, `left_forward_m`), the left region of one frame and the right one of some frames
 before show the same place, and are matched together. On five simulated roads, 3.5 m beside the map's drive, uniqueness
 so rose from 1.22 to 1.29 at night, and from 1.32 to 1.45 at dusk. On the recorded drive ardupilot_a971, 245 of 445
-lines were then sharp enough to say where the vehicle is, and 146 of 435 without.
+sequence matches were then sharp enough for a position, and 146 of 435 without.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ the lights and roads that were tried."""
 class Lags(NamedTuple):
     """Places, an even number, by which the left region shows a place later than the right one; below 0: earlier.
 
-    alike, opposed: on drives of the map whose camera looked as this one does, and on those where it looked back.
+    alike, opposed: on drives of the map whose camera faced as this one does, and on those where it faced back.
     """
 
     alike: int = 0
@@ -69,15 +69,15 @@ def lane_costs(
     since = driven[-1] - np.array(driven[: -1 - len(ring) : -1])  # places, of each row, the newest first
     now = np.array(ages)
     pieces = list(map_set.index.by_segment(ranges))
-    looks_alike = [map_set.index.view(number) == view for number, _, _ in pieces]
-    of_pieces = [lags.alike if is_alike else lags.opposed for is_alike in looks_alike]
+    faces_alike = [map_set.index.view(number) == view for number, _, _ in pieces]
+    of_pieces = [lags.alike if is_alike else lags.opposed for is_alike in faces_alike]
     used, newest_first = sorted({lag for lag in of_pieces if lag}), ring[::-1]
     paired = [_paired(newest_first, now, _rows_before(since, now, lag), lag) for lag in (0, *used)]
     found = map_set.costs(np.concatenate(paired), ranges)
     by_lag = found.reshape(1 + len(used), len(ages), *found.shape[1:])
     costs: NDArray[np.int32] = by_lag[0]
     at = 0
-    for (_, start, end), is_alike, lag in zip(pieces, looks_alike, of_pieces, strict=True):
+    for (_, start, end), is_alike, lag in zip(pieces, faces_alike, of_pieces, strict=True):
         stop, half = at + end - start, abs(lag) // 2
         if 0 < half < end - start:
             # Half a lag ago the vehicle was further back: on the way home along the drive, at a later place.

@@ -29,7 +29,7 @@ SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""
 
 REGULAR, REGULAR_SHARE = 0.1, 0.9
-"""The places of a map are regularly spaced if so many stretches of half a sequence are within this share of their
+"""The places of a map are regularly spaced if so many pieces of half a sequence are within this share of their
 median length: single steps differ by more, since a camera that maps has no frame at the very moment."""
 ROOM = 1.25
 """Share of what a sequence passed that the next ones have room for: frames need not be evenly apart."""
@@ -179,7 +179,7 @@ class PlaceSearch:
         self._measure(is_measured)
         self._is_position_known = travel.search_region is not None
         if not self._is_whole and travel.search_region is not None:
-            self._look_around(travel.search_region)
+            self._search_around(travel.search_region)
         self._drive(step, usual)
         if self.part is not None:
             self.part.head(travel.course_rad)
@@ -228,7 +228,7 @@ class PlaceSearch:
             return self.part.refill(costs, self._driven[-len(costs) :])
         return self.part.push(costs, change.ages, self._driven[-1])
 
-    def _look_around(self, near: SearchRegion) -> None:
+    def _search_around(self, near: SearchRegion) -> None:
         """Search around the position, if the part does not reach as far as it must."""
         where = self._where
         # A position says nothing of maps without any, nor of a place that was recognized on one.

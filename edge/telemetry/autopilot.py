@@ -160,7 +160,7 @@ class AutopilotConnection:
         """The link, and what the autopilot says of itself, for people."""
         now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
-        along_m, across_m = level_m(sent[1].level) if sent else (None, None)
+        along_m, cross_track_m = level_m(sent[1].level) if sent else (None, None)
         scale = self.vehicle.velocity.shown.scale
         return LinkStatus(
             state=self.state,
@@ -181,7 +181,7 @@ class AutopilotConnection:
             sent_ns=sent[0] if sent else None,
             sent_sigma_m=round(sent[1].place.sigma_m, 2) if sent else None,
             level_along_m=along_m,
-            level_cross_track_m=across_m,
+            level_cross_track_m=cross_track_m,
         )
 
     @property

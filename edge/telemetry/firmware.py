@@ -62,7 +62,7 @@ class Firmware:
     camera_velocity: the message by which it takes a velocity of the camera; camera_drifts: whether its filter adds
     errors of its own to that, which change in 200 m: on five simulated roads, positions were up to 12 m and 4.9
     standard deviations off by it. gps_glitch: the flag of its filter. rates_follow_gps: whether the bias of the turn
-    rates in its ATTITUDE follows GPS that is dragged, so that its gyros count. integers_as_bytes: whether the bytes of
+    rates in its ATTITUDE follows a spoofed GPS, so that its gyros count. integers_as_bytes: whether the bytes of
     an integer parameter are put where the float goes. home_is_item_0: whether that item of a mission is its own home
     position. stands_at_origin: whether one that has no position takes an origin for where it is, and can be armed.
     gps_switch: what its filter uses is selected as one of its sets of sources, which it does not report, or by GPS

@@ -295,7 +295,7 @@ def held_axes(fix: Fix) -> Literal["along-track", "cross-track"] | UnsetType:
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:
-    """Meters along and across for people, None where nothing bounds them."""
+    """Meters along-track and cross-track for people, None where nothing bounds them."""
     if level is None or not math.isfinite(level.along_track_m + level.cross_track_m):
         return None, None
     return round(level.along_track_m, 2), round(level.cross_track_m, 2)

@@ -56,8 +56,8 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     lat_deg: Latitude = None
     lon_deg: Longitude = None
     heading_deg: Heading = None
-    sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along the route", 2)] = None
-    sigma_cross_track_m: Annotated[float | None, unit("m", "one standard deviation across the route", 2)] = None
+    sigma_along_m: Annotated[float | None, unit("m", "one standard deviation along-track", 2)] = None
+    sigma_cross_track_m: Annotated[float | None, unit("m", "one standard deviation cross-track", 2)] = None
     direction: Direction | None = None
     order: Order | None = None
     map: MapName = UNSET

@@ -24,10 +24,10 @@ BRIDGED_NS, BRIDGED_MPS2 = 10_000_000_000, 0.5
 was 4 to 6 m off within 5 s without it (six drives)."""
 RATES_APART_NS, RATES_AHEAD_NS, MOST_RADPS = 300_000_000, 100_000_000, 10.0
 """Between two rates, of six that are requested; how long the newest holds; beyond it, a rate is damaged."""
-LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA, ASIDE = range(7)
+LOCAL, GLOBAL, WHEELS, HUD, ODOMETRY, CAMERA, LATERAL = range(7)
 """What a speed comes from, the best first: the autopilot's two positions, wheels, its display, ROS 2, our camera. And
 that of odometry to the left."""
-FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FRESH_NS, ASIDE: CAMERA_FRESH_NS}
+FRESH_NS = {WHEELS: SPEED_FRESH_NS, ODOMETRY: CAMERA_FRESH_NS, CAMERA: CAMERA_FRESH_NS, LATERAL: CAMERA_FRESH_NS}
 SPEEDS = {WHEELS: "wheels", ODOMETRY: "odometry", CAMERA: "the camera"}
 """What measures a speed in which GPS has no part, the best first, and in words."""
 NO_RATES, NO_SPEED = "gyro rates", "a speed without GPS"
@@ -106,7 +106,7 @@ class VehicleVelocity:
             self.listen(stamp_ns, speed_mps, source)
             self._speeds[source] = stamp_ns, speed_mps
             if source == ODOMETRY or self._fresh(ODOMETRY, stamp_ns) is None:
-                self._speeds[ASIDE] = stamp_ns, left_mps
+                self._speeds[LATERAL] = stamp_ns, left_mps
             own = self._own
             if source == CAMERA and own is not None and own.heading_deg is not None:
                 self._seen = stamp_ns, speed_mps, _ahead(own.east_mps, own.north_mps, own.heading_deg)
@@ -184,7 +184,7 @@ class VehicleVelocity:
 
     def _left_mps(self, now_ns: int) -> float:
         """To the left, where wheels do not measure the speed."""
-        return 0.0 if self._fresh(WHEELS, now_ns) is not None else self._fresh(ASIDE, now_ns) or 0.0
+        return 0.0 if self._fresh(WHEELS, now_ns) is not None else self._fresh(LATERAL, now_ns) or 0.0
 
     def turned_rad(self, since_ns: int, until_ns: int) -> tuple[float, float] | None:
         """By how much the body has turned between two moments: nose up, and to the right; None where not known."""
@@ -271,7 +271,7 @@ def _ahead(east_mps: float, north_mps: float, heading_deg: float) -> float:
 
 
 def slip(east_mps: float, north_mps: float, heading_deg: float) -> float | None:
-    """What of a velocity goes to the right of a heading, as a share of what goes along it; None of one mostly aside."""
+    """Lateral over forward velocity, to the right of a heading; None if the vehicle moves mostly sideways."""
     ahead_mps, right_mps = (_ahead(east_mps, north_mps, heading_deg + turned_deg) for turned_deg in (0.0, 90.0))
     return right_mps / ahead_mps if abs(ahead_mps) > abs(right_mps) else None
 

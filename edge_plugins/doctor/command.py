@@ -26,14 +26,14 @@ Need: TypeAlias = Literal["devices", "config", "network", "maps", "autopilot"]
 
 @dataclass(frozen=True)
 class Check:
-    """look: finds something out; an error that it raises is bad, and `remedy` says what to do ({map}: [map] path).
+    """find: finds something out; an error that it raises is bad, and `remedy` says what to do ({map}: [map] path).
 
     needs: without one of these there is nothing to check. "devices": it does more than read files.
     """
 
     what: str
     needs: tuple[Need, ...]
-    look: Callable[[DoctorContext], Iterable[Found]]
+    find: Callable[[DoctorContext], Iterable[Found]]
     remedy: str = ""
 
 
@@ -87,7 +87,7 @@ def examine(path: Path | None, seconds: float, dev: Path = Path("/dev"), *, offl
         there = {name for name in ("config", "network", "maps", "autopilot") if getattr(examined, name) is not None}
         if set(check.needs) <= (there if offline else there | {"devices"}):
             try:
-                for found in check.look(examined):
+                for found in check.find(examined):
                     yield Finding(found[0], check.what, *found[1:])
             except LookbackError as error:
                 yield Finding("bad", check.what, str(error), check.remedy.format(map=examined.settings.map.path))

@@ -103,9 +103,7 @@ class HomeRequests:
         self._upload: Upload | None = None
         journal = link.config.journal
         self._replaced = ReplacedMission(Path(journal).with_suffix(".mission") if journal else None)
-        self._check: tuple[Session, int] | None = (
-            None  # where the pilot was warned, and when the mission is looked at next
-        )
+        self._check: tuple[Session, int] | None = None  # where the pilot was warned, and when the mission is read next
         self._last: tuple[Sender, int, HomeReply] | None = None  # to whom, when, what
 
     def read(self, message: Message, now_ns: int, *, is_for_us: bool) -> list[Message]:

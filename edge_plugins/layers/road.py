@@ -1,6 +1,6 @@
-"""Which drives of a folder of maps pass the same road, and which way they looked there.
+"""Which drives of a folder of maps pass the same road, and which way they faced there.
 
-A stretch is a place of the road and the way along which a camera looked there, within 60 degrees. It has a layer for
+A stretch is a place of the road and the way along which a camera faced there, within 60 degrees. It has a layer for
 each drive that saw it, so a rear camera on the way out and a front camera on the way home are layers of the same
 stretches.
 """
@@ -21,40 +21,40 @@ from edge.reference_map import ReferenceMap
 REACH_M = 25.0
 """Drives whose places are so near pass one stretch: both lanes (12 m) and GPS between houses (5 m) twice."""
 NEEDED = 4
-"""Stretches, each about REACH_M long: together the shortest line by which anything is recognized (40 places, 80 m)."""
+"""Stretches, each about REACH_M long: together the shortest sequence that is recognized (40 places, 80 m)."""
 ALIGNED = 0.5
-"""Cosine of 60 degrees, between two ways of looking: bends within REACH_M, and no crossing road."""
+"""Cosine of 60 degrees, between two views: bends within REACH_M, and no crossing road."""
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LayerRows:
-    """rows: of each layer, by number of the drive, the row closest to it. opposed: of drives that looked against it."""
+    """rows: of each layer, by number of the drive, the row closest to it. opposed: of drives that faced against it."""
 
     rows: dict[int, int]
     opposed: dict[int, int]
 
     @property
     def drives(self) -> set[int]:
-        """That pass here, whichever way they looked."""
+        """That pass here, whichever way they faced."""
         return {*self.rows, *self.opposed}
 
 
 def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[LayerRows]:
-    """Of all drives with positions, in both ways of looking, even where one has no layer. every: step of rows."""
+    """Of all drives with positions, in both views, even where one has no layer. every: step of rows."""
     places = [one.places for one in maps]
     known = (first_known(one["lat_deg"], one["lon_deg"]) for one in places)
     origin = next((one for one in known if one is not None), None)
     if origin is None:
         return []
     ground = [east_north(one["lat_deg"], one["lon_deg"], origin) for one in places]
-    looks = [_looks(one, at_m) for one, at_m in zip(maps, ground, strict=True)]
-    centers = _centers(ground, looks, every)
+    views = [_views_of(one, at_m) for one, at_m in zip(maps, ground, strict=True)]
+    centers = _centers(ground, views, every)
     rows: list[tuple[dict[int, int], dict[int, int]]] = [({}, {}) for _ in centers.points]
-    for number, (at_m, look) in enumerate(zip(ground, looks, strict=True)):
+    for number, (at_m, view) in enumerate(zip(ground, views, strict=True)):
         nearest: dict[tuple[int, bool], float] = {}
-        for row in _known(at_m, look, every):
-            for center, apart_m, cosine in centers.near(at_m[row], look[row]):
+        for row in _known(at_m, view, every):
+            for center, apart_m, cosine in centers.near(at_m[row], view[row]):
                 key = center, cosine > 0
                 if apart_m < nearest.get(key, math.inf):
                     nearest[key] = apart_m
@@ -72,9 +72,9 @@ class _Centers:
         self.points: list[tuple[float, float, float, float]] = []
         self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
 
-    def near(self, at_m: Floats, look: Floats) -> Iterator[tuple[int, float, float]]:
-        """Those within REACH_M of a point along whose axis it looks: number, meters, cosine."""
-        (x, y), (east, north) = at_m.tolist(), look.tolist()
+    def near(self, at_m: Floats, view: Floats) -> Iterator[tuple[int, float, float]]:
+        """Those within REACH_M of a point along whose axis it faces: number, meters, cosine."""
+        (x, y), (east, north) = at_m.tolist(), view.tolist()
         column, line = math.floor(x / REACH_M), math.floor(y / REACH_M)
         for cell in ((column + i, line + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
             for number in self._cells.get(cell, ()):
@@ -83,38 +83,38 @@ class _Centers:
                 if apart_m <= REACH_M and abs(cosine) >= ALIGNED:
                     yield number, apart_m, cosine
 
-    def add(self, at_m: Floats, look: Floats) -> None:
+    def add(self, at_m: Floats, view: Floats) -> None:
         """One more."""
-        (x, y), (east, north) = at_m.tolist(), look.tolist()
+        (x, y), (east, north) = at_m.tolist(), view.tolist()
         self._cells[math.floor(x / REACH_M), math.floor(y / REACH_M)].append(len(self.points))
         self.points.append((x, y, east, north))
 
 
-def _centers(ground: Sequence[Floats], looks: Sequence[Floats], every: int) -> _Centers:
+def _centers(ground: Sequence[Floats], views: Sequence[Floats], every: int) -> _Centers:
     centers = _Centers()
-    for at_m, look in zip(ground, looks, strict=True):
-        for row in _known(at_m, look, every):
-            if next(centers.near(at_m[row], look[row]), None) is None:
-                centers.add(at_m[row], look[row])
+    for at_m, view in zip(ground, views, strict=True):
+        for row in _known(at_m, view, every):
+            if next(centers.near(at_m[row], view[row]), None) is None:
+                centers.add(at_m[row], view[row])
     return centers
 
 
-def _known(at_m: Floats, look: Floats, every: int) -> list[int]:
-    rows: list[int] = np.flatnonzero(np.isfinite(at_m[:, 0]) & np.isfinite(look[:, 0]))[::every].tolist()
+def _known(at_m: Floats, view: Floats, every: int) -> list[int]:
+    rows: list[int] = np.flatnonzero(np.isfinite(at_m[:, 0]) & np.isfinite(view[:, 0]))[::every].tolist()
     return rows
 
 
-def _looks(one: ReferenceMap, at_m: Floats) -> Floats:
-    """Unit vectors (N, 2) along which the camera looked, east and north: by the heading, else by the places around."""
+def _views_of(one: ReferenceMap, at_m: Floats) -> Floats:
+    """Unit vectors (N, 2) along which the camera faced, east and north: by the heading, else by the places around."""
     heading = np.radians(one.places["heading_deg"])
-    look = np.stack([np.sin(heading), np.cos(heading)], axis=1)
+    view = np.stack([np.sin(heading), np.cos(heading)], axis=1)
     for segment in one.header.segments:
         rows = slice(segment.start, segment.end)
         if segment.end - segment.start >= 2:
             ahead = np.gradient(at_m[rows], axis=0)
             with np.errstate(invalid="ignore", divide="ignore"):
                 ahead /= np.hypot(ahead[:, :1], ahead[:, 1:])
-            look[rows] = np.where(np.isnan(look[rows]), ahead, look[rows])
+            view[rows] = np.where(np.isnan(view[rows]), ahead, view[rows])
         if segment.view == "rear":
-            look[rows] *= -1
-    return look
+            view[rows] *= -1
+    return view

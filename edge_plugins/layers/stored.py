@@ -23,7 +23,7 @@ CLOCK_SET_UNIX_S = 1_763_000_000
 """November 2025: a clock that says less was never set, as after a start without a battery and without a network."""
 DELETED = ".being-deleted"
 ROWS_APART = 5
-"""Rows of a drive that are looked at, 10 m apart: a stretch is 25 m, and the daemon's start waits for this."""
+"""Rows of a drive that are read, 10 m apart: a stretch is 25 m, and the daemon's start waits for this."""
 log = logging.getLogger(__name__)
 
 

@@ -56,7 +56,7 @@ class DriveStore:
         """
         self.header, self._view, self._unix_time_s = header, view, unix_time_s
         self._writer = partial(PlaceLog, min_free_bytes=config.min_free_mb * 1e6, retry_s=retry_s)
-        self.keypoints = LiveKeypoints(fov_deg, lens, looks_back=view == "rear")
+        self.keypoints = LiveKeypoints(fov_deg, lens, faces_back=view == "rear")
         self._log: PlaceLog | None = None
         self.last: MappedPlace | None = None
         """The newest place; None where the next one begins a drive."""

@@ -1,6 +1,6 @@
 """Whether GPS moves as the vehicle does by what GPS has no part in: only that vouches for the map of a drive. Pure.
 
-While an autopilot uses GPS, its velocity is that of GPS, and moves along with one that is dragged. So positions are
+While an autopilot uses GPS, its velocity is that of GPS, and follows a spoofed one. So positions are
 compared with wheels, with another program's odometry or with our camera, and with the heading, at the moments at which
 these have counted: wheels do so once a second (ArduPilot 4.6.3), in which a car drives 8 m.
 """
@@ -79,7 +79,7 @@ class GpsConsistency:
         self._agrees = True
 
     def begin_drive(self) -> None:
-        """A drive begins. What GPS was compared with before stays: a drag that has ended is an offset."""
+        """A drive begins. What GPS was compared with before stays: a spoofing drift that has ended is an offset."""
         self._agrees = True
 
     def vouches(self, stamp_ns: int) -> bool:

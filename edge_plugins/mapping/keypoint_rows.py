@@ -88,7 +88,7 @@ class KeypointRows:
         for segment in segments:
             drive = records[segment.start : segment.end]
             own = places[segment.start : segment.end]
-            heading, looks_back = np.radians(own["heading_deg"]), segment.view == "rear"
+            heading, faces_back = np.radians(own["heading_deg"]), segment.view == "rear"
             mounts = {
                 row - segment.start: self._mounts[row]
                 for row in range(segment.start, segment.end)
@@ -101,7 +101,7 @@ class KeypointRows:
 
             of_drive = mount_of_drive(mount for mount in mounts.values() if mount is not None)
             found = points_of_drive(
-                read, own["route_m"], heading, camera_of(key), rows, looks_back=looks_back, mount=of_drive
+                read, own["route_m"], heading, camera_of(key), rows, faces_back=faces_back, mount=of_drive
             )
             for row, (points, mount) in zip(rows, found, strict=True):
                 put_points(drive[row], points)

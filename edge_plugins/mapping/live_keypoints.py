@@ -47,10 +47,10 @@ class _Row(NamedTuple):
 class LiveKeypoints:
     """Those of each place, which are added in their order by one thread."""
 
-    def __init__(self, fov_deg: float | None, lens: Lens, *, looks_back: bool) -> None:
-        """fov_deg: horizontal, of the pictures; None: there are none. looks_back: the camera that maps. ModelError."""
+    def __init__(self, fov_deg: float | None, lens: Lens, *, faces_back: bool) -> None:
+        """fov_deg: horizontal, of the pictures; None: there are none. faces_back: the camera that maps. ModelError."""
         self._made = None if fov_deg is None else keypoints_key(1, 1, fov_deg, lens)
-        self._looks_back = looks_back
+        self._faces_back = faces_back
         self._thread = ThreadPoolExecutor(1, "keypoints", _block_signals)
         self._pictures: list[Future[Keypoints]] = []
         self._size = 1, 1  # of the newest, height and width
@@ -101,7 +101,7 @@ class LiveKeypoints:
             self._thread.submit(self._add, place, found)
 
     def __getitem__(self, row: int) -> NDArray[np.void]:
-        """The records (K,) of KEYPOINT of a place, as a camera would have them that looks level along the road.
+        """The records (K,) of KEYPOINT of a place, in the frame of a camera that faces level along the road.
 
         Without keypoints where they are not known yet.
         """
@@ -165,7 +165,7 @@ class LiveKeypoints:
         assert key is not None and self._log is not None
         rows, route_m, heading_rad, keypoints = zip(*self._rows, strict=True)
         where = np.array(route_m), np.array(heading_rad), camera_of(key)
-        found = points_of_drive(keypoints.__getitem__, *where, [at], looks_back=self._looks_back, mount=mount)
+        found = points_of_drive(keypoints.__getitem__, *where, [at], faces_back=self._faces_back, mount=mount)
         ((points, of_row),) = found
         self._drives = [*self._drives[:-1], (first, mount_of_drive([of_row], mount))]
         record = record_of(keypoints[at], key)

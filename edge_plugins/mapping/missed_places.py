@@ -22,7 +22,7 @@ from edge_plugins.mapping.place_log_records import MappedPlace
 STEP_M, KEPT = 1.0, 128
 AT_REST_M, STRAIGHT_RAD = 10.0, math.radians(15.0)
 """Between two positions by GPS, within which the direction from one to the other says nothing; and by how much each
-heading may differ from it on a straight way: of a bend of 80 m, the middle is then 5 m aside."""
+heading may differ from it on a straight way: the middle of a bend of 80 m is then 5 m off its chord."""
 
 
 class Trail:
@@ -41,11 +41,11 @@ class Trail:
     ) -> Iterator[MappedPlace]:
         """The `missed` places between two that have a frame, evenly apart, with the less accurate position of both.
 
-        is_measured: whether the way between them was; else they have no heading, and are aside where it was bent.
+        is_measured: whether the way between them was; else they have no heading, and lie beside it where it was bent.
         """
         first, last = before.place, after.place
         turned_rad = math.radians((last.heading_deg - first.heading_deg + 180.0) % 360.0 - 180.0)
-        aside_m = 0.0 if is_measured else (last.route_m - first.route_m) * abs(turned_rad) / 8
+        lateral_m = 0.0 if is_measured else (last.route_m - first.route_m) * abs(turned_rad) / 8
         ends = [(one.route_m, one.lat_deg, one.lon_deg, one.alt_m) for one in (first, last)]
         between = [point for point in self._points if first.route_m < point[0] < last.route_m]
         route_m, lat_deg, lon_deg, alt_m = np.array([ends[0], *between, ends[1]]).T
@@ -61,7 +61,7 @@ class Trail:
                 alt_m=float(np.interp(at_m, route_m, alt_m)),
                 route_m=at_m,
                 heading_deg=nearest.place.heading_deg if is_measured else math.nan,
-                position_sigma_m=math.hypot(np.maximum(first.position_sigma_m, last.position_sigma_m), aside_m),
+                position_sigma_m=math.hypot(np.maximum(first.position_sigma_m, last.position_sigma_m), lateral_m),
             )
             yield replace(nearest, place=place, keypoints=None)  # which would say that it is where it is not
 

@@ -1,8 +1,8 @@
 """Places that were passed while no position was good enough: placed once one is again. Pure.
 
 GPS is lost below a bridge, and moves otherwise than the vehicle between high buildings. A map that broke off there
-would cost the way home more than those meters: places are recognized anew only after a line and more. So the way is
-reckoned from the last good position to the next one by odometer and heading, and the error at its end is distributed:
+would cost the way home more than those meters: places are recognized anew only after a whole sequence. So dead
+reckoning by odometer and heading goes on from the last good position to the next one, whose error is distributed:
 
     place = begin + moved + share * (end - begin - moved to the end)    share: of the way driven, 0 to 1
     sigma^2 = (that of begin and end, by share)^2 + (OFF_SHARE * way * share * (1 - share))^2

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 WIDTH_PX = 320
 """Pictures are made so narrow: at 80 degrees, a pixel is 0.3 degrees, a tenth of which corners are tracked to."""
-BEHIND, FARTHEST, ASIDE = -4.0, 8.0, 1.8
+BEHIND, FARTHEST, LATERAL = -4.0, 8.0, 1.8
 """Ground that is used, in heights ahead and to each side: at 1.4 m up to 11 m, and a lane of 5 m. Further ahead a pitch
 that is wrong by 0.1 degrees is 1.4 % of the distance."""
 CORNERS, FEWEST = 80, 20
@@ -109,7 +109,7 @@ class GroundView:
         down, ahead = (rays @ direction for direction in _down_and_ahead(pitch_rad))
         with np.errstate(divide="ignore", invalid="ignore"):
             ahead, right = ahead / down, rays[..., 0] / down
-        used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < ASIDE)
+        used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < LATERAL)
         return np.where(used, 255, 0).astype(np.uint8), float(ahead[used].min(initial=FARTHEST))
 
     def contrast(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from edge.camera import Frame
-from edge.localization.place_fix import line_middle
+from edge.localization.place_fix import sequence_midpoint
 from edge.plugin import Parts, Plugin, UsedFrame
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import CameraMotion
@@ -36,7 +36,7 @@ class Motion(Plugin):
         match, height = used.match, self._motion.height
         line = None
         if match is not None and match.accepted and match.uniqueness >= 1:
-            line = line_middle(match, self._parts.drive.route, self._parts.config.sequence_frames)
+            line = sequence_midpoint(match, self._parts.drive.route, self._parts.config.sequence_frames)
         if match is None or line is None:
             height.use_frame(None)
             return

@@ -61,7 +61,7 @@ class VelocitySender:
             link.send([ENCODERS[link.vehicle.session.firmware.camera_velocity](speed, self._course(speed.stamp_ns))])
 
     def _course(self, stamp_ns: int) -> tuple[float, float] | None:
-        """Where the vehicle heads, and one standard deviation: as the autopilot says, without what looks have found.
+        """The vehicle's heading, and one standard deviation: the autopilot's, less its error by keypoint poses.
 
         None where they have found nothing, or it was of a velocity whose heading is not the autopilot's.
         """

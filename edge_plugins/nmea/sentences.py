@@ -40,14 +40,14 @@ def sentences(unix_ns: int, fix: PlaceFix | None, speed_mps: float | None = None
 
 def _ellipse(fix: PlaceFix) -> tuple[str, str, str, str, str]:
     """Meters along both axes of the error ellipse, how the longer one lies, and meters north and east: 1 sigma each."""
-    along_m, across_m = fix.sigma_along_m, fix.sigma_cross_track_m
+    along_m, cross_track_m = fix.sigma_along_m, fix.sigma_cross_track_m
     if fix.heading_deg is None:
-        along_m = across_m = max(along_m, across_m)
+        along_m = cross_track_m = max(along_m, cross_track_m)
     heading_rad = math.radians(fix.heading_deg or 0.0)
-    north_m = math.hypot(along_m * math.cos(heading_rad), across_m * math.sin(heading_rad))
-    east_m = math.hypot(along_m * math.sin(heading_rad), across_m * math.cos(heading_rad))
-    longer_deg = (fix.heading_deg or 0.0) + (90 if across_m > along_m else 0)
-    axes_m = max(along_m, across_m), min(along_m, across_m)
+    north_m = math.hypot(along_m * math.cos(heading_rad), cross_track_m * math.sin(heading_rad))
+    east_m = math.hypot(along_m * math.sin(heading_rad), cross_track_m * math.cos(heading_rad))
+    longer_deg = (fix.heading_deg or 0.0) + (90 if cross_track_m > along_m else 0)
+    axes_m = max(along_m, cross_track_m), min(along_m, cross_track_m)
     lies = f"{round(longer_deg, 1) % 180:.1f}"
     return f"{axes_m[0]:.1f}", f"{axes_m[1]:.1f}", lies, f"{north_m:.1f}", f"{east_m:.1f}"
 

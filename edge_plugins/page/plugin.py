@@ -43,7 +43,7 @@ class Page(Plugin):
         """Keep it for a while."""
         position = self._parts.autopilot.vehicle.position(self._parts.clock_ns())
         vehicle = (position.lat_deg, position.lon_deg) if position else None
-        self._live.add(used.frame, used.match, used.record, vehicle, self._parts.recognizer.agreeing)
+        self._live.add(used.frame, used.match, used.record, vehicle, self._parts.recognizer.correspondences)
 
     def turn(self, spare_s: float | None) -> None:
         """Hand over what somebody waits for; maps as they are searched now."""

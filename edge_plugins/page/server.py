@@ -1,8 +1,8 @@
 """The live page: a web server in a thread of its own, read-only. This file is that thread.
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
-requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A look of the page's
-takes a quarter of what a used frame takes, and it looks at most once in five of them: 5 % of the recognizer's time.
+requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A request of the
+page takes a quarter of what a used frame takes, and comes at most once in five of them: 5 % of the recognizer's time.
 
 No files by path, no cookies, no cross-origin answers. A browser must name an address, localhost or one of [page] hosts,
 so that no foreign web site can read the page by a name that it points here.

@@ -26,8 +26,8 @@ from edge_plugins.mapping.status import MappingView
 
 HISTORY = 2400
 RATE_FRAMES = 20
-LOOK_SHOWN_NS = 1_000_000_000
-"""A frame is shown with its points for so long, since most frames are not looked at."""
+POINTS_SHOWN_NS = 1_000_000_000
+"""A frame is shown with its points for so long, since most frames are not verified."""
 
 
 class HistoryFrame(msgspec.Struct, frozen=True):
@@ -80,12 +80,12 @@ class Status(DaemonStatus, frozen=True, kw_only=True):
 class PageSnapshot:
     """A status with the newest used frame (H, W, 3) uint8 BGR.
 
-    agreeing: points of that frame and of a place, by which it shows the place; None: no look, or nothing that agrees.
+    correspondences: keypoint matches of that frame and of its place; None: not verified, or no match.
     """
 
     status: Status
     image: NDArray[np.uint8] | None
-    agreeing: Correspondences | None = None
+    correspondences: Correspondences | None = None
 
     def as_json(self, since_ns: int, picture: bytes = b"") -> bytes:
         """The status, and its history after `since_ns`.
@@ -94,8 +94,9 @@ class PageSnapshot:
         """
         history = tuple(sample for sample in self.status.history if sample.used.stamp_ns > since_ns)
         fields = msgspec.structs.asdict(msgspec.structs.replace(self.status, history=history))
-        look = self.agreeing and {"place": self.agreeing.place_index, "points": self.agreeing.shares.round(3).tolist()}
-        return msgspec.json.encode({**fields, "look": look, "picture": picture})
+        points = self.correspondences
+        pair = points and {"place": points.place_index, "points": points.shares.round(3).tolist()}
+        return msgspec.json.encode({**fields, "inliers": pair, "picture": picture})
 
 
 class LiveStatus:
@@ -126,7 +127,7 @@ class LiveStatus:
         self._started_unix_s = round(unix_time_s(), 3)
         self._history: deque[HistoryFrame] = deque(maxlen=HISTORY)
         self._frame: Frame | None = None
-        self._looked: tuple[Frame, Correspondences] | None = None
+        self._verified: tuple[Frame, Correspondences] | None = None
         self.match: PlaceMatch | None = None
         self.frames_used = self.events = 0
 
@@ -136,15 +137,15 @@ class LiveStatus:
         match: PlaceMatch | None,
         used: FrameUsed,
         vehicle: tuple[float, float] | None,
-        agreeing: Correspondences | None = None,
+        correspondences: Correspondences | None = None,
     ) -> None:
         """A frame was used: what it gave, its record, and the autopilot's own latitude and longitude.
 
-        agreeing: the points by which it shows the place of its match.
+        correspondences: the points by which it shows the place of its match.
         """
         self._frame, self.match = frame, match
-        if match is not None and match.seen is not None and agreeing is not None:
-            self._looked = frame, agreeing
+        if match is not None and match.seen is not None and correspondences is not None:
+            self._verified = frame, correspondences
         self.frames_used += 1
         self.events += used.emitted
         self._unrecognized = 0 if used.accepted else self._unrecognized + 1
@@ -167,9 +168,9 @@ class LiveStatus:
         )
         if self._frame is None:
             return PageSnapshot(status, None)
-        if self._looked and self.match and self._frame.stamp_ns - self._looked[0].stamp_ns <= LOOK_SHOWN_NS:
-            frame, agreeing = self._looked
-            return PageSnapshot(status, frame.image, agreeing)
+        if self._verified and self.match and self._frame.stamp_ns - self._verified[0].stamp_ns <= POINTS_SHOWN_NS:
+            frame, correspondences = self._verified
+            return PageSnapshot(status, frame.image, correspondences)
         return PageSnapshot(status, self._frame.image)
 
     def _fps(self, now_ns: int) -> float:
@@ -191,7 +192,7 @@ class MapView:
 
     places: how many there are in all. starts: how many places come before each map of a folder, by the map's name.
     drives: lists of (latitude, longitude), empty where unknown. thumbnail: the small JPEG of a place, counted through
-    all maps (any thread may ask); b"" where there is none. own_camera: whether a drive of a camera that looks as this
+    all maps (any thread may ask); b"" where there is none. own_camera: whether a drive of a camera that faces as this
     one does is among them; True for an empty map.
     """
 
@@ -206,11 +207,11 @@ class MapView:
         return msgspec.json.encode({name: of for name, of in vars(self).items() if name != "thumbnail"})
 
 
-def map_view(maps: MapSet, looks: str = "front") -> MapView:
-    """What is shown of these maps to a vehicle whose camera looks that way."""
+def map_view(maps: MapSet, view: str = "front") -> MapView:
+    """What is shown of these maps to a vehicle whose camera has that view."""
     starts = dict(zip(maps.names, maps.index.starts, strict=False)) if maps.is_folder else {}
     views = {one.view for header in maps.headers for one in header.segments}
-    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, not views or looks in views)
+    return MapView(maps.index.places, starts, _outline(maps), maps.thumbnail, not views or view in views)
 
 
 def _outline(maps: MapSet) -> tuple[Line, ...]:

@@ -78,8 +78,8 @@ def measure_camera(feed: Feed) -> FoundCamera:
     width, height, begun_deg = feed.header.width, feed.header.height, feed.header.fov_deg or BEGUN_DEG
     found = AS_CONFIGURED
     with closing(FeedImages(feed)) as images:
-        begun, looks_back = CameraModel(width, height, begun_deg), feed.header.view == "rear"
-        pictures = _Pictures(images, route_m, heading, begun, looks_back=looks_back)
+        begun, faces_back = CameraModel(width, height, begun_deg), feed.header.view == "rear"
+        pictures = _Pictures(images, route_m, heading, begun, faces_back=faces_back)
         for _ in range(PASSES):
             before = found.optics
             found, sigmas = _pooled(list(pictures.said(rows, found)))
@@ -115,11 +115,11 @@ class _Pictures:
         heading: NDArray[np.float64],
         model: CameraModel,
         *,
-        looks_back: bool,
+        faces_back: bool,
     ) -> None:
         self._images, self._network = images, KeypointNetwork()
         self._drive = partial(
-            points_of_drive, lru_cache(None)(self._keypoints), route_m, heading, model, looks_back=looks_back
+            points_of_drive, lru_cache(None)(self._keypoints), route_m, heading, model, faces_back=faces_back
         )
 
     def said(self, rows: Sequence[int], begun: UnknownCamera) -> Iterator[Said]:

@@ -34,7 +34,7 @@ from sim.calibration.offset import (
     rig_key,
     sigma_key,
 )
-from sim.calibration.offset_samples import OffsetSample, sightings
+from sim.calibration.offset_samples import OffsetSample, samples_of
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
@@ -55,7 +55,7 @@ WHY_DEFAULT = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback calibrate`."""
     parser.description = (
-        "Measure the camera's offset along the route from recorded drives with GPS, and the acceptance"
+        "Measure the camera's along-track offset from recorded drives with GPS, and the acceptance"
         " threshold for a precision. Without a FEED, the threshold is estimated from the map alone. `lookback calibrate"
         " camera FEED` measures the camera's field of view and lens from a drive with bends, without a map."
     )
@@ -79,13 +79,13 @@ def _share(text: str) -> float:
 def measure_rig(
     reference_map: ReferenceMap, feeds: Sequence[Feed], config: Config | None = None, network: Network | None = None
 ) -> tuple[list[Offset], list[OffsetSample]]:
-    """The offsets of the drives, and the sightings they are measured on. FeedError, MapError, ModelError.
+    """The offsets of the drives, and the samples they are measured on. FeedError, MapError, ModelError.
 
     network: instead of the one that the config names.
     """
     config = config or config_as_mapped(reference_map.header)
     network = network or open_network(config.descriptor)
-    seen = [one for feed in feeds for one in sightings(reference_map, feed, config, network)]
+    seen = [one for feed in feeds for one in samples_of(reference_map, feed, config, network)]
     return measure_offsets(seen), seen
 
 
@@ -161,8 +161,8 @@ def rig_lines(offsets: Sequence[Offset]) -> Lines:
     """Values of [rig] that were measured."""
     rig = rig_config(offsets)
     keys = [key for one in offsets for key in (rig_key(one), f"left_{one.direction}_m", sigma_key(one))]
-    looks = [look_key(one) for one in offsets if not np.isnan(one.look_m)]
-    keys += [*looks, "look_sigma_m"] if looks else []
+    by_poses = [look_key(one) for one in offsets if not np.isnan(one.pose_m)]
+    keys += [*by_poses, "look_sigma_m"] if by_poses else []
     if keys:
         keys += ["sigma_along_m", "sigma_cross_track_m"]
     return {("rig", key): getattr(rig, key) for key in keys}
@@ -178,10 +178,11 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> N
             f"  {offset.direction}, {offset.order:<7}  the place lies {offset.ahead_m:6.1f} m ahead; remaining error:"
             f" {offset.left_m:.1f} m rms, 95 % within {offset.left_95_m:.1f} m"
             f"  ({offset.used} matches, {offset.outliers} outliers excluded);"
-            f" the vehicle {abs(offset.aside_m):.1f} m {'left' if offset.aside_m >= 0 else 'right'} of the map's drive"
+            f" the vehicle {abs(offset.lateral_m):.1f} m"
+            f" {'left' if offset.lateral_m >= 0 else 'right'} of the map's drive"
         )
-        if not np.isnan(offset.look_m):
-            print(f"    by single looks the camera is {offset.look_m:.1f} ± {offset.look_sigma_m:.1f} m ahead of it")
+        if not np.isnan(offset.pose_m):
+            print(f"    by keypoint poses the camera is {offset.pose_m:.1f} ± {offset.pose_sigma_m:.1f} m ahead of it")
 
 
 def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:

@@ -1,4 +1,4 @@
-"""The rig's along-route offset: a median without outliers.
+"""The rig's along-track offset: a median without outliers.
 
 A front and a rear camera see the same object at different times, so the matched place lies tens of meters ahead of the
 vehicle; the distance depends on what stands beside the road. Wrong matches do not move a median, and those further from
@@ -35,8 +35,8 @@ class Offset:
     used, outliers: number of matches. left_m: root mean square of the remaining errors. left_95_m: 95 % of the used
     matches are within it. ahead_sigma_m: standard deviation of ahead_m, which a longer drive measures better. sigma_m:
     that, and the part of left_m that is the rig's, without what the daemon itself knows of the uncertainty of each
-    line. aside_m, aside_sigma_m: how far left of the map's drive the vehicle drove, and the standard deviation of that.
-    look_m, look_sigma_m: how far the camera is ahead of the vehicle by single looks, NaN where too few have a pose.
+    match. lateral_m, lateral_sigma_m: how far left of the map's drive the vehicle drove, and its standard deviation.
+    pose_m, pose_sigma_m: how far the camera is ahead of the vehicle by keypoint poses, NaN of too few.
     """
 
     direction: Direction
@@ -48,10 +48,10 @@ class Offset:
     left_95_m: float
     ahead_sigma_m: float
     sigma_m: float
-    aside_m: float = 0.0
-    aside_sigma_m: float = 0.0
-    look_m: float = float("nan")
-    look_sigma_m: float = float("nan")
+    lateral_m: float = 0.0
+    lateral_sigma_m: float = 0.0
+    pose_m: float = float("nan")
+    pose_sigma_m: float = float("nan")
 
 
 def measure_offsets(seen: Sequence[OffsetSample]) -> list[Offset]:
@@ -72,15 +72,15 @@ def _measure(seen: Sequence[OffsetSample], plane: Alignment) -> Offset | None:
     line_sigma_m = np.array([one.line_sigma_m for one in placed])
     followed = used & ~np.isnan(line_sigma_m)
     left_m = float(np.sqrt(np.mean(np.square(error_m[used]))))
-    rig_variance = left_m**2  # where all were believed by looks, and nothing says what is the lines' own
+    rig_variance = left_m**2  # where all were believed by keyframe matches, and the sequences' share is not known
     if followed.any():
         rig_variance = float(np.mean(np.square(error_m[followed])) - np.mean(np.square(line_sigma_m[followed])))
     stretches = np.unique(np.array([one.place_m for one in placed])[used] // STRETCH_M).size
     # The variance of a median is pi / 2 times that of a mean.
     ahead_sigma_m = max(LEAST_SIGMA_M, left_m * float(np.sqrt(np.pi / 2 / max(1, stretches - 1))))
-    aside_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
-    aside_m = aside_m[~np.isnan(aside_m)] if not np.isnan(aside_m).all() else np.zeros(1)
-    look_m, look_sigma_m = _by_looks([one for one in placed if not np.isnan(one.pose_m)])
+    lateral_m = np.array([one.left_m for one in seen if (one.direction, one.order) == plane])
+    lateral_m = lateral_m[~np.isnan(lateral_m)] if not np.isnan(lateral_m).all() else np.zeros(1)
+    pose_m, pose_sigma_m = _by_poses([one for one in placed if not np.isnan(one.pose_m)])
     return Offset(
         *plane,
         used=int(used.sum()),
@@ -90,20 +90,20 @@ def _measure(seen: Sequence[OffsetSample], plane: Alignment) -> Offset | None:
         left_95_m=float(np.percentile(np.abs(error_m[used]), 95)),
         ahead_sigma_m=ahead_sigma_m,
         sigma_m=float(np.hypot(ahead_sigma_m, np.sqrt(max(rig_variance, 0.0)))),
-        aside_m=float(np.median(aside_m)),
-        aside_sigma_m=_deviation(aside_m),
-        look_m=look_m,
-        look_sigma_m=look_sigma_m,
+        lateral_m=float(np.median(lateral_m)),
+        lateral_sigma_m=_deviation(lateral_m),
+        pose_m=pose_m,
+        pose_sigma_m=pose_sigma_m,
     )
 
 
-def _by_looks(seen: Sequence[OffsetSample]) -> tuple[float, float]:
-    """The median offset of single looks, and one standard deviation of that; NaN of fewer than FEWEST."""
+def _by_poses(seen: Sequence[OffsetSample]) -> tuple[float, float]:
+    """The median offset of keypoint poses, and one standard deviation of that; NaN of fewer than FEWEST."""
     if len(seen) < FEWEST:
         return float("nan"), float("nan")
-    look_m, stretches = np.array([one.pose_m for one in seen]), np.unique([one.place_m // STRETCH_M for one in seen])
-    of_median_m = _deviation(look_m) * float(np.sqrt(np.pi / 2 / max(1, stretches.size - 1)))
-    return float(np.median(look_m)), max(LEAST_SIGMA_M, of_median_m)
+    pose_m, segments = np.array([one.pose_m for one in seen]), np.unique([one.place_m // STRETCH_M for one in seen])
+    of_median_m = _deviation(pose_m) * float(np.sqrt(np.pi / 2 / max(1, segments.size - 1)))
+    return float(np.median(pose_m)), max(LEAST_SIGMA_M, of_median_m)
 
 
 def _deviation(values: NDArray[np.float64]) -> float:
@@ -120,13 +120,15 @@ def rig_config(offsets: Sequence[Offset]) -> RigConfig:
     keys = {rig_key(offset): round(offset.ahead_m, 1) for offset in offsets}
     keys |= {sigma_key(offset): round(offset.sigma_m, 1) for offset in offsets}
     along_m = max((offset.sigma_m for offset in offsets), default=RigConfig().sigma_along_m)
-    keys |= {f"left_{offset.direction}_m": round(offset.aside_m, 1) for offset in offsets}
-    across_m = max((offset.aside_sigma_m for offset in offsets), default=RigConfig().sigma_cross_track_m)
-    looks = [offset for offset in offsets if not np.isnan(offset.look_m)]
-    keys |= {look_key(offset): round(offset.look_m, 1) for offset in looks}
-    if looks:
-        keys["look_sigma_m"] = round(max(offset.look_sigma_m for offset in looks), 1)
-    return RigConfig(**keys, sigma_along_m=round(along_m, 1), sigma_cross_track_m=round(max(LANE_SIGMA_M, across_m), 1))
+    keys |= {f"left_{offset.direction}_m": round(offset.lateral_m, 1) for offset in offsets}
+    cross_track_m = max((offset.lateral_sigma_m for offset in offsets), default=RigConfig().sigma_cross_track_m)
+    with_pose = [offset for offset in offsets if not np.isnan(offset.pose_m)]
+    keys |= {look_key(offset): round(offset.pose_m, 1) for offset in with_pose}
+    if with_pose:
+        keys["look_sigma_m"] = round(max(offset.pose_sigma_m for offset in with_pose), 1)
+    return RigConfig(
+        **keys, sigma_along_m=round(along_m, 1), sigma_cross_track_m=round(max(LANE_SIGMA_M, cross_track_m), 1)
+    )
 
 
 def rig_key(offset: Offset) -> str:
@@ -135,7 +137,7 @@ def rig_key(offset: Offset) -> str:
 
 
 def look_key(offset: Offset) -> str:
-    """The key of [rig] for how far the camera is ahead of the vehicle by looks."""
+    """The key of [rig] for how far the camera is ahead of the vehicle by keypoint poses."""
     return f"look_ahead_{offset.direction}_m"
 
 

@@ -14,7 +14,7 @@ from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
 from edge.geodesy import east_north
-from edge.localization.place_fix import OdometryWindow, line_middle
+from edge.localization.place_fix import OdometryWindow, sequence_midpoint
 from edge.recognition.recognizer import open_recognizer
 from edge.reference_map import MapSet, Route
 from edge.reference_map.store import ReferenceMap
@@ -55,7 +55,7 @@ class OffsetSample:
     pose_m: float = float("nan")
 
 
-def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[OffsetSample]:
+def samples_of(reference_map: ReferenceMap, feed: Feed, config: Config, network: Network) -> Iterator[OffsetSample]:
     """Every match of a row and a place whose positions are known, in order. FeedError and MapError where none are."""
     places = reference_map.places
     is_known = ~(np.isnan(places["lat_deg"]) | np.isnan(places["route_m"]))
@@ -78,33 +78,33 @@ def sightings(reference_map: ReferenceMap, feed: Feed, config: Config, network: 
             beyond_m, sigma_m = _refined(match, route, readings)
             ahead_m = sign * drives.further_m(item.frame.index, match.place) + beyond_m
             left_m = sign * drives.left_m(item.frame.index, match.place)
-            look_m = _look_m(match, drives, item.frame.index, looks_back=config.camera.view == "rear")
+            pose_m = _pose_m(match, drives, item.frame.index, faces_back=config.camera.view == "rear")
             kind, belief = (match.direction, match.order), (match.confidence, match.accepted)
             place_m = float(places["route_m"][match.place])
-            yield OffsetSample(*kind, ahead_m, *belief, left_m, sigma_m, place_m, look_m)
+            yield OffsetSample(*kind, ahead_m, *belief, left_m, sigma_m, place_m, pose_m)
 
 
-def _look_m(match: PlaceMatch, drives: MapDrives, row: int, *, looks_back: bool) -> float:
-    """How far ahead of the vehicle a look has the camera, along the map's drive."""
+def _pose_m(match: PlaceMatch, drives: MapDrives, row: int, *, faces_back: bool) -> float:
+    """How far ahead of the vehicle a keypoint pose has the camera, along the map's drive."""
     if match.seen is None:
         return float("nan")
     sign = 1 if match.direction == "forward" else -1
-    ahead_m = -match.seen.ahead_m if looks_back else match.seen.ahead_m
+    ahead_m = -match.seen.ahead_m if faces_back else match.seen.ahead_m
     return sign * drives.further_m(row, match.seen.place_index) + ahead_m
 
 
 def _refined(match: PlaceMatch, route: Route, readings: OdometryWindow) -> tuple[float, float]:
-    """How far beyond its place in the direction of travel a line ends, by its middle and the odometer; and its sigma.
+    """How far beyond its place a match ends in the direction of travel, by its midpoint and the odometer; its sigma.
 
-    0 and NaN for a line that the daemon would not use, or that is not as long as what was driven.
+    0 and NaN for a match that the daemon would not use, or that is not as long as what was driven.
     """
-    line = line_middle(match, route, len(readings)) if len(readings) > 1 else None
-    if line is None:
+    middle = sequence_midpoint(match, route, len(readings)) if len(readings) > 1 else None
+    if middle is None:
         return 0.0, float("nan")
-    driven_m = float((readings.back(0) - readings.back(2 * line.back))[0])
-    if abs(line.length_m - driven_m) > ALIKE_M + ALIKE_SHARE * driven_m:
+    driven_m = float((readings.back(0) - readings.back(2 * middle.back))[0])
+    if abs(middle.length_m - driven_m) > ALIKE_M + ALIKE_SHARE * driven_m:
         return 0.0, float("nan")
-    return (driven_m - line.length_m) / 2, line.sigma_m
+    return (driven_m - middle.length_m) / 2, middle.sigma_m
 
 
 class MapDrives:

@@ -71,7 +71,7 @@ def choose(curve: Curve, off_map: Sequence[float], precision: float) -> float:
 
 
 def curve_of_drive(seen: Sequence[OffsetSample], rig: RigConfig, tolerance_m: float, length: int) -> Curve:
-    """From sightings with known positions; a vehicle off the map's drives makes every match wrong."""
+    """From samples with known positions; a vehicle off the map's drives makes every match wrong."""
     left_m = np.array([one.ahead_m - rig.ahead_m(one.direction, one.order) for one in seen])
     confidence = np.array([one.confidence for one in seen])
     correct = np.abs(left_m) <= tolerance_m  # NaN is not

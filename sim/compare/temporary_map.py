@@ -21,7 +21,7 @@ from edge_plugins.mapping.builder import MapBuilder, Place
 
 @dataclass(frozen=True)
 class MappedDrive:
-    """Raw descriptors (n, R, D) of a drive, its n places, and where the camera looked."""
+    """Raw descriptors (n, R, D) of a drive, its n places, and where the camera faced."""
 
     raw: NDArray[np.float32]
     places: list[Place]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LEVELS = ((0.8, "#0072B2", "over 80 % of the frames"), (0.4, "#E69F00", "40 to 80 %"), (0.0, "#D55E00", "less"))
 """Least share, color and words; of Okabe and Ito, whose colors differ for every kind of color vision."""
 UNKNOWN, ALIKE = "#BBBBBB", "#CC79A7"
-ASIDE = 0.006  # of the extent of the road, to the right of it
+LATERAL = 0.006  # of the extent of the road, to the right of it
 GOOD, POOR = 0.9, 0.5
 """Share of the drives whose drift stays within the limit, from which a route is ready, or a risk."""
 
@@ -164,7 +164,7 @@ def _draw_map(axes: Axes, bands: Sequence[Band]) -> None:
         if one.is_one_way and len(line) > 1:
             ahead = np.gradient(line, axis=0)
             right = np.column_stack([ahead[:, 1], -ahead[:, 0]])
-            line = line + ASIDE * extent_m * right / np.maximum(np.hypot(*right.T), 1e-9)[:, None]  # noqa: PLW2901
+            line = line + LATERAL * extent_m * right / np.maximum(np.hypot(*right.T), 1e-9)[:, None]  # noqa: PLW2901
         east_m, north_m = line.T
         if one.is_alike:
             axes.plot(east_m, north_m, lw=10, color=ALIKE, solid_capstyle="butt")

@@ -2,7 +2,7 @@
 
 Pictures turn as the vehicle turns, and flow past as fast as it drives, whichever way the camera looks; a track says
 both. Their correlation over all possible starts is a likelihood, and the creation time says how likely each start is
-before anything was looked at. Phones with Android write the time at which a recording ended, most other cameras that at
+before anything was measured. Phones with Android write the time at which a recording ended, most other cameras that at
 which it began, and some their local time as if it were UTC. docs/recordings.md has the errors of 20
 simulated videos.
 """
@@ -28,8 +28,8 @@ from sim.datasets.track import Track
 Floats = NDArray[np.float64]
 
 STEP_S = 0.1
-LOOKED_AT_S = 600.0
-"""Of a longer video only the beginning is looked at: 10 minutes have turns and stops enough."""
+ALIGNED_S = 600.0
+"""Of a longer video only the beginning is used: 10 minutes have turns and stops enough."""
 WIDTH_PX = 160
 """Of the pictures in which motion is measured: 4 ms a picture, and turns correlate by 0.99 with the vehicle's own."""
 MOVING_MPS = 1.0
@@ -160,7 +160,7 @@ def picture_motion(rows: Sequence[FeedRow], pictures: Pictures) -> MotionSignal:
     found: list[tuple[float, float, float]] = []
     for index, row in enumerate(rows):
         at_s = (row.stamp_ns - rows[0].stamp_ns) / 1e9
-        if at_s > LOOKED_AT_S:
+        if at_s > ALIGNED_S:
             break
         if before is not None and at_s - before[1] < 0.9 * STEP_S:
             continue

@@ -36,15 +36,15 @@ class Recognition:
     """A recording's used frames and what the recognizer answered to each, in order.
 
     states: of the recognizer, after each frame. costs: (Q, N) cosine distance of each frame from each place, the better
-    of the region orders; (Q, 0) where the map has more than DRAWN_PLACES places. looks: what each frame's keypoints say
-    of the place that is believed, None where they say nothing or were not asked.
+    of the region orders; (Q, 0) where the map has more than DRAWN_PLACES places. keyframes: the keyframe match of each
+    frame with the place that is believed, None where it has none or was not verified.
     """
 
     feed: Feed
     used: list[FrameUsed]
     states: list[State]
     costs: NDArray[np.float32]
-    looks: Sequence[KeyframeMatch | None] = ()
+    keyframes: Sequence[KeyframeMatch | None] = ()
 
     @property
     def believed(self) -> NDArray[np.bool_]:
@@ -63,17 +63,17 @@ def recognize(maps: MapSet, feed: Feed, config: Config, network: Network | None 
     search, places = recognizer.matcher.search, maps.index.places if maps.index.places <= DRAWN_PLACES else 0
     used: list[FrameUsed] = []
     states: list[State] = []
-    looks: list[KeyframeMatch | None] = []
+    keyframes: list[KeyframeMatch | None] = []
     costs = []
     for one, match in replay(recognizer, feed, config.sampling):
         used.append(one)
-        looks.append(match.seen if match is not None and match.accepted else None)
+        keyframes.append(match.seen if match is not None and match.accepted else None)
         states.append(recognizer.state)
         newest = search.newest_costs.min(axis=0) / np.float32(COST_ONE)
         costs.append(newest if len(newest) == places else np.full(places, np.nan, np.float32))
     if not used:
         raise FeedError(f"{feed.path}: none of its pictures can be read")
-    return Recognition(feed, used, states, np.array(costs, dtype=np.float32), looks)
+    return Recognition(feed, used, states, np.array(costs, dtype=np.float32), keyframes)
 
 
 @dataclass(frozen=True)

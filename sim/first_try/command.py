@@ -26,7 +26,7 @@ from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.memoizing_network import MemoizingNetwork
-from sim.evaluation.pose_errors import look_errors
+from sim.evaluation.pose_errors import pose_errors
 from sim.evaluation.recognition import Recognition, RecognitionScore, judge, recognize
 from sim.evaluation.replay import as_line
 from sim.first_try.verdict import TryResult, Verdict, verdict
@@ -38,7 +38,7 @@ from sim.output import needing, replacing
 from sim.traverse import config_as_mapped, driven_m
 
 ROLES = ("reference", "query")
-LOOKED_AT = SamplingConfig(by="time", interval_s=0.2)
+FITTED_AT = SamplingConfig(by="time", interval_s=0.2)
 """Which frames of a query without meters are kept, for any pace to be chosen of: one every 2 m at 10 m/s."""
 PACES = tuple(2 ** (step / 3) for step in (0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6))
 """Of a query, from a quarter to four times the expected one. Sequences are found at up to 1.2 times the map's pace."""
@@ -87,7 +87,7 @@ def _run(args: argparse.Namespace) -> int:
             "query": _feed(
                 _as_traverse(opened["query"]) if is_fitted else opened["query"],
                 folder / "query",
-                LOOKED_AT if is_fitted else sampling,
+                FITTED_AT if is_fitted else sampling,
             ),
         }
         for role, feed in feeds.items():
@@ -132,7 +132,7 @@ def _try(
     judged, with_keypoints = _judged(maps, seen, args.tolerance_m), None
     if key is not None:
         alone = recognize(plain, query, config, network)
-        errors, known = look_errors(maps, seen, config.rig), tuple(spell_distances(maps.maps[0]))
+        errors, known = pose_errors(maps, seen, config.rig), tuple(spell_distances(maps.maps[0]))
         with_keypoints = WithKeypoints(alone, _judged(plain, alone, args.tolerance_m), errors, known)
     rows = [one.frame for one in seen.used]
     gray, faults = np.array([watch.gray[row] for row in rows]), tuple(watch.faults.get(row, "") for row in rows)
@@ -229,7 +229,7 @@ class _Watch:
 
 @dataclass
 class _ImageTap:
-    """Pictures that are looked at while they are read."""
+    """Pictures that are checked while they are read."""
 
     images: FeedImages
     watch: _Watch

@@ -138,7 +138,7 @@ def _pictures(tried: TryResult) -> report.ReportSection:
         here, there = f"query, frame {one.frame}", f"place {one.place}{error_m}, confidence {one.confidence:.2f}"
         if one.order == "same":
             pair, found = side_by_side(network, *both)
-            words = f"{here}; {there}, {one.direction}: {found.inliers} points agree"
+            words = f"{here}; {there}, {one.direction}: {found.inliers} inliers"
             pairs.append([report.Picture.of(pair, words)])
         else:  # keypoints say nothing of opposite views
             words = f"{there}, {one.direction}, from opposite views"

@@ -1,4 +1,4 @@
-"""What keypoints change: the same drive by the sequence alone and with them, and how far off single looks are."""
+"""What keypoints change: the same drive by the sequence alone and with them, and the errors of keypoint poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim.traverse import distances_m, driven_m
 
 @dataclass(frozen=True)
 class WithKeypoints:
-    """alone, judged: the same drive by the sequence alone. errors: of looks. known: how many places have distances."""
+    """alone, judged: the same drive by the sequence alone. errors: of poses. known: how many places have distances."""
 
     alone: Recognition
     judged: RecognitionScore | None
@@ -33,17 +33,17 @@ def facts(found: WithKeypoints, seen: Recognition) -> list[str]:
 
 
 def errors_words(found: WithKeypoints, seen: Recognition) -> str:
-    """How far off single pictures are."""
-    looks, errors = sum(one is not None for one in seen.looks), found.errors
-    if not looks:
-        return "no single picture shows where its camera was"
+    """Errors of keypoint poses."""
+    poses, errors = sum(one is not None for one in seen.keyframes), found.errors
+    if not poses:
+        return "no picture has a keypoint pose"
     if not errors.frames.size:
-        return f"{looks} single pictures show where their camera was; without positions nobody knows how well"
-    sizes = [np.percentile(np.abs(one), (50, 95)) for one in (errors.along_m, errors.across_m)]
-    along, across = (f"{median:.2f} / {nearly:.2f} m" for median, nearly in sizes)
+        return f"{poses} pictures have a keypoint pose; how accurate these are is unknown without positions"
+    sizes = [np.percentile(np.abs(one), (50, 95)) for one in (errors.along_m, errors.cross_track_m)]
+    along, cross = (f"{median:.2f} / {nearly:.2f} m" for median, nearly in sizes)
     return (
-        f"{len(errors.frames)} single pictures show where their camera was, {along} (median / 95 %) along the road and"
-        f" {across} across it from the recording's own positions"
+        f"{len(errors.frames)} pictures have a keypoint pose, off by {along} (median / 95 %) along-track and"
+        f" {cross} cross-track from the recording's own positions"
     )
 
 

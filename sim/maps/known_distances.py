@@ -32,9 +32,9 @@ def spell_distances(reference_map: ReferenceMap) -> Iterator[str]:
     if not known.size:
         return
     enough = known >= FEWEST_POINTS
-    looked = "" if len(known) == places else " looked at"
+    checked = "" if len(known) == places else " checked"
     many = f", {np.median(known[enough]):.0f} in the median" if enough.any() else ""
-    yield f"{enough.sum()} of {len(known)} places{looked} have points with distances ({FEWEST_POINTS} or more{many})"
+    yield f"{enough.sum()} of {len(known)} keyframes{checked} have map points ({FEWEST_POINTS} or more{many})"
     if enough.mean() < FEW:
         yield f"few, since {_why(reference_map)}"
 

@@ -27,7 +27,7 @@ drive without GPS recognizes the first place; not half a drive."""
 LEAST_SHARE = 0.25
 """Of its stretches a drive is wanted on, or it is not searched at all: drives end some meters apart, nothing more."""
 ROWS_APART = 5
-"""Rows of a drive that are looked at, 10 m apart: a stretch is 25 m."""
+"""Rows of a drive that are read, 10 m apart: a stretch is 25 m."""
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,6 @@ class TrialCamera(SimulatedCamera):
         # Only so that it is not blank, and frozen only where the view is.
         picture = np.random.default_rng(arrived[3]).integers(0, 255, (32, 32, 3), np.uint8)
         if self._shown_m is not None:
-            scenario, route_m, *aside = arrived[2]
-            picture = self.network.library[scenario].picture(self._shown_m(route_m), *aside)
+            scenario, route_m, *offset = arrived[2]
+            picture = self.network.library[scenario].picture(self._shown_m(route_m), *offset)
         return Frame(picture, arrived[1], self._delivered)

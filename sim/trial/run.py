@@ -153,8 +153,8 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
         way_m, *true_m = (float(np.interp(at_s, rows[:, 0], rows[:, column])) for column in (1, 3, 4))
         off_m, heading_rad = (east_m - true_m[0], north_m - true_m[1]), draft.way.at(way_m)[2]
         sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-        along_m, across_m = off_m[0] * sin + off_m[1] * cos, off_m[0] * cos - off_m[1] * sin
-        found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, across_m, at_s, confirms))
+        along_m, cross_track_m = off_m[0] * sin + off_m[1] * cos, off_m[0] * cos - off_m[1] * sin
+        found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s, confirms))
 
     for item in simulation.autopilot.received:
         position = read_position(item.message, draft.lon_shift_deg)

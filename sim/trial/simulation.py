@@ -110,7 +110,7 @@ class Simulation:
         row = min(int(driver.along_m), last_m)
         route_m = np.interp(min(driver.along_m, last_m), [row, row + 1], way.route_m[[row, min(row + 1, last_m)]])
         turned_deg = way.turn_deg[row] + math.degrees(driver.heading_rad - way.heading_rad[row])
-        left_m = float(way.aside_m[row]) + driver.left_m
+        left_m = float(way.lateral_m[row]) + driver.left_m
         self._show(View(way.roads[way.road[row]], float(route_m), left_m, turned_deg))
 
     def _show(self, view: View) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 CELL_DEG = 2.0
 MOST_LEFT_M = 60
-"""Beside the lane: as far as an autopilot went that steered by a dragged GPS, in a recorded drive."""
+"""Beside the lane: as far as an autopilot went that steered by a spoofed GPS, in a recorded drive."""
 Cell: TypeAlias = tuple[int, int, int]
 
 
@@ -58,8 +58,8 @@ class RoadViews:
         """Raw descriptors (R, D) at an arc length, beside the lane, looking so far to the right of the lane."""
         size_m = self._cell_m
         turns = size_m * round(((turn_deg + 180.0) % 360.0 - 180.0) / (size_m * CELL_DEG))
-        along_m, aside_m = (size_m * round(at_m / size_m) for at_m in (route_m, left_m))
-        cell = along_m, min(max(aside_m, -MOST_LEFT_M), MOST_LEFT_M), turns
+        along_m, lateral_m = (size_m * round(at_m / size_m) for at_m in (route_m, left_m))
+        cell = along_m, min(max(lateral_m, -MOST_LEFT_M), MOST_LEFT_M), turns
         if cell not in self._known:
             self._known[cell] = self._describe(*cell).astype(np.float16)
         return self._known[cell].astype(np.float32)

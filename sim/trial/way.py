@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.world.scenario import Scenario
 
 NEAR_M = 15
-PARTS = ("east_m", "north_m", "route_m", "turn_deg", "aside_m", "carried")
+PARTS = ("east_m", "north_m", "route_m", "turn_deg", "lateral_m", "carried")
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,8 @@ class Way:
     """One element for each meter: the true pose, and the view.
 
     road: index of the scenario in `roads`. route_m, turn_deg: arc length there, and how far the view is turned to the
-    right of the way along that road. aside_m: how far to the left of that road's lane the way is. carried: whether the
-    vehicle is carried, its wheels at rest.
+    right of the way along that road. lateral_m: how far to the left of that road's lane the way is. carried: whether
+    the vehicle is carried, its wheels at rest.
     """
 
     roads: tuple[Scenario, ...]
@@ -33,7 +33,7 @@ class Way:
     road: NDArray[np.int64]
     route_m: NDArray[np.float64]
     turn_deg: NDArray[np.float64]
-    aside_m: NDArray[np.float64]
+    lateral_m: NDArray[np.float64]
     carried: NDArray[np.bool_]
 
     @property

@@ -36,7 +36,7 @@ m/s^2 for each m/s: EKF2 and EKF3 learn it, as a quarter of the square of what c
 Recorded PX4 stays within 4.5 m with a velocity that is 3 % wrong, so that none is left."""
 FOLLOWS, FOLLOWS_S, FOLLOWS_MPS = 0.47, 4.0, 1.0
 """Share of the angle between the course of GPS and the true one by which the filter turns its heading, within what
-time, and above which speed: EKF3 on a recorded drive whose GPS was dragged to the left by 1 m/s at 3.6 m/s, from -1.4
+time, and above which speed: EKF3 on a recorded drive whose GPS was spoofed to the left by 1 m/s at 3.6 m/s, from -1.4
 to -8.5 degrees within 10 s."""
 EAST, NORTH, V_EAST, V_NORTH, HEADING, TURN = range(6)
 """Of the covariance; TURN is by what the heading turns wrong, in rad/s: the bias of a gyroscope."""

@@ -22,8 +22,10 @@ def protection_levels(received: Sequence[MessageArrival]) -> NDArray[np.float64]
         for item in received
         if item.message.get_type() == "NAMED_VALUE_FLOAT"
     ]
-    along_m, across_m = ([(at, value) for at, name, value in values if name == one.decode()] for one in LEVEL_NAMES)
-    found = [(at_s, along, across) for (at_s, along), (_, across) in zip(along_m, across_m, strict=False)]
+    along_m, cross_track_m = (
+        [(at, value) for at, name, value in values if name == one.decode()] for one in LEVEL_NAMES
+    )
+    found = [(at_s, along, across) for (at_s, along), (_, across) in zip(along_m, cross_track_m, strict=False)]
     return np.array(found).reshape(-1, 3)
 
 
@@ -31,5 +33,5 @@ def availability(levels: NDArray[np.float64], times_s: NDArray[np.float64], limi
     """Share of some moments at which the newest position is no older than WITHIN_S, with levels below a limit."""
     newest = np.searchsorted(levels[:, 0], times_s, side="right")
     first = [[-np.inf, np.inf, np.inf]]
-    at_s, along_m, across_m = np.concatenate([first, levels])[newest].T
-    return float(np.mean((times_s - at_s <= WITHIN_S) & (np.maximum(along_m, across_m) < limit_m)))
+    at_s, along_m, cross_track_m = np.concatenate([first, levels])[newest].T
+    return float(np.mean((times_s - at_s <= WITHIN_S) & (np.maximum(along_m, cross_track_m) < limit_m)))

@@ -49,7 +49,7 @@ def _strip(
     """
     (left, right), end_m = span_m, start_m + STEP_M
     ends = (start_m, left), (start_m, right), (end_m, right), (end_m, left)
-    corners = [(*route.at(along_m, aside_m)[:2], high_m) for along_m, aside_m in ends]
+    corners = [(*route.at(along_m, lateral_m)[:2], high_m) for along_m, lateral_m in ends]
     v0 = (start_m + LEAD_M) / repeat[1] % 1.0
     v1 = v0 + STEP_M / repeat[1]
     uv: NDArray[np.float64] = np.array([(0, v0), (repeat[0], v0), (repeat[0], v1), (0, v1)])

@@ -278,6 +278,12 @@ def test_the_docs_are_short() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
+def test_a_page_of_two_screens_has_an_example_that_is_run_or_read_by_a_test() -> None:
+    for text in (page.read_text(encoding="utf-8") for page in DOCS):
+        prose = re.sub(r"^\|.*$", "", WRITTEN.sub("", BLOCK.sub("", text)), flags=re.MULTILINE).split()
+        assert len(prose) < 900 or re.search(r"^```(sh|python|toml)$", text, re.MULTILINE), text[:80]
+
+
 WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
 """A word in code type that looks like a key, perhaps after its section: `spacing_m`, `[sampling] spacing_m`."""
 

@@ -43,7 +43,7 @@ def test_each_drive_of_readme_is_one_of_the_page() -> None:
 
 
 def test_where_a_drive_is_recognized_is_said_as_its_page_says_it() -> None:
-    table = page("keypoints.md").partition("<!-- looks: begin -->")[2]
+    table = page("keypoints.md").partition("<!-- keyframes: begin -->")[2]
     medians_m = re.findall(r"^\| \w+ \| \w+ \| \d+, \d+ m \| (\d+), \d+ m \|", table, re.MULTILINE)
     (said_m,) = re.findall(r"usually accepted \(believed\) after (\d+) m with", README)
     assert len(medians_m) >= 6

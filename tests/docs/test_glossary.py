@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import dataclasses
 import re
+import tokenize
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -54,7 +56,9 @@ def is_used(term: str, text: str) -> bool:
 
 
 def test_states_and_keys_are_called_as_the_glossary_says() -> None:
-    words = dict(re.findall(r"`([\w ]+)` \(([\w ]+)\)", GLOSSARY.read_text("utf-8").partition("## States")[2]))
+    table, _, lists = GLOSSARY.read_text("utf-8").partition("## States")
+    assert len(ROWS) == table.count("\n| ") - 1 > 20, "every row is read; one is the header"
+    words = dict(re.findall(r"`([\w ]+)` \(([\w ]+)\)", lists))
     kinds: tuple[type[Struct], ...] = (*KINDS, ShadowPosition, RigConfig)
     keys = {field for kind in kinds for field in kind.__struct_fields__}
     keys |= {field.name for field in dataclasses.fields(LinkStatus)}
@@ -64,20 +68,6 @@ def test_states_and_keys_are_called_as_the_glossary_says() -> None:
     page = (ROOT / "edge_plugins/page/page.html").read_text("utf-8")
     shown = re.search(r"const GPS_KINDS = {(.*)};", page)
     assert shown and set(re.findall(r'([a-z][a-z ]*)"?: "', shown[1])) == states - {"cannot say"}
-
-
-REPLACED = re.compile(r"(called|calls GPS) wrong|GPS (agrees|disagrees|is doubtful)\b")
-
-
-def test_no_page_code_or_message_says_of_gps_what_the_glossary_replaced() -> None:
-    files = [file for package in (*PACKAGES, "firmware_config") for file in (ROOT / package).rglob("*")]
-    texts = [file for file in files if file.suffix in {".py", ".toml", ".html", ".lua", ".md", ".param"}]
-    assert [str(file) for file in (*texts, *OTHER_PAGES) if REPLACED.search(file.read_text("utf-8"))] == []
-
-
-def test_the_glossary_is_read_whole() -> None:
-    lines = [line for line in GLOSSARY.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
-    assert len(ROWS) == len(lines) - 1 > 20, "one is the header"
 
 
 @pytest.mark.parametrize(("term", "name", "_", "file"), ROWS, ids=[row[0] for row in ROWS])
@@ -93,3 +83,59 @@ def test_no_class_has_a_name_that_the_glossary_replaced_or_that_another_one_has(
     found = classes()
     assert sorted((replaced | NO_NAMES) & found.keys()) == []
     assert [name for name, count in found.items() if count > 1] == []
+
+
+NAMES = re.compile(
+    r"_*(look(s|ed)?|sight(ed|ings?)|aside)(_\w+)?|\w+_(look(s|ed)?|sight(ed|ings?)|aside)", re.IGNORECASE
+)
+"""Local names, functions and keys in words of earlier versions."""
+ORDINARY = re.compile(r"look_(ahead_\w+|sigma_m|key|alike)|_?look_up|_gps_steered_aside")
+"""Keys that configs have, and ordinary English."""
+NOT_YET = {"measurements.py", "tracker.py", "position_estimator.py", "gps_monitor.py"}
+"""Files whose local names have some of them still."""
+WORDS = re.compile(
+    r"\b(a|an|one|two|by|of|each|every|newest|last|first|further|single|all|no) looks?\b(?![ -](like|alike|at|up))"
+    r"|\blooked at\b|\bsightings?\b|(?<!gps )\bdragged\b|\bthe newest matches disagree\b"
+    r"|(called|calls GPS) wrong|GPS (agrees|disagrees|is doubtful)\b",
+    re.IGNORECASE,
+)
+"""A keypoint pose or a verification, a match, a spoofing drift and states of GPS, as earlier versions called them."""
+TEXTS = tokenize.STRING, tokenize.COMMENT, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)
+"""Docstrings, messages and comments; from Python 3.12 on an f-string has tokens of its own."""
+
+
+def tokens(*kinds: int) -> Iterator[tuple[str, str]]:
+    """Of all code, with the file's name; a string over several lines is one."""
+    for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
+        with file.open(encoding="utf-8") as source:
+            found = tokenize.generate_tokens(source.readline)
+            yield from ((file.name, one.string) for one in found if one.type in kinds)
+
+
+def test_no_name_in_the_code_is_a_word_that_the_glossary_replaced() -> None:
+    found = {(file, one) for file, one in tokens(tokenize.NAME) if NAMES.fullmatch(one)}
+    assert sorted(one for one in found if not ORDINARY.fullmatch(one[1]) and one[0] not in NOT_YET) == []
+
+
+def test_no_docstring_comment_message_or_page_has_a_word_that_the_glossary_replaced() -> None:
+    files = [file for package in (*PACKAGES, "firmware_config", "docs/tables") for file in (ROOT / package).rglob("*")]
+    files = [file for file in files if file.suffix in {".toml", ".html", ".lua", ".md", ".param"}]
+    texts = [(file.name, file.read_text("utf-8")) for file in (*files, *OTHER_PAGES)]
+    texts += [(file, one) for file, one in tokens(*TEXTS) if " " in one]
+    assert [(file, found[0]) for file, text in texts if (found := WORDS.search(re.sub(r"\s+", " ", text)))] == []
+
+
+NO_MESSAGE = {"relative pose", "pose measurement", "datum", "gyrodometry", "autopilot state", "position aiding"}
+NO_MESSAGE |= {"filter bank", "fault probabilities", "discontinuity", "kidnapped"}
+"""Terms of code and docs alone: no message, help or comment of the config speaks of such a thing."""
+
+
+def test_each_other_term_is_found_in_a_message() -> None:
+    """In strings that are no docstrings, in the config's comments, or on the page."""
+    said = [file.read_text("utf-8") for file in (ROOT / "edge/default.toml", ROOT / "edge_plugins/page/page.html")]
+    for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
+        nodes = [*ast.walk(ast.parse(file.read_text("utf-8")))]
+        docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        strings = (node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings)
+        said += [node.value for node in strings if isinstance(node.value, str) and " " in node.value]
+    assert {row[0] for row in ROWS if not any(is_used(row[0], one) for one in said)} == NO_MESSAGE

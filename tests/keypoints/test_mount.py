@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.keypoints.mount import Mount, mount_of_drive, turned_aside
+from edge.keypoints.mount import Mount, mount_of_drive, yaw_of
 from edge.keypoints.points import points_of
 from tests.keypoints.street import CAMERA, ROWS, seen, street, with_noise
 
@@ -51,7 +51,7 @@ def test_level_directions_are_those_of_rays_turned_back() -> None:
 
 def test_directions_of_both_say_how_far_a_camera_looks_aside() -> None:
     mount, directions = Mount(np.array([0.1, -0.2]), np.eye(2)), np.random.default_rng(0).uniform(-0.8, 0.8, (30, 2))
-    assert turned_aside(directions, mount.leveled(directions)) == pytest.approx(-0.2)
+    assert yaw_of(directions, mount.leveled(directions)) == pytest.approx(-0.2)
 
 
 def test_a_single_row_moves_the_mount_by_little_and_many_by_what_they_say() -> None:

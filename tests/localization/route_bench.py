@@ -73,14 +73,14 @@ class Bounded(NamedTuple):
 
     at_m: float
     along_m: float
-    across_m: float
+    cross_track_m: float
     level_along_m: float
     level_cross_track_m: float
 
     @property
     def is_exceeded(self) -> bool:
         """Whether an error is above its level."""
-        return self.along_m > self.level_along_m or self.across_m > self.level_cross_track_m
+        return self.along_m > self.level_along_m or self.cross_track_m > self.level_cross_track_m
 
 
 @dataclass
@@ -240,8 +240,8 @@ class Bench(StandIn):
             # It keeps its own estimate on the lane, so the vehicle is off by what the estimate is wrong across.
             heading = self._heading(s)
             error_m = self.own_estimate.east_m - self.pose.east_m, self.own_estimate.north_m - self.pose.north_m
-            across_m = error_m[0] * math.cos(heading) - error_m[1] * math.sin(heading)
-            self.steered_m += 0.03 * (-across_m - self.steered_m)
+            cross_track_m = error_m[0] * math.cos(heading) - error_m[1] * math.sin(heading)
+            self.steered_m += 0.03 * (-cross_track_m - self.steered_m)
             right_m += self.steered_m
         self.right_m = right_m
         return self._point(s, right_m)

@@ -108,9 +108,9 @@ def test_what_is_kept_grows_with_the_distance_and_not_with_its_root() -> None:
         errors = PropagatedCovariance(9.0 * np.eye(2))
         for _ in range(100):
             errors = errors.moved(8.0, 0.0, 8.0, 0.0).bound_by(fix, 0.0)
-        across_m = math.hypot(3.0, share * 800.0)
-        assert errors.along_and_across_m(90.0, drift) == pytest.approx((4.0, across_m))
-        assert errors.along_and_across_m(0.0, drift) == pytest.approx((across_m, 4.0)), "after a bend"
+        cross_track_m = math.hypot(3.0, share * 800.0)
+        assert errors.along_and_across_m(90.0, drift) == pytest.approx((4.0, cross_track_m))
+        assert errors.along_and_across_m(0.0, drift) == pytest.approx((cross_track_m, 4.0)), "after a bend"
 
 
 def test_an_error_of_the_scale_is_along_the_way_and_one_of_the_heading_across() -> None:

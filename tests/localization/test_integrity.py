@@ -137,7 +137,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | NoFix], ...]] = {
     "GPS is unknown": (reported(gps="unknown"),),
     "the speed is not known": (reported(speed_mps=None), reported(speed_mps=math.nan)),
     "standing": (reported(speed_mps=0.2),),
-    "the newest matches disagree": (elsewhere,),
+    "the innovation test fails": (elsewhere,),
     "impossibly far": (far_off,),
     UNCONFIRMED: (
         never_bounded,
@@ -363,7 +363,7 @@ def test_evidence_outlives_a_silence_as_far_as_the_vehicle_can_have_gone(unknown
     one.drive.update(one.t_ns, Discontinuity("reboot"))
     one.off_m = -700.0
     last = one.answers(60)[-1]
-    refused = {UNCONFIRMED, "the newest matches disagree"}
+    refused = {UNCONFIRMED, "the innovation test fails"}
     assert reason(last) in ({None} if 40 < unknown_m < 100 else refused)
     if isinstance(last, Fix):
         assert last.level.along_track_m > unknown_m, "the place may be wrong, by as much"
@@ -423,8 +423,8 @@ def test_stretches_that_agree_make_a_level_of_the_errors_alone(long_road: Road) 
     assert None not in one.go(580)
     newest = one.answers(790)[-1]
     assert isinstance(newest, Fix)
-    along_m, across_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_track_m, newest.level.cross_track_m))
-    assert along_m / newest.place.sigma_along_m == pytest.approx(across_m / newest.place.sigma_cross_track_m)
+    along_m, cross_track_m = (of_m - UNNOTICED_M for of_m in (newest.level.along_track_m, newest.level.cross_track_m))
+    assert along_m / newest.place.sigma_along_m == pytest.approx(cross_track_m / newest.place.sigma_cross_track_m)
 
 
 def test_a_level_holds_wherever_a_shifted_stretch_begins(mapped: MakeRoad) -> None:

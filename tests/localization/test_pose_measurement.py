@@ -88,23 +88,23 @@ def test_a_look_at_rendered_pictures_puts_a_vehicle_where_it_is(
     header = header.with_segment("drive", mapped, whole_sigma_m=0.0).with_places(len(places))
     direction: Direction = "reverse" if reverse else "forward"
     config = Config(camera=CameraConfig(view=camera), rig=RigConfig(look_sigma_m=0.01))
-    sightings = Georeferencer(Route(PlaceTable(places, (header,))), config)
+    georeferencer = Georeferencer(Route(PlaceTable(places, (header,))), config)
 
     vehicle = _Rendered(camera, "dusk", np.array([101.3]), reverse=reverse, left_m=left_m, turned_deg=3.0)
     truth = vehicle.poses[0]
     heading = np.radians([pose.heading_deg for pose in rows.poses])
-    looks_back = mapped == "rear"
-    ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], looks_back=looks_back)
+    faces_back = mapped == "rear"
+    ((points, _),) = points_of_drive(rows.keypoints.__getitem__, ROWS_M, heading, CAMERA, [ROW], faces_back=faces_back)
     pose = pose_to_keyframe(vehicle.keypoints[0], rows.keypoints[ROW], points, CAMERA)
     assert pose is not None
     found = KeyframeMatch(ROW, pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance, pose.inliers, 0.9)
-    sighting = sightings.pose_measurement(match(ROW, direction, order="same", seen=found), 0.0)
+    measured = georeferencer.pose_measurement(match(ROW, direction, order="same", seen=found), 0.0)
 
-    assert sighting is not None and sighting.pose is not None and sightings.origin is not None
-    origin_m = east_north_of(*sightings.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
-    off_m = sighting.pose.position_m + origin_m - [truth.east_m, truth.north_m]
+    assert measured is not None and measured.pose is not None and georeferencer.origin is not None
+    origin_m = east_north_of(*georeferencer.origin, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
+    off_m = measured.pose.position_m + origin_m - [truth.east_m, truth.north_m]
     assert np.hypot(*off_m) < 0.5
-    heading_deg = math.degrees(sighting.pose.heading_rad)
+    heading_deg = math.degrees(measured.pose.heading_rad)
     assert math.remainder(heading_deg - truth.heading_deg, 360.0) == pytest.approx(0.0, abs=1.5)
 
 

@@ -226,7 +226,7 @@ def test_after_a_long_way_without_places_a_doubtful_one_waits_for_others(
     one.go(150.0, gps=True)
     one.go(580.0, lambda at_m: road.match(at_m) if at_m <= 190.0 else None)
     reasons = one.go(200.0, lambda at_m: road.match(at_m + off_m, confidence=confidence))
-    assert reasons.count("the newest matches disagree") * SPACING_M == waits_m
+    assert reasons.count("the innovation test fails") * SPACING_M == waits_m
     assert reasons[-1] is None
 
 

@@ -64,10 +64,10 @@ def level_of(place: float, reckoned: DeadReckoningOffset | None, bound: float = 
 
 
 def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notices() -> None:
-    along_m, across_m = level_of(1e-9, None)
+    along_m, cross_track_m = level_of(1e-9, None)
     shift_m = UNNOTICED_M
-    assert along_m - shift_m == pytest.approx(2 * (across_m - shift_m))
-    assert 3.4 * MODEL_ERROR < across_m - shift_m < 3.6 * MODEL_ERROR  # 58 stretches in an hour, of which 1 in 200
+    assert along_m - shift_m == pytest.approx(2 * (cross_track_m - shift_m))
+    assert 3.4 * MODEL_ERROR < cross_track_m - shift_m < 3.6 * MODEL_ERROR  # 58 stretches in an hour, of which 1 in 200
 
 
 def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
@@ -78,9 +78,9 @@ def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
 
 def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -> None:
     """It heads east: what is north of it is across."""
-    along_m, across_m = level_of(2e-5, DeadReckoningOffset(3.0, 40.0, 10.0))
-    assert 40 < across_m < 40 + 3 * 10
-    assert along_m == pytest.approx(across_m - 37)
+    along_m, cross_track_m = level_of(2e-5, DeadReckoningOffset(3.0, 40.0, 10.0))
+    assert 40 < cross_track_m < 40 + 3 * 10
+    assert along_m == pytest.approx(cross_track_m - 37)
 
 
 def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:

@@ -1,4 +1,4 @@
-"""Places that are believed by keypoints: standing, from the second look on, in one direction, and of no other road."""
+"""Places that are believed by keypoints: standing, from the second match on, in one direction, and of no other road."""
 
 from __future__ import annotations
 
@@ -122,19 +122,19 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
     for first in range(20, 140, 10):
         recognizer = opened(maps / "street", grid)
         at_m, image = MotionPrior(7.0), drive.images[first]
-        assert recognizer.observe(image, 0, at_m) is None, "one look is not enough"
-        assert not recognizer.may_look_again(S // 2, 7.0), "nothing new yet"
-        assert not recognizer.may_look_again(S, 9.0), "it drives"
-        assert recognizer.may_look_again(S, 7.0)
-        match = recognizer.look_again(image, S, at_m)
+        assert recognizer.observe(image, 0, at_m) is None, "one match is not enough"
+        assert not recognizer.may_verify_again(S // 2, 7.0), "nothing new yet"
+        assert not recognizer.may_verify_again(S, 9.0), "it drives"
+        assert recognizer.may_verify_again(S, 7.0)
+        match = recognizer.verify_again(image, S, at_m)
         if match is not None:
             standing.append(drive.off_m(first, match, recognizer.map_set))
             assert match.accepted and match.event and recognizer.state == "on the map"
-            agreeing, seen = recognizer.matcher.agreeing, match.seen
-            assert agreeing is not None and seen is not None
-            assert (agreeing.place_index, len(agreeing.shares)) == (seen.place_index, seen.points)
-            assert 0.0 <= agreeing.shares.min() < agreeing.shares.max() <= 1.0
-            assert not recognizer.may_look_again(3 * S, 7.0), "it is known"
+            correspondences, seen = recognizer.matcher.correspondences, match.seen
+            assert correspondences is not None and seen is not None
+            assert (correspondences.place_index, len(correspondences.shares)) == (seen.place_index, seen.points)
+            assert 0.0 <= correspondences.shares.min() < correspondences.shares.max() <= 1.0
+            assert not recognizer.may_verify_again(3 * S, 7.0), "it is known"
     assert len(standing) >= 10
     assert max(standing) < BESIDE_M
 
@@ -149,19 +149,19 @@ def twice(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Pa
     return make_once("street_twice", partial(_build_map, grid, feeds)) / "map"
 
 
-def test_a_street_that_the_map_has_twice_is_known_by_no_look(maps: Path, twice: Path, grid: Network) -> None:
+def test_a_street_that_the_map_has_twice_is_known_by_no_keyframe(maps: Path, twice: Path, grid: Network) -> None:
     drive, known = Film("home_night"), {"once": 0, "twice": 0}
     for first in range(45, 80, 8):
         for name, path in {"once": maps / "street", "twice": twice}.items():
             recognizer = opened(path, grid)
             assert recognizer.observe(drive.images[first], 0, MotionPrior(7.0)) is None
-            match = recognizer.look_again(drive.images[first], S, MotionPrior(7.0))
+            match = recognizer.verify_again(drive.images[first], S, MotionPrior(7.0))
             known[name] += match is not None
     assert known["once"] >= 3
     assert known["twice"] == 0
 
 
-def test_looks_that_cannot_tell_two_places_speak_against_a_line_to_either(maps: Path, twice: Path) -> None:
+def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Path, twice: Path) -> None:
     drive, config = Film("home_night", 53), Config(descriptor=DescriptorConfig(model="grid"))
     for path, stays in ((maps / "street", True), (twice, False)):
         map_set = MapSet.of(open_map(path))
@@ -173,10 +173,10 @@ def test_looks_that_cannot_tell_two_places_speak_against_a_line_to_either(maps: 
         )
         there, nearest = int(away_m[0].argmin()), np.argsort(away_m.min(axis=0))
         votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
-        looks = KeyframeMatcher(map_set, drives, config)
+        matcher = KeyframeMatcher(map_set, drives, config)
         for _ in range(2):
-            looks.look(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
-        answer = looks.answer(votes, None, 0.0, BESIDE_M)
+            matcher.verify(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
+        answer = matcher.answer(votes, None, 0.0, BESIDE_M)
         assert (answer.votes is not None and answer.votes.is_believed) == stays
 
 
@@ -207,17 +207,17 @@ def _first(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 
 class _Counted(KeypointNetwork):
-    """Counts the pictures that are looked at."""
+    """Counts the pictures that are verified."""
 
-    looks = 0
+    verified = 0
 
     def extract(self, image: NDArray[np.uint8], most: int = MOST) -> Keypoints:
-        self.looks += 1
+        self.verified += 1
         return super().extract(image, most)
 
 
 def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid: Network) -> None:
-    """Where it stays, three further pictures are looked at, however they differ by noise."""
+    """Where it stays, three further pictures are verified, however they differ by noise."""
     drive, other, noise = Film("home_night"), Film("elsewhere").images[10], np.random.default_rng(0)
     known = 0
     for first in (20, 40, 60, 80, 100, 120):
@@ -229,17 +229,17 @@ def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid:
             if second == 0:
                 assert recognizer.observe(image, 0, MotionPrior(7.0)) is None
                 continue
-            assert recognizer.may_look_again(second * S, 7.0)
-            match = recognizer.look_again(image, second * S, MotionPrior(7.0))
+            assert recognizer.may_verify_again(second * S, 7.0)
+            match = recognizer.verify_again(image, second * S, MotionPrior(7.0))
             if match is not None:
                 assert second >= 6 and drive.off_m(first, match, recognizer.map_set) < BESIDE_M
                 known += 1
                 break
-            assert network.looks <= 4 or second >= 6
+            assert network.verified <= 4 or second >= 6
     assert known >= 5
 
 
-def test_another_road_is_never_believed_by_looks(maps: Path, grid: Network) -> None:
+def test_another_road_is_never_believed_by_keyframes(maps: Path, grid: Network) -> None:
     answers = driven(opened(maps / "elsewhere", grid), Film("home_night"), 40)
     assert not [one for one in answers if one is not None and (one.accepted or one.seen is not None)]
 
@@ -267,7 +267,7 @@ def test_keypoints_of_another_network_are_not_used(maps: Path, grid: Network) ->
         network=grid,
         map_set=MapSet.of(dataclasses.replace(reference, header=other)),
     )
-    assert not recognizer.matcher.may_look
+    assert not recognizer.matcher.may_verify
     drive = Film("home_night", 100)
     assert not [one for one in driven(recognizer, drive, 12) if one is not None and one.accepted]
 

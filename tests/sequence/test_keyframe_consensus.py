@@ -1,4 +1,4 @@
-"""What looks add up to, and how that goes with the votes."""
+"""What keyframe matches add up to, and how that goes with the votes."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from edge.sequence.prior import LEAST
 
 FROM = AcceptanceConfig().confidence_from
 STRONG, WEAK = MOST_ODDS / ALONE, 1 / ALONE
-"""Odds by one look alone."""
+"""Odds by one match alone."""
 
 
-def sighted(
+def vote(
     along_m: float, at_m: float, odds: float = STRONG, *, drive: int = 0, direction: Direction = "forward"
 ) -> KeyframeVote:
     return KeyframeVote(drive, along_m, direction, 1e12, at_m, 0.05 * at_m, odds)
@@ -40,11 +40,11 @@ def side_by_side(drives: NDArray[np.int64], along_m: NDArray[np.float64]) -> NDA
 
 
 def belief(*seen: KeyframeVote | None, prior_of: PriorOf | None = None) -> PlaceBelief | None:
-    looks = KeyframeConsensus()
+    keyframes = KeyframeConsensus()
     for one in seen:
-        looks.add(one)
+        keyframes.add(one)
     last_m = max(one.at_m for one in seen if one is not None)
-    return looks.belief(last_m, FROM, side_by_side, prior_of)
+    return keyframes.belief(last_m, FROM, side_by_side, prior_of)
 
 
 def is_believed(*seen: KeyframeVote | None, prior_of: PriorOf | None = None) -> bool:
@@ -52,55 +52,55 @@ def is_believed(*seen: KeyframeVote | None, prior_of: PriorOf | None = None) -> 
     return found is not None and found.is_believed
 
 
-def test_two_looks_as_far_apart_as_was_driven_are_believed_and_one_is_not() -> None:
-    found = belief(sighted(100, 0), sighted(104.5, 4))
+def test_two_matches_as_far_apart_as_was_driven_are_believed_and_one_is_not() -> None:
+    found = belief(vote(100, 0), vote(104.5, 4))
     assert found is not None and found.is_believed
     assert found.along_m == 104.5
-    assert not is_believed(sighted(100, 0))
-    assert not is_believed(sighted(100, 0), sighted(108, 4))
-    assert not is_believed(sighted(100, 0), sighted(96, 4))
-    assert is_believed(sighted(100, 0, direction="reverse"), sighted(96, 4, direction="reverse"))
-    assert is_believed(sighted(100, 4), sighted(100, 4)), "of a vehicle that stands"
+    assert not is_believed(vote(100, 0))
+    assert not is_believed(vote(100, 0), vote(108, 4))
+    assert not is_believed(vote(100, 0), vote(96, 4))
+    assert is_believed(vote(100, 0, direction="reverse"), vote(96, 4, direction="reverse"))
+    assert is_believed(vote(100, 4), vote(100, 4)), "of a vehicle that stands"
 
 
-def test_looks_that_agree_are_as_sure_as_the_strongest_of_them_however_many_there_are() -> None:
+def test_matches_that_agree_are_as_sure_as_the_strongest_of_them_however_many_there_are() -> None:
     """What resembles a place does so for some frames on end."""
-    weak = [sighted(100 + at_m, at_m, WEAK) for at_m in (0, 4, 8, 12)]
+    weak = [vote(100 + at_m, at_m, WEAK) for at_m in (0, 4, 8, 12)]
     found = belief(*weak)
     assert found is not None and found.confidence == pytest.approx(0.5)
-    assert is_believed(*weak[:3], sighted(112, 12))
-    strong = belief(*(sighted(100 + at_m, at_m) for at_m in (0, 4, 8, 12)))
+    assert is_believed(*weak[:3], vote(112, 12))
+    strong = belief(*(vote(100 + at_m, at_m) for at_m in (0, 4, 8, 12)))
     assert strong is not None and strong.confidence == pytest.approx(MOST_ODDS / (1 + MOST_ODDS))
 
 
-def test_a_look_at_another_place_and_looks_that_show_nothing_end_a_belief() -> None:
-    agreeing = sighted(100, 0), sighted(104, 4)
+def test_a_match_at_another_place_and_frames_without_one_end_a_belief() -> None:
+    agreeing = vote(100, 0), vote(104, 4)
     assert is_believed(*agreeing, None)
-    assert not is_believed(*agreeing, sighted(300, 8), sighted(304, 12)), "two against two"
+    assert not is_believed(*agreeing, vote(300, 8), vote(304, 12)), "two against two"
     assert not is_believed(*agreeing, None, None, None)
 
 
 def test_two_drives_on_one_street_agree_and_two_streets_do_not() -> None:
-    assert is_believed(sighted(100, 0), sighted(104, 4, drive=1))
-    assert not is_believed(sighted(100, 0), sighted(104, 4, drive=2))
+    assert is_believed(vote(100, 0), vote(104, 4, drive=1))
+    assert not is_believed(vote(100, 0), vote(104, 4, drive=2))
 
 
-def test_what_is_reckoned_makes_a_place_of_one_look_and_keeps_a_twin_from_being_believed() -> None:
-    assert is_believed(sighted(100, 0), prior_of=lambda drive, along_m: 14.0)
-    assert not is_believed(sighted(100, 0, WEAK), prior_of=lambda drive, along_m: 14.0)
-    assert not is_believed(sighted(100, 0), sighted(104, 4), prior_of=lambda drive, along_m: LEAST)
+def test_dead_reckoning_makes_a_place_of_one_match_and_keeps_a_twin_from_being_believed() -> None:
+    assert is_believed(vote(100, 0), prior_of=lambda drive, along_m: 14.0)
+    assert not is_believed(vote(100, 0, WEAK), prior_of=lambda drive, along_m: 14.0)
+    assert not is_believed(vote(100, 0), vote(104, 4), prior_of=lambda drive, along_m: LEAST)
 
 
-def test_of_one_place_the_surer_of_votes_and_looks_counts_and_two_places_speak_against_each_other() -> None:
-    looks = PlaceBelief(0, 100.0, "forward", 0.95, is_believed=True)
-    votes = replace(looks, confidence=0.6, is_believed=False)
-    assert [one and one.confidence for one in joined(looks, votes, FROM, is_one_place=True)] == [0.95, 0.95]
+def test_of_one_place_the_surer_of_votes_and_keyframes_counts_and_two_places_speak_against_each_other() -> None:
+    keyframes = PlaceBelief(0, 100.0, "forward", 0.95, is_believed=True)
+    votes = replace(keyframes, confidence=0.6, is_believed=False)
+    assert [one and one.confidence for one in joined(keyframes, votes, FROM, is_one_place=True)] == [0.95, 0.95]
     elsewhere = replace(votes, along_m=300.0, confidence=0.95, is_believed=True)
-    both = joined(looks, elsewhere, FROM, is_one_place=False)
+    both = joined(keyframes, elsewhere, FROM, is_one_place=False)
     assert not any(one is None or one.is_believed for one in both)
-    assert joined(looks, None, FROM, is_one_place=False) == (looks, None)
+    assert joined(keyframes, None, FROM, is_one_place=False) == (keyframes, None)
 
 
-def test_one_look_is_as_sure_as_its_support_and_no_surer_than_two() -> None:
+def test_one_match_is_as_sure_as_its_support_and_no_surer_than_two() -> None:
     assert [confidence_of(support) for support in (ENOUGH, 100.0)] == pytest.approx([STRONG / (1 + STRONG)] * 2)
     assert confidence_of(3.0) < 0.01 < confidence_of(12.0) < 0.4

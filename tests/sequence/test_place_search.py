@@ -231,7 +231,7 @@ def test_after_a_gap_nothing_is_known(long_map: ReferenceMap, look: Callable[[in
     assert drive.search.part is None
 
 
-def test_after_a_gap_a_place_that_is_believed_by_looks_is_searched_around(
+def test_after_a_gap_a_place_that_is_believed_by_keyframes_is_searched_around(
     long_map: ReferenceMap, look: Callable[[int], np.ndarray]
 ) -> None:
     """Also where the last one was near it."""

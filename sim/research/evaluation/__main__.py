@@ -51,13 +51,13 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
     "lengths": (lengths.rows, (*ROADS, "length", "draws")),
     "facing": (facing.rows, (*ROADS, "length")),
-    "lines": (lines.rows, (*ROADS, "length")),
+    "sequence-matches": (lines.rows, (*ROADS, "length")),
     "pairs": (pairs.rows, (*ROADS, "length", "pictures")),
     "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
-    "looks": (poses.looks_on_map, (*ROADS, "light", "draws", *MOUNTS)),
-    "streets": (poses.looks_on_streets, (*ROADS, "draws", *MOUNTS)),
-    "off-map": (poses.looks_off_map, ("seeds", "cache", *MOUNTS)),
+    "keyframes": (poses.keyframes_on_map, (*ROADS, "light", "draws", *MOUNTS)),
+    "streets": (poses.keyframes_on_streets, (*ROADS, "draws", *MOUNTS)),
+    "off-map": (poses.keyframes_off_map, ("seeds", "cache", *MOUNTS)),
     "benchmark": (_of_file, ("made", "page")),
 }
 

@@ -2,11 +2,11 @@
 
 A rear camera maps each road by day. A front camera drives it the same way by dusk, night, rain and snow, home by dusk
 and night, and both ways by day, which only gives the rig's offset. The course is known. GPS was lost where the drive
-begins: what is reckoned since is off by a random share of the distance, 5 % to one standard deviation in each
+begins: dead reckoning since is off by a random share of the distance, 5 % to one standard deviation in each
 direction, and says so; each drive is driven with some such errors.
 The second table has what is believed off the map, on a drive over the next seed's road as if it lay beside the mapped
 one, crossed it or left it, with GPS now and 500 m after it was lost; and on the mapped road itself, as if it were a
-twin of it 25 m beside, where nothing but the reckoning can say that it is not.
+twin of it 25 m beside, where only dead reckoning can say that it is not.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def _first_m(judged: Sequence[BeliefScore]) -> str:
 
 
 def _off_map(seen: Sequence[World], layouts: Sequence[Layout], lost_m: float) -> tuple[Floats, Floats]:
-    """The confidence of each frame off the map, by the votes alone and with what is reckoned."""
+    """The confidence of each frame off the map, by the votes alone and with dead reckoning."""
     alone, both = [], []
     for layout, ((road, own), (_, others)) in product(layouts, zip(seen, [*seen[1:], *seen[:1]], strict=True)):
         assert road.east_north_m is not None

@@ -1,7 +1,7 @@
 """Two front cameras that face each other: a map made by night, and the way home by day, with a course and without.
 
 The paper's forward night against reverse day, on the roads of `sim.research.evaluation.belief`. GPS is lost where a
-drive begins; a course comes from what is reckoned since, and says which way the map is passed. The rig's offset is that
+drive begins; a course comes from dead reckoning since, and says which way the map is passed. The rig's offset is that
 of the way home by night.
 """
 

@@ -111,12 +111,12 @@ class Bench:
         ground_m: NDArray[np.float64],
         reckoned: Sequence[DeadReckoningPosition] | None = None,
         *,
-        looks: bool,
+        keypoints: bool,
         knows_course: bool = True,
     ) -> Iterator[PlaceMatch | None]:
         """To each frame, 2 m after the last one; frames with the same ground_m are those of a vehicle that stands."""
         one = mapped.reference
-        one = one if looks else replace(one, header=one.header.with_keypoints(None))
+        one = one if keypoints else replace(one, header=one.header.with_keypoints(None))
         config = Config(descriptor=DescriptorConfig(model="grid"))
         recognizer = open_recognizer(config, network=self._network, map_set=MapSet.of(one))
         recognizer.matcher.use_keypoints(self._keypoints)
@@ -131,8 +131,8 @@ class Bench:
             travel = MotionPrior(driven_m, course_rad=course_rad, dead_reckoning=reckoned[number] if reckoned else None)
             if not stands:
                 yield recognizer.observe(image, stamp_ns, travel)
-            elif recognizer.may_look_again(stamp_ns, driven_m):
-                yield recognizer.look_again(image, stamp_ns, travel)
+            elif recognizer.may_verify_again(stamp_ns, driven_m):
+                yield recognizer.verify_again(image, stamp_ns, travel)
             else:
                 yield None
 
@@ -164,20 +164,21 @@ class Tables:
         yield "|---|---|---|---|"
         for where in (NOWHERE, *LAYOUTS):
             confidences = [
-                np.concatenate(list(_off_map(self._bench, seen, where, looks=looks))) for looks in (False, True)
+                np.concatenate(list(_off_map(self._bench, seen, where, keypoints=keypoints)))
+                for keypoints in (False, True)
             ]
             least = Config().acceptance.confidence_from
             cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
             yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
 
     def on_street(self, drive: str, light: LightName) -> Iterator[str]:
-        """Cells: frames believed and wrong while driving, and spots known and wrong at rest, by looks."""
+        """Cells: frames believed and wrong while driving, and spots known and wrong at rest, by keypoints."""
         found = np.zeros(6, int)
         for draw in self._draws:
             for mapped in self._mapped(drive, (light,), draw):
                 film = mapped.drives[light]
                 off_m = _off_m(
-                    mapped, list(self._bench.answers(mapped, film.images, film.ground_m, looks=True)), film.ground_m
+                    mapped, list(self._bench.answers(mapped, film.images, film.ground_m, keypoints=True)), film.ground_m
                 )
                 found[:3] += len(off_m), np.isfinite(off_m).sum(), (off_m > TOLERANCE_M).sum()
                 for _, off_m in _standing(self._bench, mapped, film):
@@ -204,16 +205,16 @@ def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterato
         film = mapped.drives[light]
         count = len(film.images)
         frames += count
-        for looks in (False, True):
-            answers = list(bench.answers(mapped, film.images, film.ground_m, looks=looks))
+        for keypoints in (False, True):
+            answers = list(bench.answers(mapped, film.images, film.ground_m, keypoints=keypoints))
             off_m = _off_m(mapped, answers, film.ground_m)
-            believed[looks] += int(np.isfinite(off_m).sum())
-            wrong[looks] += int((off_m > TOLERANCE_M).sum())
+            believed[keypoints] += int(np.isfinite(off_m).sum())
+            wrong[keypoints] += int((off_m > TOLERANCE_M).sum())
             for start in range(0, count - 60, round(STARTS_M / SPACING_M)):
                 rest = film.images[start:], film.ground_m[start:]
-                again = answers if start == 0 else bench.answers(mapped, *rest, looks=looks)
+                again = answers if start == 0 else bench.answers(mapped, *rest, keypoints=keypoints)
                 first = next((n for n, one in enumerate(again) if one is not None and one.accepted), np.inf)
-                first_m[looks].append(first * SPACING_M)
+                first_m[keypoints].append(first * SPACING_M)
         for answers, off_m in _standing(bench, mapped, film):
             found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
             wrong[True] += int((off_m > TOLERANCE_M).any())
@@ -232,7 +233,7 @@ def _standing(
     for start in range(0, len(film.images) - 10, round(STANDS_M / SPACING_M)):
         pictures = list(_stands(film.images[start]))
         at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
-        answers = list(bench.answers(mapped, pictures, at_m, looks=True))
+        answers = list(bench.answers(mapped, pictures, at_m, keypoints=True))
         yield answers, _off_m(mapped, answers, at_m)
 
 
@@ -259,7 +260,9 @@ def _off_m(mapped: RoadMap, answers: Sequence[PlaceMatch | None], ground_m: NDAr
     return np.where(places >= 0, off_m, np.nan)
 
 
-def _off_map(bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, looks: bool) -> Iterator[NDArray[np.float64]]:
+def _off_map(
+    bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, keypoints: bool
+) -> Iterator[NDArray[np.float64]]:
     """The confidence of each frame on a road that is not mapped: of the next road, or of a twin, the own one."""
     for drive, roads in seen.items():
         for mapped, other in zip(roads, [*roads[1:], *roads[:1]], strict=True):
@@ -267,7 +270,9 @@ def _off_map(bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, looks:
             for light in OFF_MAP_LIGHTS:
                 films = mapped.drives[light], other.drives[light]
                 if where == NOWHERE:
-                    found = bench.answers(mapped, films[1].images, films[1].ground_m, looks=looks, knows_course=False)
+                    found = bench.answers(
+                        mapped, films[1].images, films[1].ground_m, keypoints=keypoints, knows_course=False
+                    )
                     yield _confidence(found)
                     continue
                 for layout in LAYOUTS[where]:
@@ -275,7 +280,7 @@ def _off_map(bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, looks:
                     assert laid.east_north_m is not None
                     images = [films[drive_number].images[frame] for drive_number, frame in laid.raw.astype(int)]
                     reckoned = laid.reckoned(-1.0, len(images), mapped.origin)
-                    found = bench.answers(mapped, images, laid.east_north_m, reckoned, looks=looks)
+                    found = bench.answers(mapped, images, laid.east_north_m, reckoned, keypoints=keypoints)
                     yield _confidence(found)[is_off]
 
 

@@ -113,7 +113,7 @@ def _judged(world: World, draws: int) -> Iterator[tuple[str, Case, BeliefScore]]
 
 
 def lines_of(map_set: MapSet, query: DriveDescriptors, rig: RigConfig) -> Lines:
-    """What a drive sees on a map, without a reckoning."""
+    """What a drive sees on a map, without dead reckoning."""
     drives, found = Drives(map_set, SPACING_M), []
     for matcher, _ in driven(map_set, query, Config(rig=rig, sampling=DEFAULT_SAMPLING)):
         whole, half = (
@@ -124,7 +124,7 @@ def lines_of(map_set: MapSet, query: DriveDescriptors, rig: RigConfig) -> Lines:
 
 
 def believed_by(map_set: MapSet, query: DriveDescriptors, lines: Lines, voters: Sequence[Voters], draw: int) -> Beliefs:
-    """What those voters believe; draw: seed of the reckoning's errors, since GPS was lost where the drive began."""
+    """What those voters believe; draw: seed of the errors of dead reckoning, from the start of the drive on."""
     drives, config = Drives(map_set, SPACING_M), Config(sampling=DEFAULT_SAMPLING)
     usual = ConsensusSettings.of(config, drives)
     several = [PlaceConsensus(one.settings(usual), drives.positions_m) for one in voters]

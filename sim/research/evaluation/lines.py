@@ -1,6 +1,6 @@
-"""How far off along the road believed lines are: by direction and light, by sharpness, and over how many meters alike.
+"""Along-track errors of believed sequence matches: by direction and light, by sharpness, and their correlation length.
 
-The roads and drives of `sim.research.evaluation.belief`, all of the road mapped. The middle of each line that is
+The roads and drives of `sim.research.evaluation.belief`, all of the road mapped. The midpoint of each match that is
 believed by the votes alone, less where the vehicle was at the mean of its frames, above 0 ahead of it. One offset of
 the rig serves each direction: the median by day, of all roads.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, RigConfig
 from edge.descriptor.network import Network
-from edge.localization.place_fix import line_middle
+from edge.localization.place_fix import sequence_midpoint
 from edge.localization.sequence_match import STAYS, changing_sigma_m
 from edge.reference_map import Route
 from edge.sequence import Direction
@@ -43,12 +43,12 @@ LAGS_M = (10, 20, 40, 80)
 CLAIMED = (0.994, 1.960)
 """Standard deviations within which a normal error is in 68 and 95 %."""
 FEWEST = 20
-"""Lines of which a deviation says something."""
+"""Matches from which on a deviation says something."""
 
 
 @dataclass(frozen=True)
 class SequenceErrors:
-    """Meters (n,) of each frame's line ahead of the vehicle, and how sharp it is; NaN where none is believed.
+    """Meters (n,) of each frame's match ahead of the vehicle, and its sharpness; NaN where none is believed.
 
     sigma_m: one standard deviation of off_m, as the filter assumes it.
     """
@@ -59,7 +59,7 @@ class SequenceErrors:
 
     @property
     def right(self) -> NDArray[np.bool_]:
-        """Which lines are of the right place."""
+        """Which matches are of the right place."""
         return np.abs(self.off_m) <= TOLERANCE_M
 
 
@@ -73,11 +73,11 @@ def errors_of(road: DriveDescriptors, query: DriveDescriptors, way: Direction, r
         for frame, (_, match) in enumerate(driven(map_set, query, config)):
             if match is None or not match.accepted or frame < length - 1:
                 continue
-            line = line_middle(match, route, length)
-            if line is not None:
+            middle = sequence_midpoint(match, route, length)
+            if middle is not None:
                 was_m = query.route_m[frame - length + 1 : frame + 1].mean()
-                off_m[frame], sharpness[frame] = sign * (line.along_m - was_m), match.sharpness
-                sigma_m[frame] = np.hypot(line.sigma_m, np.hypot(1, STAYS) * changing_sigma_m(match, rig))
+                off_m[frame], sharpness[frame] = sign * (middle.along_m - was_m), match.sharpness
+                sigma_m[frame] = np.hypot(middle.sigma_m, np.hypot(1, STAYS) * changing_sigma_m(match, rig))
     return SequenceErrors(off_m, sharpness, sigma_m)
 
 

@@ -54,17 +54,17 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         yield _row(f"{drive}, {light}", [_of_road(args.cache, drive, light, road, *mounts) for road in args.seeds])
 
 
-def looks_on_map(args: argparse.Namespace) -> Iterator[str]:
+def keyframes_on_map(args: argparse.Namespace) -> Iterator[str]:
     """What the recognizer believes, with keypoints and without."""
     yield from _tables(args, args.draws).on_map(args.light)
 
 
-def looks_off_map(args: argparse.Namespace) -> Iterator[str]:
+def keyframes_off_map(args: argparse.Namespace) -> Iterator[str]:
     """What it believes where no place is right."""
     yield from _tables(args, 1).off_map()
 
 
-def looks_on_streets(args: argparse.Namespace) -> Iterator[str]:
+def keyframes_on_streets(args: argparse.Namespace) -> Iterator[str]:
     """What it believes on straight streets built alike."""
     yield from keyframes.on_streets(
         {repeats_m: _tables(args, args.draws, repeats_m) for repeats_m in keyframes.REPEATS_M}
@@ -162,7 +162,7 @@ def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], 
     places, images = reference.places, FeedImages(feed)
     origin = (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
     at = east_north(places["lat_deg"], places["lon_deg"], origin)
-    looks_back = np.pi * (reference.header.segments[0].view == "rear")
+    faces_back = np.pi * (reference.header.segments[0].view == "rear")
     found = []
     for index, row in enumerate(feed.rows):
         assert row.lat_deg is not None
@@ -175,7 +175,7 @@ def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], 
         poses = [(pose, place) for place in tried if (pose := _pose(reference, place, keypoints)) is not None]
         if poses:
             pose, place = max(poses, key=lambda one: one[0].inliers)
-            heading = np.radians(places["heading_deg"][place]) + looks_back
+            heading = np.radians(places["heading_deg"][place]) + faces_back
             right, ahead = _turned(here - at[place], heading)
             turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
             off = np.array([pose.right_m - right, pose.ahead_m - ahead, pose.turn_rad - turn])

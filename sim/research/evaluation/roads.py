@@ -48,7 +48,7 @@ FIRST_FRAME = 16  # the first that can have an answer
 Cut = Literal["whole", "first half", "second half", "thirds"]
 CUTS: tuple[Cut, ...] = ("whole", "first half", "second half", "thirds")
 ORIGIN = (48.0, 11.0)
-DRIFT = 0.05  # of what is reckoned, as [gates] drift_percent
+DRIFT = 0.05  # of dead reckoning, as [gates] drift_percent
 Floats = NDArray[np.float64]
 
 
@@ -89,7 +89,7 @@ World = tuple[DriveDescriptors, Drives]
 class Beliefs:
     """Of each frame (n,): where it is believed to be, with which confidence, and the same of its best match alone.
 
-    votes_m, by_votes: what is believed without what was reckoned.
+    votes_m, by_votes: what is believed without dead reckoning.
     """
 
     along_m: Floats
@@ -101,7 +101,7 @@ class Beliefs:
 
     @property
     def alone(self) -> Beliefs:
-        """Without what was reckoned."""
+        """Without dead reckoning."""
         return replace(self, along_m=self.votes_m, confidence=self.by_votes)
 
 
@@ -276,7 +276,7 @@ def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network
 def judge_world(
     road: DriveDescriptors, drives: Drives, draws: int = 1
 ) -> Iterator[tuple[Case, BeliefScore, list[BeliefScore]]]:
-    """Each drive over the road with each part of it mapped: by the votes alone, and with what is reckoned.
+    """Each drive over the road with each part of it mapped: by the votes alone, and with dead reckoning.
 
     GPS was lost where the drive begins. draws: of the errors since then, and of GPS.
     """

@@ -208,12 +208,12 @@ class _Stream:
 def _off(fix: Fix, truth: RecordedDrive) -> Off:
     place = fix.place
     here_m = east_north_m(place.lat_deg or 0.0, place.lon_deg or 0.0)
-    error_m, along_m, across_m = off_truth(truth, here_m, place.stamp_ns / 1e9)
+    error_m, along_m, cross_track_m = off_truth(truth, here_m, place.stamp_ns / 1e9)
     return (
         error_m,
         error_m / place.sigma_m,
         abs(along_m) / fix.level.along_track_m,
-        abs(across_m) / fix.level.cross_track_m,
+        abs(cross_track_m) / fix.level.cross_track_m,
     )
 
 

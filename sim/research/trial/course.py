@@ -33,7 +33,7 @@ class MapStretch:
     pictures are so many meters further along than their positions, and nobody has aligned them. left_m: beside
     the lane, as on another drive. on_way: places lie on the drive's way instead of the road, where the way was bent.
     spacing_m: the least and the greatest distance between places. headings: whether the places have one. recording: the
-    drive that it was mapped on, where several stretches are of one. looks: the seed of the road that it looks like,
+    drive that it was mapped on, where several stretches are of one. appearance: seed of the road that it looks like,
     where that is another. camera: view, light and seed of the drive.
     """
 
@@ -47,7 +47,7 @@ class MapStretch:
     spacing_m: tuple[float, float] = (2.0, 2.0)
     headings: bool = True
     recording: str = ""
-    looks: int | None = None
+    appearance: int | None = None
     camera: tuple[View, LightName, int] = ("rear", "day", 1)
 
     @property

@@ -219,11 +219,11 @@ class CourseDrive(TrialDrive):
             texts=texts,
             source_set=autopilot.inputs.source_set,
             lane_m=self._from_lane_m(run),
-            **self._looked(simulation),
+            **self._faced(simulation),
         )
         return dataclasses.replace(told, failures=failures(told, (*self.draft.rules, within_protection_level)))
 
-    def _looked(self, simulation: Simulation) -> dict[str, Any]:
+    def _faced(self, simulation: Simulation) -> dict[str, Any]:
         """How far headings are off, and how many frames were believed, by the journal: fields of CourseRun."""
         rows = np.array(simulation.rows)
 

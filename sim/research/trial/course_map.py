@@ -31,7 +31,7 @@ MAP_SIGMA_M = math.sqrt(2)
 
 
 def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLibrary, seed: int) -> Array:
-    """The map of a course, made on the way out; by day with the camera that looks back, unless it has layers.
+    """The map of a course, made on the way out; by day with the camera that faces back, unless it has layers.
 
     Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states. Answers
     those of the last one (n, 3): arc length, and meters east and north.
@@ -66,19 +66,19 @@ def _drive_stretch(
     builder.begin_segment(
         stretch.recording or f"stretch {number}", out.view, has_odometer=True, whole_sigma_m=whole_sigma_m
     )
-    seen = out if stretch.looks is None else msgspec.structs.replace(out, seed=stretch.looks)
+    seen = out if stretch.appearance is None else msgspec.structs.replace(out, seed=stretch.appearance)
     places_m = _places_m(stretch, rngs[0])
     from_m, to_m = stretch.off_within_m
     is_off = np.array([from_m <= route_m < to_m for route_m in places_m])
     off_m = map_errors_m(places_m, rngs[1]) + np.outer(is_off, stretch.off_m)
-    looks_at, finder = library[seen], KeypointNetwork() if builder.keypoints else None
+    view, finder = library[seen], KeypointNetwork() if builder.keypoints else None
     for row, route_m in enumerate(places_m):
-        at_m = draft.seen_m(route_m), 0.0 if stretch.looks else stretch.left_m
-        builder.add(looks_at.raw(*at_m), _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
+        at_m = draft.seen_m(route_m), 0.0 if stretch.appearance else stretch.left_m
+        builder.add(view.raw(*at_m), _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
         if builder.keypoints and finder:
-            if at_m not in looks_at.keypoints:
-                looks_at.keypoints[at_m] = finder.extract(looks_at.picture(*at_m), MOST)
-            builder.keypoints.add(looks_at.keypoints[at_m])
+            if at_m not in view.keypoints:
+                view.keypoints[at_m] = finder.extract(view.picture(*at_m), MOST)
+            builder.keypoints.add(view.keypoints[at_m])
     return np.column_stack([places_m, off_m])
 
 

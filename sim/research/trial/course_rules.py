@@ -43,7 +43,7 @@ class CourseRun(TrialRun):
     after_m: the autopilot's error after each position that moved it. texts: STATUSTEXT, with its time and severity.
     source_set: of ArduPilot's filter, at the end. lane_m: how far positions (n, 2) are along the way and across it from
     where the map, with its errors, would have the vehicle: from the lane that was taught. Of none on several drives.
-    turned_deg: how far the headings of places (n,) are off that rest on looks. used, believed, wrong: frames, see
+    turned_deg: how far the headings of places (n,) are off that rest on poses. used, believed, wrong: frames, see
     WRONG_M. known: (n, 2), when places were believed, at rest as well, and by how many meters they are off. set_down_m:
     where the vehicle was carried to, along the way, or began.
     """

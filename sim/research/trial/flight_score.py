@@ -33,7 +33,7 @@ class SentPosition(msgspec.Struct, frozen=True):
     message: the number of the command or message, 0 of one that was not sent. time_s: since GPS was lost, driven_m:
     since then. sigma_m, levels, sigma_along_m, held_axes: as in the journal, None where it has none for this one (of a
     stream it has one a second). own_m, moves_m: how far the autopilot was from the truth at the moment of a reset, and
-    from the reset; None of a stream. by_look: whether a single picture says it.
+    from the reset; None of a stream. by_pose: whether a keypoint pose says it.
     Errors are NaN where nothing says where the vehicle was.
     """
 
@@ -42,7 +42,7 @@ class SentPosition(msgspec.Struct, frozen=True):
     message: int
     error_m: float
     along_m: float
-    across_m: float
+    cross_track_m: float
     sigma_m: float | None = None
     level_along_m: float | None = None
     level_cross_track_m: float | None = None
@@ -50,7 +50,7 @@ class SentPosition(msgspec.Struct, frozen=True):
     held_axes: str | None = None
     own_m: float | None = None
     moves_m: float | None = None
-    by_look: bool = False
+    by_pose: bool = False
 
     @property
     def is_further(self) -> bool | None:
@@ -68,7 +68,7 @@ class SentPosition(msgspec.Struct, frozen=True):
             return self.error_m / self.sigma_m
         if self.held_axes == "cross-track":
             return abs(self.along_m) / self.sigma_along_m
-        return abs(self.across_m) / math.sqrt(self.sigma_m**2 - self.sigma_along_m**2)
+        return abs(self.cross_track_m) / math.sqrt(self.sigma_m**2 - self.sigma_along_m**2)
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -98,7 +98,7 @@ class Score(msgspec.Struct, frozen=True):
         sigmas = sigmas[~np.isnan(sigmas)]
         median_m, most_m, largest_m = np.percentile(error_m, [50, 95, 100]) if len(error_m) else [math.nan] * 3
         bounded = [one for one in self.positions if one.level_along_m and one.level_cross_track_m]
-        looks, lines = ([one for one in self.positions if one.by_look is by_look] for by_look in (True, False))
+        poses, sequences = ([one for one in self.positions if one.by_pose is by_pose] for by_pose in (True, False))
         return {
             "sent": len(self.positions),
             "median_m": median_m,
@@ -111,10 +111,10 @@ class Score(msgspec.Struct, frozen=True):
             "beyond_4": int((sigmas > 4).sum()),
             "levels": len(bounded),
             "over_along": sum(abs(one.along_m) > (one.level_along_m or 0.0) for one in bounded),
-            "over_across": sum(abs(one.across_m) > (one.level_cross_track_m or 0.0) for one in bounded),
+            "over_cross_track": sum(abs(one.cross_track_m) > (one.level_cross_track_m or 0.0) for one in bounded),
             **{
                 f"{way}_by_{kind}": sum(one.is_further is is_further for one in resets)
-                for kind, resets in (("looks", looks), ("lines", lines))
+                for kind, resets in (("poses", poses), ("sequences", sequences))
                 for way, is_further in (("nearer", False), ("further", True))
             },
             "first_m": next((one.driven_m for one in self.positions if one.time_s >= 0), math.nan),
@@ -172,7 +172,7 @@ def _position(
     else:
         fix, number = known.get((message.lat, message.lon)), message.get_msgId()
     if fix is not None:
-        said |= {**_said(fix), "by_look": bool(fix.points)}
+        said |= {**_said(fix), "by_pose": bool(fix.points)}
     return _judged(drive, here_m, of_s, sent_s, number, said)
 
 
@@ -197,9 +197,9 @@ def _judged(
 ) -> SentPosition:
     """A position of one moment that was sent at another."""
     lost_s = drive.gps_lost_s
-    error_m, along_m, across_m = (round(one, 3) for one in off_truth(drive, here_m, of_s))
+    error_m, along_m, cross_track_m = (round(one, 3) for one in off_truth(drive, here_m, of_s))
     driven_m = round(drive.driven_m(at_s) - drive.driven_m(lost_s), 2)
-    return SentPosition(round(at_s - lost_s, 3), driven_m, message, error_m, along_m, across_m, **said)
+    return SentPosition(round(at_s - lost_s, 3), driven_m, message, error_m, along_m, cross_track_m, **said)
 
 
 def off_truth(drive: RecordedDrive, here_m: Sequence[float], time_s: float) -> tuple[float, float, float]:

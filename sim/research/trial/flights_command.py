@@ -36,7 +36,7 @@ COLUMNS = (
     *("dead reckoning's error", "autopilot's error", "beside its lane"),
 )
 KINDS_COLUMNS = "drives", *OF_POSITIONS, "dead reckoning's error, median of the drives"
-RESETS = "nearer_by_looks", "further_by_looks", "nearer_by_lines", "further_by_lines"
+RESETS = "nearer_by_poses", "further_by_poses", "nearer_by_sequences", "further_by_sequences"
 RECORDED_M = ("reckoned_m", "autopilot_m", "lane_m")
 SECTION = "flights"
 WORSE_M = 0.5
@@ -276,7 +276,7 @@ def _cells(found: Score) -> list[str]:
         spread([one[key] for key in ("median_m", "p95_m", "max_m")]),
         "{sigmas_rms:.2f} / {sigmas_max:.1f}",
         "{beyond_3}, {beyond_4}",
-        "{levels}, {over_along}, {over_across}",
+        "{levels}, {over_along}, {over_cross_track}",
         "{first_m:.0f} m",
     ]
     cells = cells if one["sent"] else ["0", *["-"] * 5]
@@ -308,7 +308,7 @@ def _made_worse(flights: Sequence[Flight]) -> str:
 def _together(scores: Sequence[Score]) -> str:
     found = [one.row() for one in scores]
     sums = {key: sum(one[key] for one in found) for key in ("sent", "known", "beyond_3", "beyond_4", "levels")}
-    over = sum(one["over_along"] for one in found), sum(one["over_across"] for one in found)
+    over = sum(one["over_along"] for one in found), sum(one["over_cross_track"] for one in found)
     resets = [sum(one[key] for one in found) for key in RESETS]
     return (
         "{sent} positions; of {known} whose standard deviation the journal has, {beyond_3} beyond three and {beyond_4}"

@@ -69,8 +69,8 @@ class ListedDrive:
     def _position(self, fix: Fix) -> SentPosition:
         since_s, at_s = (fix.place.stamp_ns - self._begins_ns) / 1e9, fix.place.stamp_ns / 1e9
         driven_m = float(np.interp(at_s, *self._driven_m.T) - self._driven_m[0, 1]) if len(self._driven_m) else 0.0
-        error_m, along_m, across_m = (round(one, 3) for one in self._off_m(fix.place))
-        of_place = error_m, along_m, across_m, fix.place.sigma_m
+        error_m, along_m, cross_track_m = (round(one, 3) for one in self._off_m(fix.place))
+        of_place = error_m, along_m, cross_track_m, fix.place.sigma_m
         held = held_axes(fix) or None
         at = round(since_s, 3), driven_m, EXTERNAL_POSITION_ESTIMATE
         return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m, held)

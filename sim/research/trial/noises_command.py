@@ -104,35 +104,35 @@ class _Drive:
 
     def __init__(self, config: Config, truth: RecordedDrive, found: Noises) -> None:
         self.estimator = PositionEstimator(config)
-        self.sightings: Georeferencer | None = None
+        self.georeferencer: Georeferencer | None = None
         self._config, self._truth, self._found = config, truth, found
         self._firmware = "PX4" if truth.name.startswith("px4") else "ArduPilot"
         self._leg: tuple[float, Array, int, float | None] | None = None
 
     def search(self, maps: MapUpdate) -> None:
         """Matches are of these from now on."""
-        if maps.has_grown and self.sightings is not None:
-            self.sightings.route.grow(maps.map_set)
+        if maps.has_grown and self.georeferencer is not None:
+            self.georeferencer.route.grow(maps.map_set)
         else:
-            self.sightings = Georeferencer(Route(maps.map_set), self._config)
+            self.georeferencer = Georeferencer(Route(maps.map_set), self._config)
 
     def use(self, frame: ImageProcessed) -> None:
         """After the estimator has used it."""
         at_s, motion = frame.stamp_ns / 1e9, frame.motion
-        if self.sightings is None or motion is None:
+        if self.georeferencer is None or motion is None:
             self._leg = None
-            if self.sightings is not None:
-                self.sightings.clear()
+            if self.georeferencer is not None:
+                self.georeferencer.clear()
             return
         moved_m = np.array([motion.east_m, motion.north_m])
         doubtful_m = motion.doubtful_east_m, motion.doubtful_north_m
         if frame.in_line:
-            self.sightings.add(np.array([*moved_m, *doubtful_m, at_s]))
+            self.georeferencer.add(np.array([*moved_m, *doubtful_m, at_s]))
         if at_s <= self._truth.gps_lost_s:
             return
         at_m = self._truth.driven_m(at_s)
         self._use_leg(frame, at_s, at_m, moved_m, motion.odometry_epoch)
-        self._use_match(self.sightings, frame, at_s, at_m)
+        self._use_match(self.georeferencer, frame, at_s, at_m)
         self._use_estimate(frame, at_s, at_m)
 
     def _of(self, kind: str) -> MeasurementErrors:
@@ -162,27 +162,27 @@ class _Drive:
             self._of(f"{self._firmware}: gyros, degrees a second").add(off_deg / (at_s - then_s), at_m)
         self._leg = at_s, moved_m, leg, compass_rad
 
-    def _use_match(self, sightings: Georeferencer, frame: ImageProcessed, at_s: float, at_m: float) -> None:
+    def _use_match(self, georeferencer: Georeferencer, frame: ImageProcessed, at_s: float, at_m: float) -> None:
         """A keypoint pose by its covariance and the map's, and a sequence match along-track, at its midpoint."""
         match = frame.match
         if match is None or not match.accepted:
             return
         seen = self._truth.seen(at_s, "front")
         where = f"{seen.light}, {'home' if seen.direction == 'reverse' else 'again'}"
-        looked, line = sightings.pose_measurement(match, 0.0), sightings.of(match, 0.0)
-        if looked is not None and looked.pose is not None:
-            map_m = math.hypot(looked.errors.map_m, math.sqrt(float(np.trace(looked.errors.whole)) / 2))
-            spread = looked.pose.covariance + map_m**2 * np.eye(2)
-            off_m = self._off(sightings, looked.pose.position_m, at_s)
+        pose, matched = georeferencer.pose_measurement(match, 0.0), georeferencer.of(match, 0.0)
+        if pose is not None and pose.pose is not None:
+            map_m = math.hypot(pose.errors.map_m, math.sqrt(float(np.trace(pose.errors.whole)) / 2))
+            spread = pose.pose.covariance + map_m**2 * np.eye(2)
+            off_m = self._off(georeferencer, pose.pose.position_m, at_s)
             for axis, name in enumerate(("along-track", "cross-track")):
                 self._of(f"keypoint poses {name}, {where}, m").add(
                     off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2)
                 )
-        if line is not None:
-            middle_s = at_s - float(line.midpoint.since_m[4])
-            along_m = self._off(sightings, line.midpoint.place_m, middle_s)[0]
-            errors = line.errors
-            sigma_m = math.hypot(errors.stays_m, line.sigma_factor * errors.changes_m, errors.map_m)
+        if matched is not None:
+            middle_s = at_s - float(matched.midpoint.since_m[4])
+            along_m = self._off(georeferencer, matched.midpoint.place_m, middle_s)[0]
+            errors = matched.errors
+            sigma_m = math.hypot(errors.stays_m, matched.sigma_factor * errors.changes_m, errors.map_m)
             self._of(f"sequence matches along-track, {where}, m").add(along_m, at_m, sigma_m)
 
     def _use_estimate(self, frame: ImageProcessed, at_s: float, at_m: float) -> None:
@@ -190,14 +190,14 @@ class _Drive:
         place = self.estimator.state.position
         if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
             return
-        _, along_m, across_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
+        _, along_m, cross_track_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
         self._of(f"{self._firmware}: estimate along-track, m").add(along_m, at_m, place.sigma_along_m)
-        self._of(f"{self._firmware}: estimate cross-track, m").add(across_m, at_m, place.sigma_cross_track_m)
+        self._of(f"{self._firmware}: estimate cross-track, m").add(cross_track_m, at_m, place.sigma_cross_track_m)
 
-    def _off(self, sightings: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
-        """Along and across of meters from the origin of local ones, less the truth."""
-        assert sightings.origin is not None
-        where = moved(*sightings.origin, float(position_m[0]), float(position_m[1]))
+    def _off(self, georeferencer: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
+        """Along-track and cross-track error of local meters."""
+        assert georeferencer.origin is not None
+        where = moved(*georeferencer.origin, float(position_m[0]), float(position_m[1]))
         return off_truth(self._truth, east_north_m(*where), at_s)[1:]
 
 

@@ -73,7 +73,7 @@ def replay(
         for number, run in enumerate(drive.runs):
             with closing(Cable()) as link, ExitStack() as parts:
                 playback = Playback(drive, run, link, scenes)
-                recorded = _with_looks(drive) if keypoints else drive.config
+                recorded = _with_poses(drive) if keypoints else drive.config
                 settings = _settings(recorded, link, map_path, journal, journal.with_name(f"{number:02}.drive"))
                 opened = OpenedParts(
                     settings,
@@ -181,8 +181,8 @@ def _settings(config: Config, link: Cable, map_path: Path, journal: Path, events
     return replaced(config, map=replaced(config.map, path=str(map_path)), plugins=plugins, telemetry=telemetry)
 
 
-def _with_looks(drive: RecordedDrive) -> Config:
-    """The drive's config with what looks need: the camera's view, and where it is, which is at the antenna."""
+def _with_poses(drive: RecordedDrive) -> Config:
+    """The drive's config with the camera's view and place, which keypoint poses need: it is at the antenna."""
     replaced, config = msgspec.structs.replace, drive.config
     camera = replaced(config.camera, fov_deg=drive.scenario.fov_deg)
     return replaced(config, camera=camera, rig=replaced(config.rig, look_sigma_m=RIG.look_sigma_m))

@@ -72,7 +72,7 @@ def bent(way: Way, *, to_the_left: bool = False) -> Way:
 def beside(way: Way, left_m: Callable[[float], float]) -> Way:
     """A way along the same road, to the left of one by what `left_m` gives for each meter of it."""
     lefts_m = np.array([left_m(float(along_m)) for along_m in range(len(way.east_m))])
-    points = np.array([way.at(float(m), aside_m)[:2] for m, aside_m in enumerate(lefts_m)])
+    points = np.array([way.at(float(m), lateral_m)[:2] for m, lateral_m in enumerate(lefts_m)])
     along_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
     meters = np.arange(along_m[-1])
     steps = np.gradient(points, axis=0)
@@ -86,7 +86,7 @@ def beside(way: Way, left_m: Callable[[float], float]) -> Way:
             ("heading_rad", heading_rad),
             ("route_m", way.route_m),
             ("turn_deg", way.turn_deg + np.degrees(heading_rad - way.heading_rad)),
-            ("aside_m", way.aside_m + lefts_m),
+            ("lateral_m", way.lateral_m + lefts_m),
         )
     }
     rows = np.searchsorted(along_m, meters).clip(0, len(along_m) - 1)

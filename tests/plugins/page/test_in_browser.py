@@ -115,7 +115,7 @@ def until(driver: Any, script: str) -> Any:
     return WebDriverWait(driver, PATIENCE_S, poll_frequency=0.1).until(lambda d: d.execute_script(f"return {script}"))
 
 
-DRAWN = """[...document.querySelectorAll('canvas:not(#look)')].every((one) =>
+DRAWN = """[...document.querySelectorAll('canvas:not(#inliers)')].every((one) =>
     one.getContext('2d').getImageData(0, 0, one.width, one.height).data.some((value) => value))"""
 PICTURES_SHOWN = "['frame', 'place'].every((id) => document.getElementById(id).naturalWidth > 50)"
 
@@ -289,9 +289,9 @@ def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> Non
     shares = np.random.default_rng(1).random((40, 4))
     found = CameraDifference(80.0, 88.26, 0.41, -0.021, 0.008, is_another=True)
     status = replace(on_the_road(1).status, camera_by_keypoints=found)
-    looked = dataclasses.replace(on_the_road(1), agreeing=Correspondences(9, shares), status=status)
-    drawn = "document.getElementById('look').getContext('2d').getImageData(0, 0, 500, 150).data.some((one) => one)"
-    shown = [looked]
+    verified = dataclasses.replace(on_the_road(1), correspondences=Correspondences(9, shares), status=status)
+    drawn = "document.getElementById('inliers').getContext('2d').getImageData(0, 0, 500, 150).data.some((one) => one)"
+    shown = [verified]
     maps = dataclasses.replace(map_view(on_map), thumbnail=lambda index: THUMBNAIL)
     with (
         contextlib.closing(StatusPage(PageConfig(port=0), maps)) as page,
@@ -299,10 +299,10 @@ def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> Non
         browser(390, 844) as driver,
     ):
         driver.get(f"http://127.0.0.1:{page.port}/")
-        until(driver, f"status !== null && status.look !== null && {drawn}")
+        until(driver, f"status !== null && status.inliers !== null && {drawn}")
         if PICTURES:
             driver.save_screenshot(str(Path(PICTURES) / "look.png"))
-        assert text(driver, "matched") == "40 points agree"
+        assert text(driver, "matched") == "40 inliers"
         assert driver.find_element("id", "place").get_attribute("src").endswith("/thumbnail/9.jpg")
         driver.execute_script("document.getElementById('details').open = true")
         rows = "[...document.querySelectorAll('#health div')]"
@@ -312,7 +312,7 @@ def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> Non
         assert cells == ["camera by keypoints", "88.3 ± 0.4 degrees, k1 -0.02 ± 0.01; config 80.0 degrees"]
         assert driver.execute_script(f"return ({of_camera}).lastChild.className") == "warn"
         shown[0] = on_the_road(2)
-        until(driver, f"status.look === null && !{drawn} && {of_camera} === undefined")
+        until(driver, f"status.inliers === null && !{drawn} && {of_camera} === undefined")
 
 
 def click(driver: Any, name: str) -> None:

@@ -22,7 +22,7 @@ from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_
 from tests.map_of import map_of
 
 
-def sighting(
+def sample(
     ahead_m: float, confidence: float = 0.8, *, accepted: bool = True, line_sigma_m: float = 0.0, place_m: float = 0.0
 ) -> OffsetSample:
     line = {"line_sigma_m": line_sigma_m, "place_m": place_m}
@@ -31,7 +31,7 @@ def sighting(
 
 def along_road(errors_m: NDArray[np.float64], line_sigma_m: float = 0.0) -> list[OffsetSample]:
     """Matches 80 m apart from each other, so that each says something of its own."""
-    return [sighting(one, line_sigma_m=line_sigma_m, place_m=80.0 * at) for at, one in enumerate(errors_m)]
+    return [sample(one, line_sigma_m=line_sigma_m, place_m=80.0 * at) for at, one in enumerate(errors_m)]
 
 
 def test_a_third_of_wrong_matches_does_not_move_the_offset() -> None:
@@ -63,7 +63,7 @@ def test_the_offset_is_as_certain_as_the_road_is_long(length_m: float) -> None:
     for _ in range(120):
         shift_m = rng.normal(6.0, 4.0, round(length_m / 80.0))[(at_m // 80.0).astype(int)]
         values = zip((shift_m + rng.normal(0, 0.5, at_m.size)).tolist(), at_m.tolist(), strict=True)
-        (offset,) = measure_offsets([sighting(one, place_m=place_m) for one, place_m in values])
+        (offset,) = measure_offsets([sample(one, place_m=place_m) for one, place_m in values])
         off.append((offset.ahead_m - 6.0) / offset.ahead_sigma_m)
     beyond = np.abs(off) > 2.0
     assert 0.01 < beyond.mean() < 0.2, "few stretches have the tails of a t-distribution"
@@ -87,12 +87,12 @@ def test_each_kind_of_match_has_its_own_sigma_and_the_unmeasured_the_worst() -> 
 
 
 def test_unbelieved_matches_and_a_handful_of_them_measure_nothing() -> None:
-    assert measure_offsets([sighting(26, accepted=False)] * 100 + [sighting(26)] * 9) == []
+    assert measure_offsets([sample(26, accepted=False)] * 100 + [sample(26)] * 9) == []
 
 
 def test_the_threshold_is_the_lowest_with_that_precision() -> None:
-    right = [sighting(20 + at % 3, 0.4 + at / 1000) for at in range(99)]
-    wrong = [sighting(200, 0.45), sighting(np.nan, 0.3), sighting(200, 0.0)]
+    right = [sample(20 + at % 3, 0.4 + at / 1000) for at in range(99)]
+    wrong = [sample(200, 0.45), sample(np.nan, 0.3), sample(200, 0.0)]
     curve = curve_of_drive([*right, *wrong], RigConfig(ahead_forward_swapped_m=21), tolerance_m=10, length=20)
     assert curve.lowest_for(0.99) == pytest.approx((0.4 + 0.3) / 2)  # 99 right and one wrong above it
     assert curve.lowest_for(1.0) == pytest.approx((0.451 + 0.45) / 2)
@@ -100,7 +100,7 @@ def test_the_threshold_is_the_lowest_with_that_precision() -> None:
 
 
 def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_below_the_default() -> None:
-    right = [sighting(20, 0.3 + at / 1000) for at in range(99)]
+    right = [sample(20, 0.3 + at / 1000) for at in range(99)]
     strangers = [0.9 + at / 500 for at in range(41)]
 
     def chosen(seen: list[OffsetSample], off_map: list[float]) -> float:
@@ -108,13 +108,13 @@ def test_what_was_matched_off_the_map_raises_the_threshold_and_nothing_leads_bel
 
     assert chosen(right, []) == DEFAULT
     assert chosen(right, strangers) == pytest.approx(0.972)
-    wrong = [sighting(200, 0.965 + at / 10_000) for at in range(20)]
-    better = [sighting(20, 0.975 + at / 10_000) for at in range(99)]
+    wrong = [sample(200, 0.965 + at / 10_000) for at in range(20)]
+    better = [sample(20, 0.975 + at / 10_000) for at in range(99)]
     assert chosen([*better, *wrong], []) == pytest.approx(0.96585)  # 11 of 110 are wrong
 
 
 def test_a_precision_that_nothing_reaches_is_one_line() -> None:
-    curve = curve_of_drive([sighting(200), sighting(20, 0.2)], RigConfig(), tolerance_m=40, length=2)
+    curve = curve_of_drive([sample(200), sample(20, 0.2)], RigConfig(), tolerance_m=40, length=2)
     with pytest.raises(LookbackError, match=r"no threshold reaches a precision of 99\.0 %: the best is 50\.0 %"):
         curve.lowest_for(0.99)
 

@@ -64,7 +64,7 @@ def test_two_feeds_give_a_verdict_a_page_and_a_config(
     assert "http" not in page.replace("http://www.w3.org", "")
     lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
     assert len(lines) == 80
-    assert page.count("<figcaption>query, frame ") == page.count(" points agree<") == 4
+    assert page.count("<figcaption>query, frame ") == page.count(" inliers<") == 4
     assert load_config(folder / "lookback.toml").rig.sigma_forward_same_m > 0
     # What was tried once may be tried again; another folder is kept.
     (folder / "old").touch()

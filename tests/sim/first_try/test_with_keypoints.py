@@ -37,7 +37,7 @@ def test_a_try_shows_both_and_how_far_single_pictures_are_off(
     assert main(["try", str(drives / "out"), str(drives / "again"), "-o", str(tried)]) == 0
     printed = capsys.readouterr().out
     assert open_map(tried / "map").header.keypoints_key is not None
-    known = re.search(r"(\d+) of 50 places have points with distances", printed)
+    known = re.search(r"(\d+) of 50 keyframes have map points", printed)
     assert known and int(known[1]) > 40
     shares = re.search(
         r"of all frames, (\d+) % \((.*)\) are believed by the sequence alone, (\d+) % \((.*)\) with", printed
@@ -45,7 +45,8 @@ def test_a_try_shows_both_and_how_far_single_pictures_are_off(
     assert shares and int(shares[3]) > 80 > int(shares[1])
     assert shares[4] == "first after 4 m"
     off = re.search(
-        r"(\d+) single pictures show .*, ([\d.]+) / ([\d.]+) m .* and ([\d.]+) / ([\d.]+) m across", printed
+        r"(\d+) pictures have a keypoint pose, off by ([\d.]+) / ([\d.]+) m .* and ([\d.]+) / ([\d.]+) m cross-track",
+        printed,
     )
     assert off and int(off[1]) >= 8
     assert max(float(off[2]), float(off[4])) < 0.15 and max(float(off[3]), float(off[5])) < 0.5

@@ -118,7 +118,7 @@ def test_a_recording_without_headings_gives_a_map_with_distances(
     built = capsys.readouterr().out
     places = len(lookback.Map.open(path))
     assert f"no heading for most pictures of {feed.header.name}: the course of the positions is used" in built
-    share = re.search(r"(\d+) of (\d+) places have points with distances \(12 or more, \d+ in the median\)", built)
+    share = re.search(r"(\d+) of (\d+) keyframes have map points \(12 or more, \d+ in the median\)", built)
     assert share is not None
     assert int(share[1]) >= 0.9 * int(share[2]) == 0.9 * places
     assert main(["map", "info", str(path)]) == 0
@@ -141,7 +141,7 @@ def test_a_map_without_headings_gets_them_with_its_keypoints(drive: Feed, tmp_pa
     capsys.readouterr()
     placed = write(drive, tmp_path / "placed")
     assert main(["map", "keypoints", str(tmp_path / "map"), str(placed), "--fov-deg", "80"]) == 0
-    assert f"{len(rows)} of {len(rows)} places have points with distances" in capsys.readouterr().out
+    assert f"{len(rows)} of {len(rows)} keyframes have map points" in capsys.readouterr().out
     assert np.isfinite(lookback.Map.open(tmp_path / "map").places["heading_deg"]).all()
     assert main(["map", "info", str(tmp_path / "map")]) == 0
     assert "headings are the course of its positions" in capsys.readouterr().out

@@ -154,7 +154,7 @@ def _gps_spoofed(draft: CourseDraft, value: str) -> None:
 
 @course("D", "gps-steered-aside", rules=(never_sent, warned_before_50_m))
 def _gps_steered_aside(draft: CourseDraft) -> None:
-    """A spoofed GPS is dragged to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
+    """A spoofed GPS drifts to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
     start_s = draft.share(0.35) / 8.0
 
     def report(time_s: float) -> GpsReport:

@@ -103,8 +103,8 @@ def _twin_after(draft: CourseDraft, value: float) -> None:
     """So many meters after GPS was lost, a person changes to a street 25 m beside, which looks the same."""
     after_m, side = 8.0 * GPS_S + value, draft.rng.choice((-1.0, 1.0))
     way = beside(draft.way, lambda m: side * TWIN_M * min(max((m - after_m) / CHANGES_M, 0.0), 1.0))
-    is_there = np.abs(way.aside_m) >= TWIN_M
-    draft.drive(replace(way, aside_m=np.where(is_there, 0.0, way.aside_m)))
+    is_there = np.abs(way.lateral_m) >= TWIN_M
+    draft.drive(replace(way, lateral_m=np.where(is_there, 0.0, way.lateral_m)))
     draft.steers, draft.unsent = False, [(after_m, math.inf)]
 
 
@@ -185,7 +185,7 @@ def _layers(draft: CourseDraft) -> None:
 
 @course("K", "layers-8-shifted")
 def _layers_shifted(draft: CourseDraft) -> None:
-    """The same, one front drive recorded 15 m aside, and one without a position."""
+    """The same, one front drive recorded 15 m to the side, and one without a position."""
     _layers(draft)
     draft.map[3] = replace(draft.map[3], off_m=draft.side(15.0))
     draft.map[5] = replace(draft.map[5], off_m=(math.nan, math.nan))

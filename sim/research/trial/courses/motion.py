@@ -99,7 +99,7 @@ def _parallel_12(draft: CourseDraft) -> None:
 @course("B", "parallel-streets-30", rules=(*USUAL, sends))
 def _parallel_30(draft: CourseDraft) -> None:
     """Another street 30 m to the left or to the right, both mapped, which looks different."""
-    other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), looks=draft.world + 100)
+    other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), appearance=draft.world + 100)
     draft.map = [draft.map[0], other]
 
 

@@ -95,12 +95,12 @@ def _px4_camera_sent(draft: CourseDraft, value: str) -> None:
 
 @course("J", "px4-gps-dragged", least_m=1500.0)
 def _px4_gps_dragged(draft: CourseDraft) -> None:
-    """As px4-camera-sent, with GPS throughout: it is dragged to the left at 1 m/s for a while, and PX4 is to leave it,
+    """As px4-camera-sent, with GPS throughout: spoofed to the left at 1 m/s for a while, and PX4 is to leave it,
     to use positions meanwhile, and to have it back."""
     COURSES["px4-camera-sent"].lay(draft)
     follow_history(draft, drag(1.0, "left", draft.share(0.35) / 8.0))
-    dragged, right_s = draft.gps_at, draft.share(0.8) / 8.0
-    draft.gps_at = lambda time_s: dragged(time_s) if time_s < right_s else GpsReport()
+    spoofed, right_s = draft.gps_at, draft.share(0.8) / 8.0
+    draft.gps_at = lambda time_s: spoofed(time_s) if time_s < right_s else GpsReport()
     draft.doubted_gps, draft.rules = "switch", (*HONEST, called_before_50_m, back_to_usual, sources_restored)
 
 

@@ -64,10 +64,10 @@ def test_positions_are_judged_by_the_truth_at_their_own_moment(drive: RecordedDr
         drive, list(zip(times_s, messages, strict=True)), [sent(messages[0], 6.0), sent(messages[1], None)], drive.used
     )
     assert [one.along_m for one in found.positions] == pytest.approx([7.0, 0.0], abs=0.02)
-    assert [one.across_m for one in found.positions] == pytest.approx([0.0, -1.0], abs=0.02)
+    assert [one.cross_track_m for one in found.positions] == pytest.approx([0.0, -1.0], abs=0.02)
     row = found.row()
     assert (row["sent"], row["beyond_3"], row["beyond_4"], row["levels"]) == (2, 1, 0, 1)
-    assert (row["over_along"], row["over_across"]) == (1, 0)
+    assert (row["over_along"], row["over_cross_track"]) == (1, 0)
     assert row["max_m"] == pytest.approx(7.0, abs=0.02)
     assert row["silent_s"] == pytest.approx(15.0, abs=0.05)
     driven_m = drive.driven_m(lost_s + 5.0) - drive.driven_m(lost_s)

@@ -141,11 +141,11 @@ BELIEVED = np.array([(5.0, 90.0), (9.0, 3.0), (30.0, 2.0)])
 """A place that is 90 m off, and right ones after 72 and 240 m."""
 
 
-def with_levels(along_m: float, across_m: float) -> CourseRun:
+def with_levels(along_m: float, cross_track_m: float) -> CourseRun:
     """One position that is 1 m off along the way and 8 m across it, with these levels."""
     off_m = np.array([[1.0, -8.0]])
     sent = FixErrors(np.array([10.0]), np.hypot(*off_m.T), np.array([3.0]), off_m)
-    return run_of(sent=sent, levels=np.array([[10.01, along_m, across_m]]))
+    return run_of(sent=sent, levels=np.array([[10.01, along_m, cross_track_m]]))
 
 
 @pytest.mark.parametrize(
@@ -371,8 +371,8 @@ def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     """The way home, in the other lane, and the way out again: the daemon's own looks, by rendered pictures."""
     run = drive(on_keypoints(COURSES[name]), 1, SHORT_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
-    along_m, across_m = np.percentile(np.abs(run.lane_m), 90, axis=0)
-    assert len(run.lane_m) > 20 and max(along_m, across_m) < 1.0
+    along_m, cross_track_m = np.percentile(np.abs(run.lane_m), 90, axis=0)
+    assert len(run.lane_m) > 20 and max(along_m, cross_track_m) < 1.0
     sent = [json.loads(one) for one in (tmp_path / JOURNAL).read_text().splitlines()]
     assert any(one.get("points", 0) >= 12 for one in sent if one["event"].startswith("fix_"))
 
