@@ -21,7 +21,7 @@ from edge.feed import Frame
 __all__ = ["Camera", "CameraHealth", "Frame", "Frames", "check_kind", "open_camera"]
 
 
-GROUP = "lookback.cameras"
+CAMERA_GROUP = "lookback.cameras"
 CAMERAS = {
     "v4l2": "edge.camera.v4l2:V4l2Camera",
     "oak": "edge_plugins.cameras.oak:OakCamera",
@@ -47,11 +47,11 @@ def open_camera(config: CameraConfig) -> Camera:
 def check_kind(config: CameraConfig) -> None:
     """ConfigError, which names those that there are, if no camera is of the kind that the config names."""
     if next(_openers(config.kind), None) is None:
-        known = [*CAMERAS, *sorted(entry_points(group=GROUP).names)]
+        known = [*CAMERAS, *sorted(entry_points(group=CAMERA_GROUP).names)]
         raise ConfigError(f"[camera] kind: unknown camera {config.kind!r}; use one of {', '.join(known)}")
 
 
 def _openers(kind: str) -> Iterator[EntryPoint]:
     if kind in CAMERAS:
-        yield EntryPoint(kind, CAMERAS[kind], GROUP)
-    yield from entry_points(group=GROUP, name=kind)
+        yield EntryPoint(kind, CAMERAS[kind], CAMERA_GROUP)
+    yield from entry_points(group=CAMERA_GROUP, name=kind)

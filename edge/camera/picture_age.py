@@ -29,7 +29,7 @@ MIDDLE_PX = 40, 30
 """To which the middle half of a picture is reduced, width and height. On 18 simulated drives (six roads; day, night and
 rain) its shift over a second correlates with the turn by 0.82 to 0.97; that of the whole picture by 0.56 to 0.85."""
 HANNING = np.asarray(cv2.createHanningWindow(MIDDLE_PX, cv2.CV_32F), np.float32)
-STEP_NS, WINDOW, LAGS = 250_000_000, 80, 32
+STEP_NS, COMPARED, LAGS = 250_000_000, 80, 32
 """What is compared: the turns in steps of so long, so many of the newest pictures (20 s), with those of the vehicle up
 to so many steps (8 s) earlier."""
 LEAST_RADPS = 0.01
@@ -37,7 +37,7 @@ LEAST_RADPS = 0.01
 0.03 to 0.12."""
 CLEAR = 0.2
 """Response of the phase correlation (1 at most) below which a shift says nothing, as after a hole in the pictures."""
-ALIKE, CLEARER, APART = 0.7, 2.0, 6
+TURNS_ALIKE, CLEARER, LAGS_APART = 0.7, 2.0, 6
 """Least correlation, by what factor the variance that it leaves must be less than at any other lag, and how many steps
 further another one is. Pictures of those drives that were 0, 3 and 6 s old, and those of three drives of the trial,
 showed their age in 77 % of the stretches, each within 0.5 s. Pictures of another road showed one in 0.2 % of 2,890
@@ -52,7 +52,7 @@ AGREE_NS = round(3 * math.sqrt(2) * SIGMA_NS)
 PLAUSIBLE_NS = 1_000_000_000
 """Up to which a first age is believed at once; a greater one, and each that contradicts those before, once it is seen
 twice. The ages that 13 recorded drives showed of such pictures were 0 to 0.56 s, but for those 2.8 s."""
-KEPT = 6
+KEPT_AGES = 6
 """The newest observations of the age that are kept."""
 CHANGED_NS = 250_000_000
 """Stamps are corrected anew where the age is found to be so far from what they were corrected by: nothing that was
@@ -68,7 +68,7 @@ class Age:
 
 
 class PictureAge:
-    """By how much the pictures of one stream are older than they say, by turns of the newest WINDOW + LAGS steps."""
+    """By how much the pictures of one stream are older than they say, by turns of the newest COMPARED + LAGS steps."""
 
     def __init__(self) -> None:
         self._middle: NDArray[np.float32] | None = None
@@ -76,7 +76,7 @@ class PictureAge:
         self._shifted: deque[tuple[int, float]] = deque()
         self._headings: deque[tuple[int, float]] = deque()
         self._due_ns = 0
-        self._seen: deque[int] = deque(maxlen=KEPT)
+        self._seen: deque[int] = deque(maxlen=KEPT_AGES)
         self.age: Age | None = None
         """None until turns have shown it."""
 
@@ -93,35 +93,35 @@ class PictureAge:
         self._shifted.append((stamp_ns, self._shift))
         if heading is not None and (not self._headings or heading[0] > self._headings[-1][0]):
             self._headings.append(heading)
-        oldest_ns = stamp_ns - STEP_NS * (WINDOW + LAGS)
+        oldest_ns = stamp_ns - STEP_NS * (COMPARED + LAGS)
         for series in (self._shifted, self._headings):
             while len(series) > 1 and series[1][0] <= oldest_ns:
                 series.popleft()
         known = all(series and series[0][0] <= oldest_ns for series in (self._shifted, self._headings))
         if stamp_ns >= self._due_ns and known:
             age_ns = self._age_ns(stamp_ns)
-            self._due_ns = stamp_ns + STEP_NS * (WINDOW if age_ns is not None else AGAIN)
+            self._due_ns = stamp_ns + STEP_NS * (COMPARED if age_ns is not None else AGAIN)
             if age_ns is not None:
                 self._observe(age_ns)
 
     def _age_ns(self, now_ns: int) -> int | None:
         """By the newest turns, None where these do not show it. Asked again, other turns answer."""
-        grid_ns = now_ns - STEP_NS * np.arange(WINDOW + LAGS, -1, -1)
+        grid_ns = now_ns - STEP_NS * np.arange(COMPARED + LAGS, -1, -1)
         stamps_ns, shifts = np.array(self._shifted).T
         headed_ns, headings_deg = np.array(self._headings).T
-        pictures = np.diff(np.interp(grid_ns, stamps_ns, shifts))[-WINDOW:]
+        pictures = np.diff(np.interp(grid_ns, stamps_ns, shifts))[-COMPARED:]
         turns_rad = np.diff(np.interp(grid_ns, headed_ns, np.unwrap(np.radians(headings_deg))))
         # The last window is that of the newest turns: a lag of 0.
-        vehicle = sliding_window_view(turns_rad, WINDOW)[::-1]
+        vehicle = sliding_window_view(turns_rad, COMPARED)[::-1]
         pictures = pictures - pictures.mean()
         vehicle = vehicle - vehicle.mean(axis=1, keepdims=True)
         size = np.linalg.norm(vehicle, axis=1)
         alike = vehicle @ pictures / np.maximum(size * np.linalg.norm(pictures), 1e-9)
         best = int(alike.argmax())
-        others = np.abs(np.arange(LAGS + 1) - best) >= APART
+        others = np.abs(np.arange(LAGS + 1) - best) >= LAGS_APART
         left, left_else = 1 - alike[best] ** 2, 1 - max(0.0, float(alike[others].max())) ** 2
-        is_turning = size[best] >= LEAST_RADPS * STEP_NS / 1e9 * np.sqrt(WINDOW)
-        if not is_turning or alike[best] < ALIKE or left_else < CLEARER * left or best == LAGS:
+        is_turning = size[best] >= LEAST_RADPS * STEP_NS / 1e9 * np.sqrt(COMPARED)
+        if not is_turning or alike[best] < TURNS_ALIKE or left_else < CLEARER * left or best == LAGS:
             return None
         if best == 0:
             return 0

@@ -22,7 +22,7 @@ frames a second and 10 m/s it is a sixth of 2 m."""
 BACK_M = 1.0
 """By so much a distance may fall and be the same count: a frame was exposed before one whose distance was extrapolated
 while braking. On one recorded drive such a fall of 0.36 m at its turn ended the map of the way out."""
-GAP = 20
+GAP_FRAMES = 20
 """Usual steps; a longer one is no step but a gap, unless the next one is as long."""
 KEPT_STEPS = 40
 """Frames of which the median is the usual step: as many as the default sequence has."""
@@ -95,7 +95,7 @@ class Steps:
         now = self._last = None if odometer_m is None else self._driven(odometer_m)
         if now is None or before is None or now <= before:
             return (1 + missed) * self.usual(map_spacing_m)
-        was_gap, self._is_gap = self._is_gap, now - before > GAP * self._median()
+        was_gap, self._is_gap = self._is_gap, now - before > GAP_FRAMES * self._median()
         if was_gap or not self._is_gap:
             self._kept.append(now - before)
         return (now - before) * self._places(map_spacing_m)

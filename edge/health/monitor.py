@@ -21,7 +21,7 @@ from edge.journal.records import JournalResumed, StateChanged
 
 MANAGER_S = 1.0
 """A service manager that does not read fills its socket: do not wait for it any longer."""
-TEXT_NS = 5_000_000_000
+STATE_TEXT_NS = 5_000_000_000
 """At most one line about each state in this time: at the edge of a map it changes with every frame. As long on the map,
 a vehicle has had time for its first position."""
 JOURNAL_RETRY_NS = 5_000_000_000
@@ -74,7 +74,7 @@ class _Publisher:
         return journal.why_lost if journal.lost else ""
 
     def publish(self, health: Health) -> None:
-        """Wherever it differs from the last one; to the pilot at most once in TEXT_NS for each state."""
+        """Wherever it differs from the last one; to the pilot at most once in STATE_TEXT_NS for each state."""
         before, self.health = self.health, health
         self._links.set_system_status(health.mav_state)
         now_ns = self._clock_ns()
@@ -85,7 +85,7 @@ class _Publisher:
             if self._journal is not None:
                 self._journal.write(StateChanged(health.state, health.why))
         if str(health) != self._published_text and now_ns >= self._text_due_ns.get(health.state, 0):
-            self._published_text, self._text_due_ns[health.state] = str(health), now_ns + TEXT_NS
+            self._published_text, self._text_due_ns[health.state] = str(health), now_ns + STATE_TEXT_NS
             severity = SEVERITIES.get(health.state, mavlink.MAV_SEVERITY_NOTICE)
             self._links.send_text(f"Lookback {health}", severity)
 
@@ -132,7 +132,7 @@ class HealthMonitor:
             link_down_s=self._link_down_s(is_up=inputs.link == "up"),
             journal=self._publisher.journal_fault(),
             frame_s=inputs.frame_s if frames_used > self._frames_before_gap else 0.0,
-            withheld=inputs.withheld if self._clock_ns() - self._off_map_ns >= TEXT_NS else "",
+            withheld=inputs.withheld if self._clock_ns() - self._off_map_ns >= STATE_TEXT_NS else "",
             off_m=self._off_m(inputs.driven_m),
         )
         is_gap = bool(inputs.blind) != self._was_blind or self.is_first_after_gap(camera)

@@ -19,10 +19,10 @@ from edge.reference_map import Drives, MapSet
 from edge.sequence import LEAST_SHARPNESS, Correspondences, KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.keyframe_consensus import (
+    AGREE_M,
     ALONE,
-    APART_M,
-    KEPT,
-    REACH_M,
+    KEPT_VOTES,
+    VOTES_M,
     KeyframeConsensus,
     KeyframeVote,
     PriorOf,
@@ -35,7 +35,7 @@ EVERY, SELDOM, PATIENCE = 2, 4, 10
 """One in so many frames is verified; one in SELDOM while a sharp sequence match leads to the place, and after so many
 verifications in vain. With 5 pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a
 second without keypoints, 51 so, and 75 where every second frame was verified."""
-NEAREST, APART = 30, 2
+NEAREST_PLACES, PLACES_APART = 30, 2
 """Places by the newest frame alone that are tried where nothing is believed, and how far they are apart: on the way
 home on a rear camera's map (two roads, 240 frames) one within 8 m of the right one was among 10 of them in .93, among
 30 in .996. Its pose then says which of its neighbors is nearest."""
@@ -82,7 +82,7 @@ class KeyframeMatcher:
     def reset(self) -> None:
         """No match so far counts."""
         self._kept = KeyframeConsensus()
-        self._alike = deque[list[KeyframeVote]](maxlen=KEPT)
+        self._alike = deque[list[KeyframeVote]](maxlen=KEPT_VOTES)
         """By each of the newest verifications, two places that it could not tell apart; none by one that could."""
         self._unverified, self._in_vain = SELDOM, 0  # frames since a verification, verifications since a match
         self._has_sequence = False
@@ -173,7 +173,7 @@ class KeyframeMatcher:
         for one in chain.from_iterable(self._alike):
             at_m = one.now_m(driven_m)
             place = PlaceBelief(one.drive, at_m, one.direction, 0.0, is_believed=False)
-            if votes is not None and driven_m - one.at_m <= REACH_M and not self._is_one_place(votes, place, slack_m):
+            if votes is not None and driven_m - one.at_m <= VOTES_M and not self._is_one_place(votes, place, slack_m):
                 several = ALONE if sum(map(bool, self._alike)) > 1 else 1.0
                 against = max(against, one.odds * several * (prior_of(one.drive, at_m) if prior_of else 1.0))
         if votes is None or not against:
@@ -192,7 +192,7 @@ class KeyframeMatcher:
         if self._newest is None:
             return None
         seen, vote = self._newest
-        is_there = vote.drive == belief.drive and abs(vote.along_m - belief.along_m) <= APART_M
+        is_there = vote.drive == belief.drive and abs(vote.along_m - belief.along_m) <= AGREE_M
         return seen if is_there and vote.direction == belief.direction else None
 
     def _match_of(self, belief: PlaceBelief, seen: KeyframeMatch | None) -> PlaceMatch:
@@ -236,11 +236,11 @@ class KeyframeMatcher:
         places = places[np.argsort(away_m, kind="stable")]
         if not (places.size and self._verification.direction(int(places[0])) == belief.direction):
             return []  # the views are opposite
-        there = self._verification.candidates(places, course_rad, NEAREST, APART)
+        there = self._verification.candidates(places, course_rad, NEAREST_PLACES, PLACES_APART)
         return there if self._is_seen_there else list(dict.fromkeys((*there, *self._anywhere(nearest, course_rad))))
 
     def _anywhere(self, nearest: NearestOf, course_rad: float | None) -> list[int]:
-        return self._verification.candidates(nearest(AMONG), course_rad, NEAREST, APART)
+        return self._verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
 
     def _vote_of(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
         """A keyframe match as a vote for a point along the map's drive; the place's camera faces along it, or back."""

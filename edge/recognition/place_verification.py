@@ -32,13 +32,13 @@ from edge.reference_map.keypoint_records import keypoints_of, points_of
 from edge.sequence import MOST_OFF_COURSE_RAD, Correspondences, Direction, KeyframeMatch
 from edge.sequence.keyframe_consensus import ENOUGH, confidence_of
 
-MOST = 300
+MOST_OF_FRAME = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
 VERIFIED = 3
 """Candidates with most matches that a pose is sought by, which takes 18 times as long as to match them. On the way home
 on a rear camera's map (two roads, 480 frames) the best of 3 of 30 was right in .88, of 10 of 30 in .91; of 3 of 10 in
 .84, and in .80 where the best was the one of most matches that one fundamental matrix explains."""
-ELSEWHERE_M, MOST_ELSEWHERE = 20.0, 0.3
+OTHER_PLACE_M, MOST_ELSEWHERE = 20.0, 0.3
 """What a place so far away may have of the best one's support, by the best of VERIFIED poses there. It was at most 0.19
 of it on the way home at night, 0.68 in the median on a street that repeats every 54 m (81 and 90 pictures over 3). With
 0.5, 16 of 250 frames on the way home along that street are believed, 6 of them wrong, with 0.3 6 and 6.
@@ -127,7 +127,7 @@ class PlaceVerification:
 
         MapError for a map that was cut off.
         """
-        query = self.network.extract(image, MOST)
+        query = self.network.extract(image, MOST_OF_FRAME)
         self.alike, self._newest = (), None
         found = self._found(query, places)
         if found is None:
@@ -189,7 +189,7 @@ class PlaceVerification:
         return None if pose is None else (best, pose)
 
     def _is_elsewhere(self, place: int, other: int) -> bool:
-        return self._drives.apart_m(place, other) > ELSEWHERE_M
+        return self._drives.apart_m(place, other) > OTHER_PLACE_M
 
     def _support(self, query: Keypoints, place: int, pose: RelativePose) -> float:
         """That a pose has by its place and by the rows around it whose own pose is the same one, up to ENOUGH."""

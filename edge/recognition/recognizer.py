@@ -35,17 +35,17 @@ from edge.sequence.evidence import HoldOff
 
 log = logging.getLogger(__name__)
 
-STOOD_NS = 3_000_000_000
+STILL_NS = 3_000_000_000
 """From so long a halt on, the next frame is compared with the last one."""
-CARRIED, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
+CARRIED_CHANGE, FEWEST_CHANGES, KEPT_CHANGES = 2.0, 20, 100
 """How many times more than usual the picture must have changed over a halt for the vehicle to have been carried. Frames
 2 m apart are up to 2.6 times as far apart as their median, 95 % up to 1.8; of frames 100 m apart 95 % more than 2.8;
 after a tow of 100 m one was 2.3 times as far apart."""
 
 VERIFY_AGAIN_NS, VERIFICATIONS = 1_000_000_000, 3
 """Pause between verifications of pictures from one spot, and their number: more show nothing new, until the picture has
-changed CARRIED times as much since as within that time, as noise and passing cars change it."""
-STANDS_M = 0.2
+changed CARRIED_CHANGE times as much since as within that time, as noise and passing cars change it."""
+STILL_M = 0.2
 """Driven since the newest frame, up to which a vehicle stands where that was."""
 
 State = Literal["warming up", "searching", "on the map", "off the map", "standing"]
@@ -99,10 +99,10 @@ class _UsedFrames:
             return False
         change, driven_m = last.change_to(frame), frame.driven_since_m(last)
         elapsed_ns = frame.stamp_ns - last.stamp_ns
-        if elapsed_ns >= STOOD_NS and driven_m <= 2 * self._spacing_m:
-            return len(self._changes) >= FEWEST_CHANGES and change > CARRIED * float(np.median(self._changes))
-        if elapsed_ns >= STOOD_NS and driven_m > 0 and self._ns_per_m:
-            return elapsed_ns - driven_m * float(np.median(self._ns_per_m)) >= STOOD_NS
+        if elapsed_ns >= STILL_NS and driven_m <= 2 * self._spacing_m:
+            return len(self._changes) >= FEWEST_CHANGES and change > CARRIED_CHANGE * float(np.median(self._changes))
+        if elapsed_ns >= STILL_NS and driven_m > 0 and self._ns_per_m:
+            return elapsed_ns - driven_m * float(np.median(self._ns_per_m)) >= STILL_NS
         self._changes.append(change)
         if driven_m > 0:
             self._ns_per_m.append(elapsed_ns / driven_m)
@@ -178,7 +178,7 @@ class PlaceRecognizer:
         last = self._used.newest
         if last is None or distance_m is None or last.distance_m is None or not self._is_verification_due(stamp_ns):
             return False
-        return abs(distance_m - last.distance_m) <= STANDS_M
+        return abs(distance_m - last.distance_m) <= STILL_M
 
     def verify_again(
         self, image: NDArray[np.uint8], stamp_ns: int, travel: MotionPrior = NOTHING_KNOWN
@@ -194,7 +194,7 @@ class PlaceRecognizer:
     def _verify_again(self, image: NDArray[np.uint8], frame: _UsedFrame, travel: MotionPrior) -> PlaceMatch | None:
         assert self._verified is not None  # or none would be due
         first, before = self._verified
-        if first.change_to(frame) > CARRIED * before.change_to(frame):
+        if first.change_to(frame) > CARRIED_CHANGE * before.change_to(frame):
             first, self._verifications_left = frame, VERIFICATIONS
         self._verified, self._verifications_left = (first, frame), self._verifications_left - 1
         match = self.matcher.verify_again(image, frame.raw, travel) if self._verifications_left >= 0 else None

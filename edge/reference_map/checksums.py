@@ -10,7 +10,7 @@ import msgspec
 
 from edge.errors import MapError
 
-PIECE_BYTES = 1 << 20
+CHECKED_BYTES = 1 << 20
 
 
 class FileKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -21,7 +21,7 @@ class FileKey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def pieces_checked(
-    path: Path, files: Mapping[str, FileKey], names: Iterable[str], piece_bytes: int = PIECE_BYTES
+    path: Path, files: Mapping[str, FileKey], names: Iterable[str], piece_bytes: int = CHECKED_BYTES
 ) -> Iterator[int]:
     """Check some of the files that the header of the map at `path` lists: after each piece, how many bytes it had.
 
@@ -89,7 +89,7 @@ def sha256_of(file: Path) -> str:
     try:
         with file.open("rb") as stream:
             digest = hashlib.sha256()
-            while block := stream.read(PIECE_BYTES):
+            while block := stream.read(CHECKED_BYTES):
                 digest.update(block)
     except OSError as error:
         raise MapError(f"{file}: cannot read it: {error.strerror}") from None

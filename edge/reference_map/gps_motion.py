@@ -38,7 +38,7 @@ LEARNED_M, LEARNED_FROM_M, LEARNED_LEAST = 100.0, 20.0, 5
 STRAIGHT_M, GENTLE_M, GENTLE_DEG = 20.0, 40.0, 30.0
 """A longer step may have a corner in it, so its direction is not known: only lengths are compared over it. But for one
 that turned by less than that: over 40 m of 40 simulated roads, its direction misplaced it by 2.9 m (95 %)."""
-KEPT = 256
+KEPT_AGREED = 256
 """Positions before the longest window that are kept at most: a drive of ten hours costs 16 bytes a place."""
 CREPT_M, CREPT_SHARE, CREPT_TIMES = (50.0, 100.0, 200.0, 400.0), 0.01, 4.0
 """Windows in which positions may creep by less than counts as wrong; the share of the way by which odometer and heading
@@ -98,7 +98,7 @@ class GpsMotion:
     """The positions of one drive, one after another."""
 
     def __init__(self) -> None:
-        self._agreed: list[_ConsistentPosition] = []  # of the longest window, and up to KEPT more
+        self._agreed: list[_ConsistentPosition] = []  # of the longest window, and up to KEPT_AGREED more
         self._ways_m: list[float] = []  # of those that agreed, by the odometer
         self._ratios = array("d"), array("d")  # real and imaginary parts, sorted
         self._way_m, self._moved, self._number = 0.0, 0j, 0
@@ -154,7 +154,7 @@ class GpsMotion:
         self._agreed.append(now)
         self._ways_m.append(self._way_m)
         first = self._row_before(WINDOWS_M[-1])
-        if first > KEPT:
+        if first > KEPT_AGREED:
             del self._agreed[:first], self._ways_m[:first]
         return None
 

@@ -22,7 +22,7 @@ COMPARED = 32
 """Places at each end that are compared; the ends may overlap by nearly as many."""
 NEIGHBORS = 3
 """Places as far apart as this still look alike."""
-ALIKE = 0.42
+LAP_ALIKE = 0.42
 """Likeness of the ends from which a drive is closed, as a share of that along it."""
 TOGETHER_M = 20.0
 
@@ -50,7 +50,7 @@ def _lap(maps: Sequence[ReferenceMap], places: NDArray[np.void], index: PlaceInd
     expected = by_distance[np.minimum(apart, NEIGHBORS + 1)]
     found, sought = (across * expected).sum(axis=(1, 2)), np.square(expected).sum(axis=(1, 2))
     best = int((found / np.sqrt(sought)).argmax())
-    return int(laps[best]) if found[best] >= ALIKE * sought[best] else None
+    return int(laps[best]) if found[best] >= LAP_ALIKE * sought[best] else None
 
 
 def _descriptors(maps: Sequence[ReferenceMap], index: PlaceIndex, start: int, end: int) -> NDArray[np.int8]:

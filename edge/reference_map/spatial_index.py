@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from edge.geodesy import apart_m, unwrapped
 
-BLOCK = 64
+BLOCK_PLACES = 64
 MARGIN_SHARE, MARGIN_M = 1e-3, 1.0
 """By how much the bounds of a block may look farther away than they are: they are no straight lines on the ground."""
 LEAST_M_PER_DEG = 110_000.0
@@ -38,14 +38,14 @@ def bounds_of(places: NDArray[np.void]) -> Bounds | None:
 
 
 class SpatialIndex:
-    """The maps of a set in blocks of at most BLOCK places, each with the bounds of its places."""
+    """The maps of a set in blocks of at most BLOCK_PLACES places, each with the bounds of its places."""
 
     def __init__(self, places: NDArray[np.void], maps: Sequence[tuple[int, int, Bounds | None]]) -> None:
         """places: (N,) records of PLACE. maps: places [start, end) of each map, and its bounds. 8 ms for a million.
 
         A block with unknown positions is allowed wherever its map is; a map without any is allowed nowhere.
         """
-        starts = [np.arange(start, end, BLOCK) for start, end, _ in maps]
+        starts = [np.arange(start, end, BLOCK_PLACES) for start, end, _ in maps]
         self._starts = np.concatenate(starts)
         self._ends = np.append(self._starts[1:], maps[-1][1])[: len(self._starts)]
         self._edges = _block_bounds(places, self._starts)

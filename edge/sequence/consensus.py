@@ -48,7 +48,7 @@ from edge.reference_map import NO_LAP_M, Drives
 from edge.sequence import Direction, PlaceMatch
 from edge.sequence.prior import Prior
 
-CAPACITY = 256
+MOST_VOTES = 256
 """Votes that are kept at most; 320 m at one place each 2 m are 160."""
 FULL_SUPPORT = 0.4
 """Share of the newest matches at a place from which it is as well supported as it can be: some are always wrong."""
@@ -183,7 +183,7 @@ class PlaceBelief:
 
 
 class _Evidence(NamedTuple):
-    """Of each vote (CAPACITY,): whether it counts, where it puts the vehicle now, how far beyond its drive that is,
+    """Of each vote (MOST_VOTES,): whether it counts, where it puts the vehicle now, how far beyond its drive that is,
     what it weighs, and how much speaks for its place.
     """
 
@@ -195,7 +195,7 @@ class _Evidence(NamedTuple):
 
 
 class _Case(NamedTuple):
-    """A place, by the vote that leads to it: the votes that agree with it and those against it (CAPACITY,).
+    """A place, by the vote that leads to it: the votes that agree with it and those against it (MOST_VOTES,).
 
     moves: how well it lies in its drive, keeps pace and is supported, 0 to 1.
     """
@@ -228,7 +228,7 @@ class PlaceConsensus:
         self._newest = np.zeros(0, np.intp)
         """Slots of the newest votes, of half a sequence."""
         self._roads = deque[float](maxlen=self.settings.length)  # of the newest frames, see _VOTE
-        self._votes = np.zeros(CAPACITY, dtype=_VOTE)
+        self._votes = np.zeros(MOST_VOTES, dtype=_VOTE)
         self._votes["at_m"] = -np.inf  # an empty slot is out of reach
         self._votes["lap_m"] = NO_LAP_M
         self._agree = np.zeros((len(self._votes), len(self._votes)), dtype=np.float32)

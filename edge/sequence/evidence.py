@@ -26,7 +26,7 @@ frame every meter on a map of 2 m, recall was .37 so, and .27 with what was driv
 .27, and .08 with so many places as frames."""
 CHORD_M = 5.0
 """From a place to those whose chord is the way of its road; positions by GPS are wrong by a meter or two."""
-LEAST_M = 1.5
+SHORT_M = 1.5
 """A chord that is shorter says nothing of a way."""
 
 
@@ -109,7 +109,7 @@ class Roads:
             before, after = np.minimum(before, at - 1).clip(0), np.maximum(after, at + 1).clip(0, end - start - 1)
             chords_m = (east_north_m[start + after] - east_north_m[start + before]).T
             lengths_m = np.hypot(*chords_m)
-            self._ahead[:, here] = np.where(lengths_m > LEAST_M, chords_m / np.maximum(lengths_m, LEAST_M), np.nan)
+            self._ahead[:, here] = np.where(lengths_m > SHORT_M, chords_m / np.maximum(lengths_m, SHORT_M), np.nan)
             if lap is not None:  # it goes on at its beginning
                 self._ahead[:, [start, end - 1]] = np.nan
             self._around[:, here] = np.stack(_within(along_m, config.window_m)) + start

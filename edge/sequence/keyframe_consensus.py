@@ -41,13 +41,13 @@ MOST_ODDS = 22.0
 """
 ENOUGH = EVEN * MOST_ODDS ** (1 / POWER)
 """Support beyond which more makes no place surer."""
-KEPT = 4
+KEPT_VOTES = 4
 """Verified frames that count, the newest among them."""
-APART_M = 2.0
+AGREE_M = 2.0
 """By which two poses of one place may differ, beside what the odometer is off by."""
 MAPS_APART_M = 6.0
 """The same of two drives on one street, whose positions are by GPS."""
-REACH_M = 60.0
+VOTES_M = 60.0
 """Driven since a match, beyond which it does not count."""
 
 PriorOf: TypeAlias = Callable[[int, float], float]
@@ -88,7 +88,7 @@ class KeyframeConsensus:
     """The newest votes by keyframes, and the belief that they add up to."""
 
     def __init__(self) -> None:
-        self._kept = deque[KeyframeVote | None](maxlen=KEPT)
+        self._kept = deque[KeyframeVote | None](maxlen=KEPT_VOTES)
 
     def add(self, vote: KeyframeVote | None) -> None:
         """Of a verified frame; None if it matched no place of the map."""
@@ -102,7 +102,7 @@ class KeyframeConsensus:
         least: the confidence from which it is believed. positions_of: where points along drives lie. prior_of: odds of
         being at a point along a drive without any match.
         """
-        kept = [one for one in self._kept if one is not None and driven_m - one.at_m <= REACH_M]
+        kept = [one for one in self._kept if one is not None and driven_m - one.at_m <= VOTES_M]
         best: tuple[float, KeyframeVote, list[KeyframeVote]] | None = None
         for newest in reversed(kept):
             group = [one for one in kept if _agree(newest, one, driven_m, positions_of)]
@@ -120,7 +120,7 @@ class KeyframeConsensus:
 
 def _agree(one: KeyframeVote, other: KeyframeVote, driven_m: float, positions_of: PositionsOf) -> bool:
     """Whether two votes put the vehicle at one place."""
-    apart_m = abs(one.uncertain_m - other.uncertain_m) + APART_M
+    apart_m = abs(one.uncertain_m - other.uncertain_m) + AGREE_M
     at_m, other_m = one.now_m(driven_m), other.now_m(driven_m)
     if (one.drive, one.direction) == (other.drive, other.direction):
         return abs(math.remainder(at_m - other_m, one.lap_m)) <= apart_m

@@ -25,7 +25,7 @@ from edge.sequence import NOTHING_KNOWN, Direction, MotionPrior, PlaceMatch, Sea
 from edge.sequence.lane import NO_LAGS, Lanes, lags_of, lane_costs
 from edge.sequence.submap import GlobalSearch, Submap
 
-SLACK_M = 250.0
+PART_SLACK_M = 250.0
 """How much farther than necessary a part reaches, so that it need not be chosen again with every frame."""
 
 REGULAR, REGULAR_SHARE = 0.1, 0.9
@@ -236,7 +236,7 @@ class PlaceSearch:
             return
         must_m = max(near.radius_m, 2 * self._config.acceptance.window_m)
         if not (isinstance(where, Around) and where.reach.holds(near, must_m)):
-            reach = SearchRegion(near.lat_deg, near.lon_deg, must_m + SLACK_M)
+            reach = SearchRegion(near.lat_deg, near.lon_deg, must_m + PART_SLACK_M)
             self._search(Around(reach, where.beside if isinstance(where, Around) else None))
 
     def _follow(self, place_index: int) -> None:
@@ -244,7 +244,7 @@ class PlaceSearch:
         where, around = self._where, self._around(place_index)
         if isinstance(where, Around) and around is not None:
             reach = where.beside or where.reach
-            is_far = not reach.holds(around, reach.radius_m - SLACK_M)
+            is_far = not reach.holds(around, reach.radius_m - PART_SLACK_M)
         elif isinstance(where, Along) and around is None:
             is_far = abs(place_index - where.place_index) > self._most // 8
         else:
@@ -268,7 +268,7 @@ class PlaceSearch:
         record = self.map_set.places[place_index]
         if np.isnan(record["lat_deg"]):
             return None
-        radius_m = 2 * (SLACK_M + self._config.acceptance.window_m)
+        radius_m = 2 * (PART_SLACK_M + self._config.acceptance.window_m)
         return SearchRegion(float(record["lat_deg"]), float(record["lon_deg"]), radius_m)
 
     def _search(self, where: Where) -> None:

@@ -6,7 +6,7 @@ GPS and odometry give a position, to one standard deviation. Three hypotheses ex
     beside      it is near there, on none of the map's roads: on one of which the votes say the same
     elsewhere   it is off the map, or at another place, and they speak for any of those that are searched
 
-    road = likelihood of the position on the nearest road of the map / evenly within BESIDE_M of that road
+    road = likelihood of the position on the nearest road of the map / evenly within OFF_ROAD_M of that road
     near = likelihood of the position at the place / mean of that at all places that are searched
     odds of the place = odds by the votes * road * near / max(1, near), at least LEAST
 
@@ -30,7 +30,7 @@ ALONG_M = 20.0
 ahead, depending on what is seen from afar."""
 CROSS_TRACK_M = 5.0
 """The same cross-track: another lane, and the GPS of the drive that made the map."""
-BESIDE_M = 100.0
+OFF_ROAD_M = 100.0
 """Within so many meters of its roads, a vehicle is as often on the map as off it."""
 LEAST = 0.25
 """Dead reckoning silences no place of which the votes are certain, since it may be off by more than its sigma says (3.3
@@ -58,7 +58,7 @@ class Prior:
         if squares_m2.size:
             some = squares_m2[:: max(1, len(squares_m2) // MEAN_OF)]
             self._mean = float(likelihood(some, self._along_m).mean())
-            widest = max(1.0, 2 * BESIDE_M / (math.sqrt(2 * math.pi) * cross_m))
+            widest = max(1.0, 2 * OFF_ROAD_M / (math.sqrt(2 * math.pi) * cross_m))
             self.road = widest * float(likelihood(squares_m2.min(keepdims=True), cross_m)[0])
 
     def near(self, away_m: Floats) -> Floats:

@@ -19,7 +19,7 @@ from edge.geodesy import PositionSource, VehiclePosition, east_north_of, moved
 from edge.localization import GPS_SIGMA_M, GpsFix, GpsState
 from edge.telemetry.codec import Message
 
-FRESH_NS = 3_000_000_000
+GPS_FRESH_NS = 3_000_000_000
 LOST_NS = 1_000_000_000
 RETURN_NS, FOLLOWED_NS = 5_000_000_000, 2_000_000_000
 """A fix is back after RETURN_NS. The filter follows one that was back for FOLLOWED_NS: when that goes again, it is lost
@@ -31,7 +31,7 @@ GOOD_M, BAD_M = 10.0, 25.0
 """Reported accuracy from which a fix becomes good, and beyond which it stays so no longer."""
 M_PER_HDOP, UNREPORTED = 4.0, 65535
 """Where a receiver reports no accuracy, its HDOP stands for one: good up to 2.5, where PX4's EKF2_REQ_HDOP is."""
-APART_SIGMAS, APART_M, LATENCY_S = 3.0, 10.0, 0.3
+APART_SIGMAS, OFF_FIX_M, LATENCY_S = 3.0, 10.0, 0.3
 """How far the filter's position may be from that of a receiver that it uses."""
 SOURCES: dict[int, PositionSource] = {
     mavlink.GPS_FIX_TYPE_DGPS: "dgps",
@@ -116,7 +116,7 @@ class Receiver:
 
     def is_silent(self, now_ns: int) -> bool:
         """Whether it has not been heard for three seconds, or never."""
-        return self.heard_ns is None or now_ns - self.heard_ns > FRESH_NS
+        return self.heard_ns is None or now_ns - self.heard_ns > GPS_FRESH_NS
 
     def state(self, now_ns: int) -> GpsState:
         """By this receiver alone."""
@@ -210,13 +210,13 @@ class Gps:
         return GpsFix(*moved(*at, own.east_mps * since_s, own.north_mps * since_s), sigma_m)
 
     def _hears_filter(self, now_ns: int) -> bool:
-        return self._flags_ns is not None and now_ns - self._flags_ns <= FRESH_NS
+        return self._flags_ns is not None and now_ns - self._flags_ns <= GPS_FRESH_NS
 
     def _is_absent(self, now_ns: int) -> bool:
         if self._absent is None:
             return False
         since_ns, last_ns = self._absent
-        return last_ns - since_ns >= ABSENT_NS and now_ns - last_ns <= FRESH_NS
+        return last_ns - since_ns >= ABSENT_NS and now_ns - last_ns <= GPS_FRESH_NS
 
 
 def _is_near(receiver: Receiver, own: VehiclePosition) -> bool:
@@ -224,4 +224,4 @@ def _is_near(receiver: Receiver, own: VehiclePosition) -> bool:
     apart_ns = (receiver.heard_ns or 0) - own.stamp_ns
     east_m, north_m = east_north_of(*receiver.at, (own.lat_deg, own.lon_deg))
     apart_m = math.hypot(east_m - own.east_mps * apart_ns / 1e9, north_m - own.north_mps * apart_ns / 1e9)
-    return apart_m <= max(APART_M, APART_SIGMAS * receiver.sigma_m) + LATENCY_S * own.speed_mps
+    return apart_m <= max(OFF_FIX_M, APART_SIGMAS * receiver.sigma_m) + LATENCY_S * own.speed_mps

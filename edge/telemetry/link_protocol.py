@@ -42,8 +42,8 @@ STREAMS_HZ = {
 }
 """In the order in which they are requested."""
 ATTITUDE_HZ = 20.0  # for [motion] only: the body pitches at 2.5 Hz on an uneven road
-SILENT_NS = 3_000_000_000
-ANSWER_NS = 500_000_001  # more than half a second
+STREAM_SILENT_NS = 3_000_000_000
+REQUEST_ANSWER_NS = 500_000_001  # more than half a second
 AGAIN_LAST_NS = 60_000_000_000
 PARAMETER_NS, TRIES_MOST = 200_000_000, 5
 REFUSALS_MOST = 2
@@ -59,17 +59,17 @@ class StreamRequests:
     def __init__(self, session: Session, streams_hz: Mapping[int, float] = STREAMS_HZ) -> None:
         self._session, self._streams_hz = session, streams_hz
         self._all = {
-            message_id: Exchange(ANSWER_NS, BackOff(AGAIN_NS, AGAIN_LAST_NS), refusals_most=REFUSALS_MOST)
+            message_id: Exchange(REQUEST_ANSWER_NS, BackOff(AGAIN_NS, AGAIN_LAST_NS), refusals_most=REFUSALS_MOST)
             for message_id in streams_hz
         }
-        self._newest = Exchange(ANSWER_NS)
+        self._newest = Exchange(REQUEST_ANSWER_NS)
 
     def due(self, system_id: int, now_ns: int) -> list[Message]:
         """The next request, unless one is waiting for its answer."""
         if not self._newest.is_waiting or self._newest.is_overdue(now_ns):
             for message_id, one in self._all.items():
                 heard_ns = self._session.heard_ns.get(message_id)
-                is_heard = heard_ns is not None and now_ns - heard_ns <= SILENT_NS
+                is_heard = heard_ns is not None and now_ns - heard_ns <= STREAM_SILENT_NS
                 if is_heard:
                     one.pause.reset()
                 if not one.times if is_heard else one.is_due(now_ns):
@@ -113,7 +113,7 @@ class ParameterRequests:
 
     def are_over(self, now_ns: int) -> bool:
         """Whether those that have not come have been requested too often, and the last answer would be here."""
-        return all(one.is_given_up and one.is_overdue(now_ns, ANSWER_NS) for one in self._missing().values())
+        return all(one.is_given_up and one.is_overdue(now_ns, REQUEST_ANSWER_NS) for one in self._missing().values())
 
     def _missing(self) -> dict[str, Exchange]:
         return {name: one for name, one in self._all.items() if name not in self._session.parameters}

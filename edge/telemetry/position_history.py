@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
 
 T = TypeVar("T")
-KEPT = 64
+KEPT_POSITIONS = 64
 LONGEST_GAP_NS = 2_000_000_000  # between two positions
 AHEAD_NS = 500_000_000  # how far the newest position is moved on by its velocity, where none follows
 AWAITED_NS = 1_000_000_000  # how long a frame waits for the position after it
@@ -28,7 +28,7 @@ class PositionHistory:
 
     def __init__(self, clock_ns: Callable[[], int]) -> None:
         self._clock_ns = clock_ns
-        self._positions: deque[VehiclePosition] = deque(maxlen=KEPT)
+        self._positions: deque[VehiclePosition] = deque(maxlen=KEPT_POSITIONS)
 
     def add(self, position: VehiclePosition) -> None:
         """A position; ignored where it is not after the newest."""

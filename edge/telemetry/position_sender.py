@@ -40,7 +40,7 @@ from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
 SAID_NS = 10_000_000_000  # after which the pilot reads the figures of why none is sent anew
-LATE_S = 10.0  # resets that improve on the autopilot come up to so far apart
+IMPROVING_S = 10.0  # resets that improve on the autopilot come up to so far apart
 
 
 class PositionSender:
@@ -150,7 +150,7 @@ class PositionSender:
             return self.why
         if self.use.command.is_refused:
             return "the autopilot refuses positions"
-        if self._since_s(now_ns) < LATE_S:
+        if self._since_s(now_ns) < IMPROVING_S:
             return ""
         why, at_ns, words = self._said
         if why != str(self._refused) or now_ns - at_ns >= SAID_NS:

@@ -21,7 +21,7 @@ from edge.telemetry.vehicle_velocity import LOCAL, POSITIONS_APART_S, VehicleVel
 
 LINK_TIMEOUT_NS = 5_000_000_000
 POSITION_FRESH_NS = 2_000_000_000
-SILENT_NS = 300_000_000
+LINK_SILENT_NS = 300_000_000
 """Autopilots send positions at 10 Hz, as was requested. Of 5,673 positions of 43 recorded drives, two were sent after
 so long a silence, both to an autopilot that was rebooting."""
 ACCURACY_FRESH_NS = 3_000_000_000
@@ -167,7 +167,7 @@ class Vehicle:
             runs_away=self.velocity.aid.runs_away,
             drives_itself=self.drives_itself,
             is_doubled=self.is_doubled,
-            is_clock_known=self.session.clock.is_known and self._read_ns - self._heard_ns <= SILENT_NS,
+            is_clock_known=self.session.clock.is_known and self._read_ns - self._heard_ns <= LINK_SILENT_NS,
             system_id=self.system_id,
             booted_ns=None if boot_ns is None else now_ns - boot_ns,
         )

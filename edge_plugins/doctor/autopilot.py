@@ -34,11 +34,11 @@ from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
 TURN_S = 0.01
-SERIAL = (
+NO_SERIAL = (
     "check the wires, the baud rate, and that the port speaks MAVLink 2 (ArduPilot: SERIALn_PROTOCOL 2); with signing,"
     " both ends need the same key"
 )
-NETWORK = (
+NO_NETWORK = (
     "check that a program sends MAVLink 2 to this address (mavlink-router, or MAVProxy with --out), that its computer"
     " is running, and that no firewall is between; with signing, both ends need the same key"
 )
@@ -103,7 +103,7 @@ def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
         return
     if status.state != "up":
         silent = f"{config.connection}: no heartbeat in {examined.seconds:g} s"
-        remedy = SERIAL if config.connection.startswith("serial:") else NETWORK
+        remedy = NO_SERIAL if config.connection.startswith("serial:") else NO_NETWORK
         closed = "see firmware_config/README.md for wiring and permissions"
         yield bad(link.why_closed, closed) if link.why_closed else bad(silent, remedy)
         return

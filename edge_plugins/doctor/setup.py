@@ -28,7 +28,7 @@ from edge_plugins.home import HomeConfig
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.camera_motion import LEAST_NS, CameraMotion
-from edge_plugins.motion.ground import FARTHEST, GroundView
+from edge_plugins.motion.ground import FAR_HEIGHTS, GroundView
 from edge_plugins.motion.height import WINDOW_M, WINDOWS
 
 RecordT = TypeVar("RecordT", bound=Record)
@@ -129,7 +129,7 @@ def check_motion(examined: DoctorContext) -> Iterator[Found]:
     )
     between_s = math.ceil(LEAST_NS / 1e9 * camera.fps) / camera.fps
     words = (
-        f"{100 * view.ground_share:.0f} % of the picture are ground up to {FARTHEST:g} times the camera's height ahead:"
+        f"{100 * view.ground_share:.0f} % of the picture are ground up to {FAR_HEIGHTS:g} heights of the camera ahead:"
     )
     words += (
         f" speeds up to {view.most_ahead * (height.height_m or 1.0) / between_s:.0f} m/s, within 3 to 5 % by simulation"

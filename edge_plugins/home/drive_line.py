@@ -12,7 +12,7 @@ from edge.errors import MapError
 from edge.geodesy import Origin, east_north, first_known
 from edge.reference_map import MapSet, sigmas_m
 
-STANDING_M = 0.01
+MOVED_M = 0.01
 """Places nearer to the one before are the same position."""
 
 
@@ -54,7 +54,7 @@ def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
     if origin is None or len(places) < 2:
         raise MapError(f"{maps.path}: {name} has {len(places)} positions; a way home needs a map made with positions")
     points_m = east_north(places["lat_deg"], places["lon_deg"], origin)
-    moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > STANDING_M]
+    moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > MOVED_M]
     places, points_m = places[moves], points_m[moves]
     of_map = maps.index.map_of(start)
     began = next(first for first, _, of in drives if (maps.index.map_of(first), of) == (of_map, source))

@@ -27,9 +27,9 @@ from edge.telemetry.codec import Message
 from edge_plugins.home.replaced_mission import MISSION, is_same, item_message, mission_item
 from edge_plugins.home.way_home import MissionItem
 
-ANSWER_NS, ITEM_NS = 1_500_000_000, 250_000_000
+REPLY_NS, ITEM_NS = 1_500_000_000, 250_000_000
 REPETITIONS = 5
-LONGEST_NS = 150_000_000_000
+UPLOAD_NS = 150_000_000_000
 """For all items: 700 of them take a minute on a slow line."""
 CLEAR_REPETITIONS = 8
 """ArduPilot refuses to clear a mission until an upload that stopped has timed out, after 8 s."""
@@ -61,7 +61,7 @@ class TransferError(Exception):
 class Request(Exchange):
     """Messages the last of which has to be answered, and how often they are sent again while it is not."""
 
-    def __init__(self, messages: list[Message], wait_ns: int = ANSWER_NS, repetitions: int = REPETITIONS) -> None:
+    def __init__(self, messages: list[Message], wait_ns: int = REPLY_NS, repetitions: int = REPETITIONS) -> None:
         super().__init__(wait_ns, most=1 + repetitions)
         self.messages = messages
 
@@ -103,7 +103,7 @@ class MissionTransfer:
     def due(self, now_ns: int) -> list[Message]:
         """What has not been answered in time, again; a failure after the last repetition."""
         request = self._request
-        if self._phase != "clear" and now_ns - self._started_ns > LONGEST_NS:
+        if self._phase != "clear" and now_ns - self._started_ns > UPLOAD_NS:
             return self.cancel("the upload takes too long", now_ns)
         if self.outcome is not None or not request.is_overdue(now_ns):
             return []

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from edge.geodesy import east_north, first_known
 from edge.reference_map import ReferenceMap
 
-REACH_M = 25.0
+STRETCH_M = 25.0
 """Drives whose places are so near pass one stretch: both lanes (12 m) and GPS between houses (5 m) twice."""
 NEEDED = 4
-"""Stretches, each about REACH_M long: together the shortest sequence that is recognized (40 places, 80 m)."""
+"""Stretches, each about STRETCH_M long: together the shortest sequence that is recognized (40 places, 80 m)."""
 ALIGNED = 0.5
-"""Cosine of 60 degrees, between two views: bends within REACH_M, and no crossing road."""
+"""Cosine of 60 degrees, between two views: bends within STRETCH_M, and no crossing road."""
 Floats = NDArray[np.float64]
 
 
@@ -66,27 +66,27 @@ def stretches(maps: Sequence[ReferenceMap], every: int = 1) -> list[LayerRows]:
 
 
 class _Centers:
-    """Middles of stretches: a point and an axis each, in cells of REACH_M."""
+    """Middles of stretches: a point and an axis each, in cells of STRETCH_M."""
 
     def __init__(self) -> None:
         self.points: list[tuple[float, float, float, float]] = []
         self._cells: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
 
     def near(self, at_m: Floats, view: Floats) -> Iterator[tuple[int, float, float]]:
-        """Those within REACH_M of a point along whose axis it faces: number, meters, cosine."""
+        """Those within STRETCH_M of a point along whose axis it faces: number, meters, cosine."""
         (x, y), (east, north) = at_m.tolist(), view.tolist()
-        column, line = math.floor(x / REACH_M), math.floor(y / REACH_M)
+        column, line = math.floor(x / STRETCH_M), math.floor(y / STRETCH_M)
         for cell in ((column + i, line + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
             for number in self._cells.get(cell, ()):
                 cx, cy, axis_east, axis_north = self.points[number]
                 apart_m, cosine = math.hypot(x - cx, y - cy), east * axis_east + north * axis_north
-                if apart_m <= REACH_M and abs(cosine) >= ALIGNED:
+                if apart_m <= STRETCH_M and abs(cosine) >= ALIGNED:
                     yield number, apart_m, cosine
 
     def add(self, at_m: Floats, view: Floats) -> None:
         """One more."""
         (x, y), (east, north) = at_m.tolist(), view.tolist()
-        self._cells[math.floor(x / REACH_M), math.floor(y / REACH_M)].append(len(self.points))
+        self._cells[math.floor(x / STRETCH_M), math.floor(y / STRETCH_M)].append(len(self.points))
         self.points.append((x, y, east, north))
 
 

@@ -32,7 +32,7 @@ from edge.reference_map.spatial_index import bounds_of
 from edge.reference_map.store import MapHeader, ModelKey, RegionsKey
 from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows
 
-BLOCK = 256
+BLOCK_ROWS = 256
 USABLE_SIGMA_M = 25.0
 """A position of less accuracy is not used: GPS of that kind counts as unhealthy as well."""
 NAN = float("nan")
@@ -203,8 +203,8 @@ class MapBuilder(DriveByDrive):
     def _raw_blocks(self) -> Iterator[NDArray[np.float32]]:
         shape = (len(self._records), self._header.regions.count, self._header.model.dimensions)
         raw = np.memmap(self._folder / store.RAW, dtype="<f2", mode="r", shape=shape)
-        for at in range(0, len(raw), BLOCK):
-            yield raw[at : at + BLOCK].astype(np.float32)
+        for at in range(0, len(raw), BLOCK_ROWS):
+            yield raw[at : at + BLOCK_ROWS].astype(np.float32)
 
     def _files(self) -> dict[str, FileKey]:
         header = self._header

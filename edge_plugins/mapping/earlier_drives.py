@@ -12,7 +12,7 @@ from edge.reference_map.keypoint_records import record_of
 from edge_plugins.layers.stored import delete_oldest, source_of
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder
-from edge_plugins.mapping.keypoint_rows import NONE
+from edge_plugins.mapping.keypoint_rows import NO_KEYPOINTS
 from edge_plugins.mapping.place_log import OpenLog, files_of, logs_in, map_of
 
 SLOWEST_S = 0.01
@@ -71,7 +71,7 @@ def _build(file: OpenLog, path: Path) -> None:
                     builder.add(file.raw_of(passed), passed.place)
                     if builder.keypoints and key:
                         points = file.points(row)
-                        record = record_of(NONE, key) if points is None else points.record
+                        record = record_of(NO_KEYPOINTS, key) if points is None else points.record
                         builder.keypoints.add_record(record, key, points.mount if points else None)
                     if not passed.is_vouched:
                         builder.doubt()

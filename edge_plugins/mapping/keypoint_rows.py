@@ -20,14 +20,14 @@ from edge.reference_map.keypoint_file import MOST_PIXELS, KeypointsKey, mapped
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of, put_points, record_of
 from edge.reference_map.store import Segment
 
-MOST = 300
+MOST_OF_PLACE = 300
 """Keypoints of a place: 22.8 kB. Home at night, 57 of 60 frames of one road had a pose by 200, and all by 300 and 400,
 whose errors were alike."""
 ASPECT_PX = 1.0
 """By which the height of a picture may differ from that of another size's of the same shape."""
 
 
-NONE = Keypoints(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.empty((0, 64), np.int8), (1, 1))
+NO_KEYPOINTS = Keypoints(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.empty((0, 64), np.int8), (1, 1))
 KeyOf = Callable[[int, int], KeypointsKey]
 """The key of a map by the height and width of its first picture."""
 
@@ -37,7 +37,7 @@ def keypoints_key(height: int, width: int, fov_deg: float, lens: Lens = PINHOLE)
     made = read_model_file(resolve_model(Path(NETWORK))).info
     shrunk = min(1.0, MOST_PIXELS / max(height, width))
     size = round(width * shrunk), round(height * shrunk)
-    return KeypointsKey(NETWORK, made.sha256, MOST, *size, float(fov_deg), **asdict(lens))
+    return KeypointsKey(NETWORK, made.sha256, MOST_OF_PLACE, *size, float(fov_deg), **asdict(lens))
 
 
 def is_of_shape(key: KeypointsKey, height: int, width: int) -> bool:

@@ -26,7 +26,7 @@ from edge.keypoints.points import REACH_M
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import camera_of, points_of, put_points, record_of
 from edge_plugins.mapping.builder import Place
-from edge_plugins.mapping.keypoint_rows import NONE, is_of_shape, keypoints_key
+from edge_plugins.mapping.keypoint_rows import NO_KEYPOINTS, is_of_shape, keypoints_key
 from edge_plugins.mapping.place_log import PlaceLog
 from edge_plugins.mapping.place_log_records import LogHeader
 
@@ -108,7 +108,7 @@ class LiveKeypoints:
         assert self._log is not None and self._log.file.header.keypoints is not None
         made, drives = self._log.points(row), self._drives
         if made is None:
-            return record_of(NONE, self._log.file.header.keypoints)
+            return record_of(NO_KEYPOINTS, self._log.file.header.keypoints)
         record = made.record.copy()
         _, mount = drives[bisect_right(drives, row, key=lambda one: one[0]) - 1]
         put_points(record, points_of(record).turned(mount.rotation.T))

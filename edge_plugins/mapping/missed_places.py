@@ -19,7 +19,7 @@ from edge.geodesy import VehiclePosition, east_north_of
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace
 
-STEP_M, KEPT = 1.0, 128
+STEP_M, KEPT_POINTS = 1.0, 128
 AT_REST_M, STRAIGHT_RAD = 10.0, math.radians(15.0)
 """Between two positions by GPS, within which the direction from one to the other says nothing; and by how much each
 heading may differ from it on a straight way: the middle of a bend of 80 m is then 5 m off its chord."""
@@ -29,7 +29,7 @@ class Trail:
     """Where the vehicle has gone lately, whether or not a camera showed it."""
 
     def __init__(self) -> None:
-        self._points: deque[tuple[float, float, float, float]] = deque(maxlen=KEPT)
+        self._points: deque[tuple[float, float, float, float]] = deque(maxlen=KEPT_POINTS)
 
     def add(self, route_m: float, position: VehiclePosition) -> None:
         """It is there after so many meters along all drives of the map."""

@@ -20,7 +20,7 @@ from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import Place
 from edge_plugins.mapping.place_log_records import MappedPlace
 
-MOST_PLACES = 200
+MOST_WAITING = 200
 """That wait to be placed: 32 or 55 kB each. On a map of 2 m they are as long as `max_sigma_m` of 5 m allows."""
 
 
@@ -57,7 +57,7 @@ class Outage:
         self._waiting.append(PendingPlace(new, at, missed + self._missed))
         self._missed = 0
         way_m = at.way_m - self._begin[1].way_m
-        if OFF_SHARE * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_PLACES:
+        if OFF_SHARE * way_m / 4 > self._most_sigma_m or len(self._waiting) > MOST_WAITING:
             self.reset()
 
     def miss(self, places: int) -> None:

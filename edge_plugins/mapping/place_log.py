@@ -40,7 +40,7 @@ BEFORE_SQLITE = b"LBPL"
 LEAST_BYTES = 512
 """Of a place, by the smallest network and without picture."""
 QUEUE_PLACES = 256
-"""That may wait to be written: those of an outage of GPS (`outage.MOST_PLACES`) are handed over at once."""
+"""That may wait to be written: those of an outage of GPS (`outage.MOST_WAITING`) are handed over at once."""
 RECENT = QUEUE_PLACES + 32
 """Raw descriptors that are kept in memory: more than can be waiting to be written."""
 FLUSHED_EACH_S = 1.0

@@ -34,7 +34,7 @@ from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
 
 log = logging.getLogger(__name__)
-START_S = 120.0  # of the service's unit, which the rest of the start may take
+START_LONGEST_S = 120.0  # of the service's unit, which the rest of the start may take
 MappedFrame = tuple[Frame, NDArray[np.float32], float | None, int]
 """A frame at a new place, its raw descriptor (R, D), meters driven, and places passed before it without a frame."""
 Describe = Callable[[Frame], NDArray[np.float32]]
@@ -211,4 +211,4 @@ class Mapping(Plugin):
 
 def _ask_for_time(seconds: float) -> None:
     """Ask systemd to wait for the start: what was mapped before may be a long drive."""
-    notify(f"EXTEND_TIMEOUT_USEC={round((START_S + seconds) * 1e6)}")
+    notify(f"EXTEND_TIMEOUT_USEC={round((START_LONGEST_S + seconds) * 1e6)}")

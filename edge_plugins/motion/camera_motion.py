@@ -16,13 +16,13 @@ from edge_plugins.motion import MotionConfig
 from edge_plugins.motion.ground import GroundMotion, GroundView, measure
 from edge_plugins.motion.height import CameraHeight, read_height
 
-LEAST_NS, LONGEST_NS = 60_000_000, 500_000_000
+LEAST_NS, LONGEST_STEP_NS = 60_000_000, 500_000_000
 """Between two pictures that are compared: of 30 a second one in two, which halves what they cost; and after the latter
 little of the ground is still to be seen, at 10 m/s and 1.4 m."""
 MOUNTED_RAD, RESTS_RAD = math.radians(2.0), math.radians(0.6)
 """Standard deviations of the pitch: of a camera that was mounted by hand, and of a car around where it rests."""
 RESTS_S = 2.0  # how soon it is back where it rests
-STRONGEST_MPS2, LEAST_M = 10.0, 0.5
+MOST_JUMP_MPS2, LEAST_HEIGHT_M = 10.0, 0.5
 """No vehicle changes its speed faster by much, whose camera is at least so high: after a loss, one in five motions that
 were found was that of something else, and none twice."""
 STILL = 0.3
@@ -123,7 +123,7 @@ class CameraMotion:
             self._view = GroundView(self._fov_deg, size[0], size[1], pitch_rad)
         now = self._seen = self._view.contrast(image), stamp_ns
         self.speed = None
-        if before is None or not 0 < stamp_ns - before[1] <= LONGEST_NS:
+        if before is None or not 0 < stamp_ns - before[1] <= LONGEST_STEP_NS:
             self._begin_anew("no picture shortly before")
         else:
             elapsed_s = (stamp_ns - before[1]) / 1e9
@@ -133,7 +133,7 @@ class CameraMotion:
             step = measure(self._view, before[0], now[0], elapsed_s, self._step, pitch, turned)
             if isinstance(step, str):
                 self.why = step
-                if stamp_ns - self._stepped_ns > LONGEST_NS:
+                if stamp_ns - self._stepped_ns > LONGEST_STEP_NS:
                     self._begin_anew(step)
             else:
                 self._use(step, stamp_ns, gps_mps, gps_slip)
@@ -151,9 +151,13 @@ class CameraMotion:
         return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
     def _use(self, step: GroundMotion, stamp_ns: int, gps_mps: float | None, gps_slip: float) -> None:
-        before, since_s, high_m = self._step, (stamp_ns - self._stepped_ns) / 1e9, self.height.height_m or LEAST_M
+        before, since_s, high_m = (
+            self._step,
+            (stamp_ns - self._stepped_ns) / 1e9,
+            self.height.height_m or LEAST_HEIGHT_M,
+        )
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * high_m
-        has_jumped = jump_mps > STRONGEST_MPS2 * since_s
+        has_jumped = jump_mps > MOST_JUMP_MPS2 * since_s
         if has_jumped and abs(step.ahead_per_s) < STILL:
             self._begin_anew("nothing moves: it stands, or sees no road")
             return

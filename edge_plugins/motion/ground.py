@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-WIDTH_PX = 320
+GROUND_WIDTH_PX = 320
 """Pictures are made so narrow: at 80 degrees, a pixel is 0.3 degrees, a tenth of which corners are tracked to."""
-BEHIND, FARTHEST, LATERAL = -4.0, 8.0, 1.8
+BEHIND_HEIGHTS, FAR_HEIGHTS, LATERAL = -4.0, 8.0, 1.8
 """Ground that is used, in heights ahead and to each side: at 1.4 m up to 11 m, and a lane of 5 m. Further ahead a pitch
 that is wrong by 0.1 degrees is 1.4 % of the distance."""
-CORNERS, FEWEST = 80, 20
+CORNERS, FEWEST_STRIPS = 80, 20
 """Tracked at most (each costs 14 us there and back), and at least: with fewer, wrong motions were found at night."""
 APART_PX, BLOCK_PX, WINDOW_PX, BACK_PX = 5, 5, 11, 0.5
 """Between corners; their size; the size that is tracked; how far the track back may end from where it began."""
@@ -33,7 +33,7 @@ ROUNDS, STEP = 5, 1e-4  # of least squares until it has converged; for slopes, i
 NOISE = 1.0  # gray levels of contrast that are left as weak as they are
 SEARCHED = np.arange(-0.6, 2.41, 0.12)
 """Heights ahead that are tried where no motion is known: 17 m/s at 5 pictures a second and 1.4 m."""
-SHARE, FEWEST_OF_SIDE = 0.5, 5
+SIDES_SHARE, FEWEST_OF_SIDE = 0.5, 5
 """Of the tracks that the motion must explain, and tracks left and right; with fewer, the ground may be another part."""
 LEAST_PX = 0.15  # standard deviation of the best tracks
 TOGETHER = np.array([1.0, 1.0, 2.0, 1.0, 1.0])
@@ -48,11 +48,11 @@ BY_GYRO_RAD = math.radians(0.1)
 IS_TURN = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
 """The parts of the motion of which this is known. Tracks that contradict it count more the further they do, since a
 mount shakes where no gyroscope feels it: by 0.5 degrees each way, it was 6.3 standard deviations off."""
-ALIKE, MORE_ALIKE = 0.6, 0.15
+GROUND_ALIKE, MORE_ALIKE = 0.6, 0.15
 """Correlation of the pictures, moved as was found, from which the motion counts; or by how much it must be more than if
 nothing had moved. Lines along the road and reflections do not seem to move: on real streets, in pictures half a second
 apart, cars that drove 3 to 5 m were found to stand; all of those are rejected by it."""
-NEAREST, STRIPS, AS_ALIKE = 0.25, 8, 0.4
+NEAREST_SHARE, STRIPS, AS_ALIKE = 0.25, 8, 0.4
 """Most of the picture may move otherwise: as water does, or a truck ahead. So each of as many strips beside each other
 of this share of the ground, the nearest that both pictures show, must look as if it had moved, by this share of what
 all of the ground does. Only ground is so near to a vehicle that drives on."""
@@ -89,13 +89,13 @@ class GroundView:
 
     def __init__(self, fov_deg: float, width: int, height: int, pitch_rad: float) -> None:
         """fov_deg: horizontal. pitch_rad: roughly, down from the horizon; it decides which rows are kept."""
-        focal_px = WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
+        focal_px = GROUND_WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
         self.focal_px = focal_px
-        rows = round(WIDTH_PX * height / width)
-        self._camera = np.array([[focal_px, 0, WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
+        rows = round(GROUND_WIDTH_PX * height / width)
+        self._camera = np.array([[focal_px, 0, GROUND_WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
         mask, nearest = self._ground(pitch_rad, rows)
         self.ground_share = float((mask > 0).mean())
-        self.most_ahead = min(max(0.0, FARTHEST - nearest) / 2, float(SEARCHED[-1]))
+        self.most_ahead = min(max(0.0, FAR_HEIGHTS - nearest) / 2, float(SEARCHED[-1]))
         """Heights between two pictures that can be found: after which half of that ground is still to be seen."""
         self._top = max(0, int(np.flatnonzero(mask.any(axis=1))[0]) - LOCAL_PX) if mask.any() else 0
         self._camera[1, 2] -= self._top
@@ -104,13 +104,13 @@ class GroundView:
 
     def _ground(self, pitch_rad: float, rows: int) -> tuple[NDArray[np.uint8], float]:
         """Its mask, and how far ahead it begins, in heights."""
-        u, v = np.meshgrid(np.arange(WIDTH_PX), np.arange(rows))
+        u, v = np.meshgrid(np.arange(GROUND_WIDTH_PX), np.arange(rows))
         rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(self._camera).T
         down, ahead = (rays @ direction for direction in _down_and_ahead(pitch_rad))
         with np.errstate(divide="ignore", invalid="ignore"):
             ahead, right = ahead / down, rays[..., 0] / down
-        used = (down > 0) & (ahead > BEHIND) & (ahead < FARTHEST) & (np.abs(right) < LATERAL)
-        return np.where(used, 255, 0).astype(np.uint8), float(ahead[used].min(initial=FARTHEST))
+        used = (down > 0) & (ahead > BEHIND_HEIGHTS) & (ahead < FAR_HEIGHTS) & (np.abs(right) < LATERAL)
+        return np.where(used, 255, 0).astype(np.uint8), float(ahead[used].min(initial=FAR_HEIGHTS))
 
     def contrast(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The part of a picture (H, W, 3) BGR that may show ground, as local contrast around 128."""
@@ -189,10 +189,10 @@ def measure(
     motion, covariance = solved
     moved = cv2.warpPerspective(before, view.in_pixels(ground_motion(motion)), now.shape[::-1])
     seen = (view.mask > 0) & (cv2.erode(moved, AROUND) > 0)
-    nearest = seen & (np.cumsum(seen.sum(axis=1))[:, None] > (1 - NEAREST) * seen.sum())
+    nearest = seen & (np.cumsum(seen.sum(axis=1))[:, None] > (1 - NEAREST_SHARE) * seen.sum())
     alike, stood = (float(_likeness(one, now, seen)[0]) for one in (moved, before))
     strips = _likeness(moved, now, nearest, STRIPS, SEEN)
-    if (alike < ALIKE and alike - stood < MORE_ALIKE) or strips.min() < AS_ALIKE * alike:
+    if (alike < GROUND_ALIKE and alike - stood < MORE_ALIKE) or strips.min() < AS_ALIKE * alike:
         return "the ground does not look as if it had moved"
     ahead_sigma, right_sigma, turn_sigma, *_ = TOGETHER * np.sqrt(np.diag(covariance))
     pitch_rad, pitch_sigma = motion[3:].sum(), math.sqrt(covariance[3:, 3:].sum())
@@ -234,14 +234,18 @@ def _track(
     # Contrast is hardly ever 0; what lies beyond the older picture is.
     used = cv2.bitwise_and(cv2.erode(cv2.threshold(warped, 0, 255, cv2.THRESH_BINARY)[1], AROUND), view.mask)
     corners = cv2.goodFeaturesToTrack(warped, CORNERS, QUALITY, APART_PX, mask=used, blockSize=BLOCK_PX)
-    if corners is None or len(corners) < FEWEST:
+    if corners is None or len(corners) < FEWEST_STRIPS:
         return None
     window, most = (WINDOW_PX, WINDOW_PX), 1 if is_known else 2  # levels
     there, found, _ = cv2.calcOpticalFlowPyrLK(warped, now, corners, np.empty(0), winSize=window, maxLevel=most)
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, warped, there, np.empty(0), winSize=window, maxLevel=most)
     astray_px = np.linalg.norm((back - corners)[:, 0], axis=1)
     kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (astray_px < BACK_PX)
-    return (corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64)) if kept.sum() >= FEWEST else None
+    return (
+        (corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64))
+        if kept.sum() >= FEWEST_STRIPS
+        else None
+    )
 
 
 def _solve(
@@ -279,6 +283,6 @@ def _solve(
     agreeing = np.linalg.norm(off_px, axis=1) < 3 * scale_px
     on_right = int((tracked[agreeing, 0] > 0).sum())
     sides = on_right, int(agreeing.sum()) - on_right
-    if sum(sides) < max(FEWEST, SHARE * len(off_px)) or min(sides) < FEWEST_OF_SIDE:
+    if sum(sides) < max(FEWEST_STRIPS, SIDES_SHARE * len(off_px)) or min(sides) < FEWEST_OF_SIDE:
         return "the ground does not move as one"
     return motion, np.linalg.inv(information)

@@ -23,11 +23,11 @@ EARLIER_SHARE = 0.1
 WINDOW_M, WINDOW_SHARE, WINDOWS, WINDOWS_MOST = 20.0, 0.015, 2, 25
 """Driven by GPS for one comparison: 2 s at 10 m/s, in which its velocity is right to a percent. What one is off by at
 least (0.5 to 1.1 % on simulated roads); how many make a height known, and how many are used: 500 m."""
-LEAST_SHARE, KNOWN_SHARE = 0.005, 0.15
+LEAST_MAP_SHARE, KNOWN_SHARE = 0.005, 0.15
 """Standard deviations: the least that is reached, since GPS has no better velocity; and the most that is of use, as an
 odometer."""
-LINE_M, MAP_SHARE, APART_M = 3.5, 0.01, 60.0
-"""Standard deviation of where the line of a match lies along the map's drive, the same for all within APART_M, and that
+MATCH_M, MAP_SHARE, LINES_M = 3.5, 0.01, 60.0
+"""Standard deviation of where the line of a match lies along the map's drive, the same for all within LINES_M, and that
 of the drive's own length, measured with GPS."""
 SLIPPED = 0.05
 """What a mount may slip by, as a share: two windows in a row that are off by more begin anew, and one standard
@@ -105,7 +105,7 @@ class CameraHeight:
         known = [one for one in (self._earlier, gps, places) if one is not None]
         weights = [one.share**-2 for one in known]
         mean_m = sum(w * one.height_m for w, one in zip(weights, known, strict=True)) / sum(weights) if known else 0.0
-        self._best = HeightMeasurement(mean_m, math.hypot(LEAST_SHARE, sum(weights) ** -0.5)) if known else None
+        self._best = HeightMeasurement(mean_m, math.hypot(LEAST_MAP_SHARE, sum(weights) ** -0.5)) if known else None
 
     def drive(self, heights_per_s: float, now_ns: int) -> None:
         """It moves ahead so fast now, in heights a second; `compare` follows where GPS measures it as well."""
@@ -195,7 +195,7 @@ class _ByPlaces:
         on, on_m = heights - self._last[0], line.along_m - self._last[1]
         known = self.measured
         off_m = 0.0 if known is None else abs(on_m - on * known.height_m)
-        if line.drive != self._drive or off_m > 2 * LINE_M + STRETCHED * abs(on_m):
+        if line.drive != self._drive or off_m > 2 * MATCH_M + STRETCHED * abs(on_m):
             self.begin()
             self._since, self._drive, self._first = heights, line.drive, line.along_m
         self._last = heights, line.along_m
@@ -205,14 +205,14 @@ class _ByPlaces:
 
     @property
     def measured(self) -> HeightMeasurement | None:
-        """The slope, with as many independent lines as there are stretches of APART_M; None where it says nothing."""
+        """The slope, with as many independent lines as there are stretches of LINES_M; None where it says nothing."""
         count, x, y, xx, xy = self._sums
         spread = xx / count - (x / count) ** 2 if count else 0.0
         height_m = (xy / count - x * y / count**2) / spread if spread > 0 else 0.0
         if not height_m > 0:
             return None
         apart_m = height_m * math.sqrt(spread)
-        share = LINE_M / (apart_m * math.sqrt(1 + math.sqrt(12) * apart_m / APART_M))
+        share = MATCH_M / (apart_m * math.sqrt(1 + math.sqrt(12) * apart_m / LINES_M))
         return HeightMeasurement(float(height_m), math.hypot(share, MAP_SHARE)) if share < 1 else None
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from edge.errors import ConfigError, reason
 
 MOST_CLIENTS = 16
-READ_SIZE = 4096
+OUTLET_READ_SIZE = 4096
 SEND_BUFFER = 4096
 """Bytes, which Linux doubles: about half a minute of sentences for a client that does not read, and what it keeps."""
 PTY_MODE = 0o666
@@ -66,7 +66,7 @@ def _is_sent(client: socket.socket, data: bytes) -> bool:
     """Whether a client has taken the whole of it, and has not gone; what it sends is dropped."""
     try:
         with contextlib.suppress(BlockingIOError):
-            if not client.recv(READ_SIZE):
+            if not client.recv(OUTLET_READ_SIZE):
                 return False
         return client.send(data) == len(data)
     except OSError:
@@ -98,7 +98,7 @@ class PtyOutlet:
         if unread:
             termios.tcflush(self._slave, termios.TCIFLUSH)
         with contextlib.suppress(BlockingIOError):
-            os.read(self._master, READ_SIZE)  # gpsd asks a receiver what it is
+            os.read(self._master, OUTLET_READ_SIZE)  # gpsd asks a receiver what it is
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, data)
 

@@ -19,7 +19,7 @@ from edge_plugins.nmea.outlets import PtyOutlet, TcpOutlet
 from edge_plugins.nmea.sentences import sentences
 
 PERIOD_NS = 1_000_000_000
-STANDING_M = 1.0
+STOPPED_M = 1.0
 """What a vehicle that stands may roll: less than any position is accurate to."""
 AGAIN_FIRST_NS, AGAIN_LAST_NS = 1_000_000_000, 30_000_000_000
 log = logging.getLogger(__name__)
@@ -104,7 +104,7 @@ class Nmea(Plugin):
         if refused.reason == STANDING and fix is not None and given.leads_to(fix, driven_m):
             self._stopped = _PositionSample(now_ns, driven_m, fix)
         stopped = self._stopped
-        return None if stopped is None or driven_m - stopped.driven_m > STANDING_M else stopped.place
+        return None if stopped is None or driven_m - stopped.driven_m > STOPPED_M else stopped.place
 
 
 @dataclass(frozen=True)

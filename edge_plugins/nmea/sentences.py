@@ -13,7 +13,7 @@ from functools import reduce
 
 from edge.journal.records import PlaceFix
 
-ESTIMATED, NONE = 6, 0
+ESTIMATED, NO_FIX = 6, 0
 KNOTS_PER_MPS = 3600 / 1852
 MINUTE_DIGITS = 5
 """After the point: 2 cm."""
@@ -24,7 +24,7 @@ def sentences(unix_ns: int, fix: PlaceFix | None, speed_mps: float | None = None
     now = datetime.fromtimestamp(unix_ns // 10**9, timezone.utc)
     time, date = f"{now:%H%M%S}.{unix_ns % 10**9 // 10**7:02d}", f"{now:%d%m%y}"
     if fix is None or not fix.is_position or fix.lat_deg is None or fix.lon_deg is None:
-        return _sentence("GGA", time, *[""] * 4, NONE, "00", *[""] * 8) + _sentence(
+        return _sentence("GGA", time, *[""] * 4, NO_FIX, "00", *[""] * 8) + _sentence(
             "RMC", time, "V", *[""] * 6, date, "", "", "N"
         )
     at = *_angle(fix.lat_deg, 2, "NS"), *_angle(fix.lon_deg, 3, "EW")

@@ -30,7 +30,7 @@ from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.recording.recorder import DISK_FULL, Recorder, begun_feed, free_bytes_at
 
 TURN_S = 0.02  # at most this long between two reads of the MAVLink port
-FLUSH_S = 30.0
+RECORDING_FLUSH_S = 30.0
 """How long frames that were handed over may take to be written at the end, on a slow disk."""
 MIN_FREE_BYTES = 200_000_000
 Why: TypeAlias = Literal["stopped by a signal", "duration reached", "camera ended", "disk nearly full"]
@@ -106,7 +106,7 @@ def record(
         try:
             why = _fill(recorder, camera, pictures, autopilot, sampler, ended)
         finally:
-            recorder.close(FLUSH_S)
+            recorder.close(RECORDING_FLUSH_S)
         if recorder.stopped == DISK_FULL:
             why = "disk nearly full"
         elif recorder.stopped:

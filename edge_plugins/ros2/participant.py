@@ -16,7 +16,7 @@ from edge_plugins.ros2.messages import message_types
 
 STATE_NS = 1_000_000_000  # between two states, as diagnostics are sent elsewhere
 AGAIN_FIRST_NS, AGAIN_LAST_NS = 1_000_000_000, 60_000_000_000  # between attempts to open a network that is not up yet
-KEPT = 10  # messages, as the default profile of ROS 2 keeps
+KEPT_SAMPLES = 10  # messages, as the default profile of ROS 2 keeps
 UNKNOWN = 1e6
 """Variance of what is not measured (height, roll, pitch): who fuses it all the same learns nothing."""
 YAW_SIGMA_RAD = math.radians(60) / math.sqrt(3)
@@ -77,7 +77,7 @@ class Ros2:
         from cyclonedds.sub import DataReader
         from cyclonedds.topic import Topic
 
-        kept, version = Policy.History.KeepLast(KEPT), Policy.DataRepresentation(use_cdrv0_representation=True)
+        kept, version = Policy.History.KeepLast(KEPT_SAMPLES), Policy.DataRepresentation(use_cdrv0_representation=True)
         # Without a moment's wait: a reader that hangs must not hold up the recognizer.
         sent, heard = Qos(Policy.Reliability.Reliable(0), kept, version), Qos(Policy.Reliability.BestEffort, kept)
         kinds = dict.fromkeys(("place", "pose"), self._types["geometry_msgs/PoseWithCovarianceStamped"])
@@ -148,7 +148,7 @@ class Ros2:
         if not (self._open() and self._reader is not None):
             return
         behind_ns = self._unix_ns() - self._clock_ns()
-        for message in self._reader.take(KEPT):
+        for message in self._reader.take(KEPT_SAMPLES):
             if not message.sample_info.valid_data:  # a publisher has left
                 continue
             stamp, twist = message.header.stamp, message.twist.twist.linear

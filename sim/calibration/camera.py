@@ -20,7 +20,7 @@ from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.intrinsics import AS_CONFIGURED, PRIOR, UnknownCamera
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.points import REACH_M
-from edge_plugins.mapping.keypoint_rows import MOST, NONE
+from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE, NO_KEYPOINTS
 from sim.traverse import driven_m, with_course
 
 log = logging.getLogger(__name__)
@@ -132,10 +132,10 @@ class _Pictures:
 
     def _keypoints(self, row: int) -> Keypoints:
         try:
-            return self._network.extract(self._images.read(row), MOST)
+            return self._network.extract(self._images.read(row), MOST_OF_PLACE)
         except FrameError as error:
             log.warning("%s; skipped", error)
-            return NONE
+            return NO_KEYPOINTS
 
 
 def _pooled(said: Sequence[Said]) -> tuple[UnknownCamera, NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from edge.files import AtomicFolder
 from edge.geodesy import first_known
 from edge.reference_map import store
 from edge.reference_map.checksums import FileKey, sha256_of
-from edge.reference_map.spatial_index import BLOCK, bounds_of
+from edge.reference_map.spatial_index import BLOCK_PLACES, bounds_of
 from edge.reference_map.store import MapHeader, ReferenceMap, Segment, TileOf
 
 COPIED = (store.STATISTICS, store.PROJECTION)
@@ -32,7 +32,7 @@ ROWS = 256
 def split_map(reference_map: ReferenceMap, output: Path, places: int) -> list[MapHeader]:
     """Write tiles of at most about `places` places as maps in the folder `output`, named by their order; their headers.
 
-    All are of nearly one size, and but for the last of a multiple of BLOCK places, so that a position allows the same
+    All are of nearly one size, and but for the last of a multiple of BLOCK_PLACES, so that a position allows the same
     places of them as of the whole. ConfigError for a number of places that gives no tiles, MapError if something is at
     `output` or cannot be written.
     """
@@ -64,9 +64,9 @@ def publish_map(reference_map: ReferenceMap, output: Path, *, pictures: bool = F
 
 def _borders(total: int, places: int) -> list[int]:
     """Where tiles begin and end, in whole blocks."""
-    blocks = -(-total // BLOCK)
+    blocks = -(-total // BLOCK_PLACES)
     tiles = min(-(-total // places), blocks)
-    return [min(total, blocks * index // tiles * BLOCK) for index in range(tiles + 1)]
+    return [min(total, blocks * index // tiles * BLOCK_PLACES) for index in range(tiles + 1)]
 
 
 def _write_tile(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from edge.sequence.consensus import AwayOf, ConsensusSettings, PlaceBelief, PlaceConsensus, PlaceVote
-from edge.sequence.prior import BESIDE_M, Prior
+from edge.sequence.prior import OFF_ROAD_M, Prior
 from tests.sequence.test_consensus import STRONG
 
 SETTINGS = ConsensusSettings()
@@ -44,7 +44,7 @@ def test_a_place_elsewhere_than_reckoned_is_less_probable() -> None:
     assert odds((0.0, 500.0), 100.0, 700.0) > 0.3, "2 standard deviations"
 
 
-@pytest.mark.parametrize("aside_m", [20.0, 50.0, BESIDE_M])
+@pytest.mark.parametrize("aside_m", [20.0, 50.0, OFF_ROAD_M])
 def test_beside_the_road_by_gps_no_place_of_it_is_more_probable(aside_m: float) -> None:
     """A parallel road that is not mapped."""
     assert odds((aside_m, 500.0), 3.0, 500.0) < 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from edge.telemetry.link_protocol import ANSWER_NS, PARAMETER_NS, TRIES_MOST, ParameterRequests
+from edge.telemetry.link_protocol import PARAMETER_NS, REQUEST_ANSWER_NS, TRIES_MOST, ParameterRequests
 from edge.telemetry.session import Session
 
 NAMES = ("WENC_TYPE", "FLOW_TYPE", "VISO_TYPE")
@@ -38,4 +38,4 @@ def test_they_are_over_when_each_has_come_or_was_requested_often_enough() -> Non
         assert requested(requests, turn * PARAMETER_NS) == [NAMES[1]]
     last_ns = (TRIES_MOST - 1) * PARAMETER_NS
     assert requested(requests, last_ns + PARAMETER_NS) == []
-    assert requests.are_over(last_ns + PARAMETER_NS + ANSWER_NS + 1)
+    assert requests.are_over(last_ns + PARAMETER_NS + REQUEST_ANSWER_NS + 1)

@@ -15,7 +15,7 @@ from edge.keypoints.network import KeypointNetwork
 from edge.recognition.recognizer import model_key
 from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
-from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
+from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
 from sim.maps.newest import choose
 from sim.research.trial.course import CourseDraft, MapStretch
@@ -77,7 +77,7 @@ def _drive_stretch(
         builder.add(view.raw(*at_m), _place(draft, library[out].drive.route, stretch, row, route_m, off_m[row]))
         if builder.keypoints and finder:
             if at_m not in view.keypoints:
-                view.keypoints[at_m] = finder.extract(view.picture(*at_m), MOST)
+                view.keypoints[at_m] = finder.extract(view.picture(*at_m), MOST_OF_PLACE)
             builder.keypoints.add(view.keypoints[at_m])
     return np.column_stack([places_m, off_m])
 

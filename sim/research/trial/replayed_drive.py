@@ -31,7 +31,7 @@ from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
 from edge_plugins.home import HomeConfig
 from edge_plugins.mapping import MappingConfig
-from edge_plugins.mapping.keypoint_rows import MOST
+from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE
 from edge_plugins.page import PageConfig
 from sim.journal import records_of
 from sim.research.trial.course_map import map_errors_m, open_builder, place_at
@@ -211,7 +211,7 @@ def _build_map(
             route_m = float(place * spacing_m)
             builder.add(library[out].raw(route_m), place_at(row, route_m, true[place], off_m[place]))
             if builder.keypoints and finder:
-                builder.keypoints.add(finder.extract(library[out].picture(route_m), MOST))
+                builder.keypoints.add(finder.extract(library[out].picture(route_m), MOST_OF_PLACE))
             row += 1
         builder.finish()
 

@@ -24,7 +24,7 @@ from edge.reference_map.keypoint_file import KEYPOINT, MOST_PIXELS, KeypointsKey
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.drive_store import DriveStore
-from edge_plugins.mapping.keypoint_rows import MOST, keypoints_key
+from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE, keypoints_key
 from edge_plugins.mapping.live_keypoints import MOST_PICTURES
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log import OpenLog, PlaceLog, create_log, logs_in
@@ -145,7 +145,7 @@ def test_the_points_of_a_place_that_a_full_disk_has_not_taken_at_the_end_are_not
     header = LogHeader(MODEL, REGIONS, SamplingConfig(), keypoints=keypoints_key(120, 160, FOV_DEG))
     log = PlaceLog(create_log(tmp_path / "log", header))
     log.begin_drive("rear")
-    points = np.zeros(MOST, KEYPOINT)
+    points = np.zeros(MOST_OF_PLACE, KEYPOINT)
     for row in range(3):
         assert log.add(raw_of(row), Place(row), START_S)
         log.add_points(row, points, unknown(1.0))
@@ -199,4 +199,4 @@ def test_where_the_computer_is_too_slow_the_map_has_all_places_and_says_once_tha
 
 def test_a_picture_larger_than_positions_in_a_map_reach_is_counted_as_a_smaller_one() -> None:
     key = keypoints_key(2160, 3840, FOV_DEG)
-    assert key == KeypointsKey(key.network, key.sha256, MOST, MOST_PIXELS, 1152, FOV_DEG)
+    assert key == KeypointsKey(key.network, key.sha256, MOST_OF_PLACE, MOST_PIXELS, 1152, FOV_DEG)
