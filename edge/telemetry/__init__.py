@@ -8,7 +8,7 @@ again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilo
 Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the
 velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says
 what an answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its
-filter uses GPS. `aiding_store` keeps over a restart what bounds the autopilot's own position, `wheel_store` what drives
+filter uses GPS. `aiding_store` keeps the autopilot's last position aiding over a restart, `wheel_store` what drives
 show of the wheels. `people` is for people, and `encoders` writes all that is sent. `autopilot` joins all into the one
 object that the daemon polls.
 """

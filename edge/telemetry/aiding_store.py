@@ -1,4 +1,4 @@
-"""What bounds the autopilot's position, over a restart of this program: `PositionEstimator.snapshot`."""
+"""The autopilot's last position aiding, over a restart of this program: `PositionEstimator.snapshot`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ class AidingStore:
     def __init__(self, journal: str, drive: PositionEstimator, now_ns: int) -> None:
         """Have the drive go on with what an earlier run has kept beside this journal in this boot; "" keeps nothing."""
         path = Path(journal).with_suffix(".bound") if journal else None
-        self._file = PersistentFile(path, AidingFile, "nothing bounds the autopilot's position yet", is_flushed=False)
+        self._file = PersistentFile(
+            path, AidingFile, "the last position aiding of the autopilot is forgotten", is_flushed=False
+        )
         self._drive, self.due_ns = drive, 0
         self._kept = AidingFile(BOOT_ID.read_text(encoding="ascii").strip(), b"")
         kept = self._file.read()

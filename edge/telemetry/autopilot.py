@@ -144,9 +144,9 @@ class AutopilotConnection:
         return "GPS faulty" if self.drive.state.gps.state == "faulty" else ""
 
     def gps_motion(self) -> tuple[float | None, float]:
-        """How fast the vehicle moves by the autopilot, m/s, while GPS that nobody doubts bounds it; None otherwise.
+        """Speed by the autopilot, m/s, while a healthy GPS without a fault aids it, else None; and its lateral share.
 
-        And how far to the right of where it heads, as a share of that.
+        The share: velocity to the right of the heading over that along it.
         """
         now_ns = self.clock_ns()
         own, is_healthy = self.vehicle.position(now_ns), self.vehicle.session.gps.state(now_ns) == "healthy"

@@ -166,7 +166,7 @@ class PositionSender:
             self._publisher.record(self._withheld)
 
     def _confirm(self, fix: Fix, distance_m: float, now_ns: int) -> None:
-        """The autopilot's own position agrees with one that might be sent, which bounds it as one that it used."""
+        """The autopilot's own position agrees with one that might be sent, which aids it as one that it used."""
         place, self._confirmed = fix.place, (now_ns, fix)
         self._drive.update(now_ns, FixFeedback(fix, distance_m))
         self._publisher.record(

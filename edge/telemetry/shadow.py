@@ -83,7 +83,7 @@ class Shadow:
         self._waiting: ExposureQueue[_PendingRecord]
 
     def update(self, t_ns: int, entry: Entry) -> None:
-        """Follow the drive, without GPS from when it has bounded the autopilot once."""
+        """Follow the drive, without GPS from when it has aided the autopilot once."""
         match entry:
             case ImageProcessed():
                 match = None if entry.match is None else entry.match.alone

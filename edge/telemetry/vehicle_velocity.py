@@ -78,7 +78,7 @@ class VehicleVelocity:
         self._seen: tuple[int, float, float] | None = None  # the camera's newest speed, and the autopilot's own of then
         self._reported_ns = 0
         self.has_our_position = False
-        """Whether a position that we sent may have moved the autopilot's own since GPS bounded it last."""
+        """Whether a fix of ours may have moved the autopilot's own position since GPS aided it last."""
 
     def end_leg(self, *, is_same_vehicle: bool) -> None:
         """The session has ended."""

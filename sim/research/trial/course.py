@@ -21,8 +21,8 @@ DOWN_S = (6.0, 10.0)
 """From the death of the daemon to its first message, as recorded on a vehicle's computer."""
 ORIGIN_OFF_M = (6.0, 0.0)
 CONFIRMED_M = 400.0
-"""Where nothing bounds the position, so far the map is driven before one is sent: a line of 80 m, two stretches of it
-that are 160 m apart by displacement, and a margin for bends and for frames that are not recognized."""
+"""Without position aiding, so far the map is driven before a fix is sent: a sequence of 80 m, two segments that are
+160 m apart by displacement, and a margin for bends and for frames that are not recognized."""
 
 
 @dataclass(frozen=True)
