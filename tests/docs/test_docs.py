@@ -278,10 +278,11 @@ def test_the_docs_are_short() -> None:
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_a_page_of_two_screens_has_an_example_that_is_run_or_read_by_a_test() -> None:
+def test_a_page_begins_with_what_one_can_do_then_and_has_an_example_from_two_screens_on() -> None:
     for text in (page.read_text(encoding="utf-8") for page in DOCS):
         prose = re.sub(r"^\|.*$", "", WRITTEN.sub("", BLOCK.sub("", text)), flags=re.MULTILINE).split()
         assert len(prose) < 900 or re.search(r"^```(sh|python|toml)$", text, re.MULTILINE), text[:80]
+        assert "Made by `make bench`" in text or re.match(r"# [^\n]+\n\n(<[^\n]+\n\n)*After this page", text), text[:80]
 
 
 WORD = re.compile(r"`(?:\[(\w+)\] )?([a-z]+(?:_[a-z]+)+)`")
