@@ -50,6 +50,27 @@ def test_where_a_drive_is_recognized_is_said_as_its_page_says_it() -> None:
     assert sorted(medians_m)[len(medians_m) // 2] == said_m
 
 
+def test_two_cameras_back_to_back_are_said_to_do_what_their_table_says() -> None:
+    said, table = " ".join(page("back-to-back.md").split()), page("tables/back-to-back.md")
+    row = r"^\| grid, (.+) \| (whole|second half|thirds) \| (\S+) \| (\S+) \| (.+) \| (.+) \| (\S+) \|$"
+    rows = {one[:2]: one[2:] for one in re.findall(row, table, re.MULTILINE)}
+    poor, snow, home = "the same way at dusk, night and in rain", "the same way in snow", "home at dusk and night"
+    for words, drive in (("rain", poor), ("snow", snow), ("the way home", home)):
+        alone, with_gps, first_alone, first, _ = rows[drive, "whole"]
+        assert re.search(rf"{words}: {first}, {with_gps} \(\D*{first_alone}, {alone}\)", said)
+    half, thirds, worst = rows[poor, "second half"][1], rows[poor, "thirds"][1], rows[poor, "whole"][-1]
+    assert f"{half} in poor light, with two thirds {thirds}. The worst drive had {worst}, in snow" in said
+    assert f"in snow {rows[snow, 'whole'][-1]}." in said
+    counted = re.findall(r"^\| (beside|a car|a fork).* \| (\d+) \| (\d+), (\d+), (\d+);", table, re.MULTILINE)
+    of = {name: tuple(map(int, found)) for name, *found in counted}
+    frames, alone, now, late = map(sum, zip(of["beside"], of["a car"], strict=True))
+    assert now == 0
+    assert f"none of {frames:,} is accepted with GPS, {late} are 500 m after its loss, {alone} without any" in said
+    assert f"{of['a fork'][2]} of {of['a fork'][0]:,} are accepted" in said
+    (wrong,) = re.findall(r"0 of \d+ frames and 0 of (\d+) frames are believed and wrong", table)
+    assert f"none of {int(wrong):,} frames is accepted and wrong" in said
+
+
 def test_the_folders_of_the_method_are_there() -> None:
     folders = re.findall(r"`(\w+)/`", page("method.md"))
     assert len(folders) > 4
