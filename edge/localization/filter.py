@@ -38,7 +38,7 @@ CORRELATION_M = 60.0
 """Meters driven within which the errors of two sequence matches are about the same."""
 LINE_M = 45.0
 """Correlation length of the error of sequence matches that changes, measured on three roads in five lights."""
-GATE = {1: 9.0, 2: 11.83}
+GATE = {1: 9.0, 2: 11.83, 3: 14.16}
 """Square of the standard deviations beyond which a measurement is an outlier, by the number of dimensions."""
 MAP_M = 200.0
 """Correlation length of what wanders of a map's positions, as of a receiver's that go by the sky for half a minute."""
@@ -136,6 +136,8 @@ class Filter:
         """Driven since a lane counted for or against it."""
         self._heading_rad, self._scale = heading_rad, ScaleFactor(0.0, scale)
         self._gps_m, self.keeps_gps = GPS_M, False  # whether its error stays as it is
+        self.by_gps = False
+        """Whether the velocity is."""
         self._drives: list[tuple[Hashable, DriveErrors]] = []  # by slot, see `slot`
         self._order: list[int] = []  # slots, the one that was used longest ago first
         self._is_doubtful = False
@@ -322,13 +324,12 @@ class Filter:
         return rows
 
     def weigh(
-        self, spread: Matrix, innovation: Vector, anywhere: float, second: tuple[float, float] = (0.0, 0.0)
+        self, spread: Matrix, innovation: Vector, anywhere: float, second: tuple[float, Matrix] | None = None
     ) -> None:
         """Add the likelihood of an innovation with its covariance; the others: see `correct`."""
-        share, wrong_m = second
-        density = (1 - share) * _normal(spread, innovation)[2]
-        if share:
-            density += share * _normal(spread + wrong_m**2 * np.eye(len(innovation)), innovation)[2]
+        density = _normal(spread, innovation)[2]
+        if second is not None:
+            density += second[0] * (_normal(spread + second[1], innovation)[2] - density)
         self.likelihood += math.log((1 - OUTLIERS) * density + OUTLIERS * anywhere)
 
     def pull(self, rows: Matrix, innovation: Vector, variance: float) -> None:
@@ -346,13 +347,13 @@ class Filter:
         innovation: Vector,
         noise: Matrix,
         anywhere: float = 0.0,
-        second: tuple[float, float] = (0.0, 0.0),
+        second: tuple[float, Matrix] | None = None,
     ) -> bool:
         """Correct by a measurement (n,), unless it is an outlier; whether it was used.
 
         rows: its Jacobian (n, SIZE). noise: covariance (n, n). anywhere: density of one that says nothing, in 1 over
         the units of all n; 0 of one that is no evidence for any hypothesis. second: share of those that are wrong by
-        little, and by how much, one standard deviation in each direction.
+        little, and the covariance (n, n) of by how much.
         """
         shared = self.covariance @ rows.T
         spread = rows @ shared + noise
@@ -369,14 +370,10 @@ class Filter:
 
 
 def _normal(spread: Matrix, off: Vector) -> tuple[float, Matrix, float]:
-    """Of one or two dimensions: the square in standard deviations, the inverse of the covariance, and the density."""
-    if len(off) == 1:
-        determinant, inverse = float(spread[0, 0]), 1 / spread
-    else:
-        determinant = float(spread[0, 0] * spread[1, 1] - spread[0, 1] * spread[1, 0])
-        inverse = np.array([[spread[1, 1], -spread[0, 1]], [-spread[1, 0], spread[0, 0]]]) / determinant
+    """The square in standard deviations, the inverse of the covariance, and the density."""
+    inverse = np.linalg.inv(spread).astype(np.float64, copy=False)
     chi2 = float(off @ inverse @ off)
-    return chi2, inverse, math.exp(-chi2 / 2) / math.sqrt(math.tau ** len(off) * determinant)
+    return chi2, inverse, math.exp(-chi2 / 2) / math.sqrt(math.tau ** len(off) * float(np.linalg.det(spread)))
 
 
 def turned(vector: Vector, clockwise_rad: float) -> Vector:

@@ -30,10 +30,12 @@ GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
 COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
-LOOK_NOISE_M = 0.05
-"""Of a keypoint pose, beside its covariance."""
+LOOK_NOISE = np.diag([0.05, 0.05, COMPASS_NOISE_RAD]) ** 2
+"""Of a keypoint pose, beside its covariance: meters, and radians against the autopilot's heading."""
 SECOND_SHARE, SECOND_M = 0.1, 2.5
 """Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
+SECOND, PLANE, TURN = np.diag([SECOND_M, SECOND_M, 0.0]) ** 2, np.eye(3, 2), np.eye(3)[:, 2]
+"""Covariance of the latter, and Jacobians of a pose (3,) by a position (2,) and by what turns it."""
 WITHIN_M = 300.0
 """Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
 
@@ -44,30 +46,35 @@ def by_gps(state: Filter, gps_m: Vector) -> bool:
     return state.correct(rows, gps_m - rows @ state.mean, GPS_NOISE_M**2 * np.eye(2), WITHIN_M**-2)
 
 
-def by_compass(state: Filter) -> bool:
+def by_compass(state: Filter, *, has_gps: bool) -> None:
     """The heading in which the velocity is, of an autopilot without GPS: it has the error of its compass."""
-    row = state.rows((HEADING, [1.0]), (COMPASS, [1.0]))
-    return state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
+    state.by_gps = has_gps
+    if not has_gps:
+        row = state.rows((HEADING, [1.0]), (COMPASS, [1.0]))
+        state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
 
 
 def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bool) -> bool:
-    """A keypoint pose: the vehicle's position, whose error it partly shares with the last pose, and its heading.
+    """A keypoint pose: the vehicle's position and heading, whose error it partly shares with the last pose.
 
+    Far points hardly separate a turn from a shift, so both are one measurement. The heading is relative to that of the
+    autopilot, whose error is also that of the velocity without GPS; with GPS the velocity lacks the compass error.
     is_evidence: whether it counts for a hypothesis; a match that only dead reckoning made credible does not.
     """
     shared = max(1.0, SHARED_M / max(state.since_look_m, STANDS_M))
-    rows = state.rows((POSITION, np.eye(2)), (slot.map, np.eye(2)), (slot.whole, np.eye(2)))
-    noise = shared * look.covariance + LOOK_NOISE_M**2 * np.eye(2)
-    off_m, second = look.position_m - rows @ state.mean, (SECOND_SHARE, SECOND_M)
-    if not state.correct(rows, off_m, noise, is_evidence * WITHIN_M**-2, second):
+    rows = state.rows((POSITION, PLANE), (slot.map, PLANE), (slot.whole, PLANE), (HEADING, TURN), (slot.aim, TURN))
+    if state.by_gps:
+        rows[:, COMPASS] = -TURN
+    off, noise = np.array([*look.position_m, 0.0]) - rows @ state.mean, shared * look.pose_covariance + LOOK_NOISE
+    if look.yaw_rad is None:
+        rows, off, noise = rows[:2], off[:2], noise[:2, :2]
+    else:
+        off[2] = math.remainder(look.heading_rad - look.yaw_rad + off[2], math.tau)
+    known = len(off)
+    anywhere = is_evidence * (WITHIN_M**-2 if known == 2 else WITHIN_M**-2 / math.tau)
+    if not state.correct(rows, off, noise, anywhere, (SECOND_SHARE, SECOND[:known, :known])):
         return False
     state.since_look_m = 0.0
-    if look.course is not None:
-        course_rad, variance = look.course
-        row = state.rows((HEADING, [1.0]), (slot.aim, [1.0]))
-        # A vehicle that goes backwards heads the other way.
-        turned_rad = math.remainder(look.heading_rad - course_rad, math.pi) - row @ state.mean
-        state.correct(row, turned_rad, np.array([[shared * look.pose_covariance[2, 2] + variance]]))
     return True
 
 

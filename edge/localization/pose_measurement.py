@@ -34,25 +34,20 @@ class PoseMeasurement:
     """A pose measurement of the vehicle by one picture.
 
     position_m: meters east and north (2,). pose_covariance: (3, 3) of these and of the camera's yaw, clockwise,
-    without the map's error. heading_rad: of the vehicle, clockwise from north. inliers: number of points. course: of
-    the vehicle by dead reckoning, clockwise from north, and its variance; None where that is not known.
+    without the map's error. heading_rad: of the vehicle, clockwise from north. inliers: number of points. yaw_rad: the
+    autopilot's heading then, likewise; None where that is not known.
     """
 
     position_m: Vector
     pose_covariance: NDArray[np.float64]
     heading_rad: float
     inliers: int
-    course: tuple[float, float] | None = None
+    yaw_rad: float | None = None
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2), of the position."""
         return self.pose_covariance[:2, :2]
-
-    @property
-    def goes_back(self) -> bool:
-        """Whether the vehicle drives backwards."""
-        return self.course is not None and math.cos(self.heading_rad - self.course[0]) < 0
 
 
 def camera_pose(

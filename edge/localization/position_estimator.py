@@ -16,6 +16,7 @@ Pure: no link, no clock, no file. Daemon, trial and the replays of recorded driv
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -47,6 +48,8 @@ from edge.localization.tracker import Tracker
 from edge.reference_map import Route
 from edge.sequence import DeadReckoningPosition
 
+KEPT_HEADINGS, HEADINGS_APART_NS = 128, 250_000_000
+"""Of the autopilot: as many as come within 3 s at 40 Hz, and how far from an exposure the nearest may be."""
 CALLED_SIGMA_M = 10.0
 """Of the autopilot's position less the error of GPS, when GPS is declared faulty."""
 
@@ -101,6 +104,7 @@ class PositionEstimator:
         self._claims = EvidenceHistory(config.gates)
         self._bound = AutopilotCovariance(config.gates.drift_percent / 100)
         self._own = AutopilotState()
+        self._headings: deque[tuple[int, float]] = deque(maxlen=KEPT_HEADINGS)  # the autopilot's: stamp, radians
         self._moved: Odometry | None = None
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
@@ -122,6 +126,7 @@ class PositionEstimator:
                 self._use_used(t_ns, event)
             case Discontinuity(kind="reboot"):
                 self._bound.restart()
+                self._headings.clear()
             case Discontinuity():
                 self._is_recognized = False
                 if event.kind == "carried":
@@ -192,8 +197,9 @@ class PositionEstimator:
         self._is_recognized = match is not None and match.accepted
         tracker, believed = self._tracker, self._gps.believed(self._own)
         timestamp_sigma_m, before = frame.timestamp_sigma_s * (self._own.speed_mps or 0.0), self._motion
-        looked = None if match is None else self._sightings.pose_measurement(match, timestamp_sigma_m)
-        is_compared = tracker.update(frame, looked, believed, timestamp_sigma_m)
+        yaw_rad = self._yaw_rad(frame.stamp_ns)
+        looked = None if match is None else self._sightings.pose_measurement(match, timestamp_sigma_m, yaw_rad)
+        is_compared = tracker.update(frame, looked, believed, timestamp_sigma_m, yaw_rad)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
         self._motion = frame.motion
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):
@@ -212,6 +218,15 @@ class PositionEstimator:
                 self._observe(fix, frame.motion)
         if frame.in_line:
             self._judge_gps()
+
+    def _yaw_rad(self, stamp_ns: int) -> float | None:
+        """The autopilot's heading at an exposure; None where it has reported none around then."""
+        later = (at for at, (then_ns, _) in enumerate(self._headings) if then_ns >= stamp_ns)
+        last = next(later, len(self._headings) - 1)
+        if last < 1 or abs(stamp_ns - self._headings[last][0]) > HEADINGS_APART_NS:
+            return None
+        (one_ns, one_rad), (next_ns, next_rad) = self._headings[last - 1], self._headings[last]
+        return one_rad + math.remainder(next_rad - one_rad, math.tau) * (stamp_ns - one_ns) / (next_ns - one_ns)
 
     def _drift(self, fix: PlaceFix | None) -> Drift:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
@@ -244,6 +259,10 @@ class PositionEstimator:
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own
+        if own.position is not None and own.position.heading_deg is not None:
+            heading = own.position.stamp_ns, math.radians(own.position.heading_deg)
+            if not self._headings or heading[0] > self._headings[-1][0]:
+                self._headings.append(heading)
         believed = self._gps.believed(own)
         self._bound.move(own)
         if believed.gps_sigma_m is not None:
@@ -274,7 +293,7 @@ class PositionEstimator:
         if limits.again is not None:
             return limits.again.place, limits.again.motion
         if limits.at == "now":
-            return self._tracker.at(t_ns, self._moved), self._moved
+            return self._tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved
         return self._tracker.at_exposure(), self._exposed
 
     def _estimate(self, place: PlaceFix | None, motion: Odometry | None) -> StateEstimate:

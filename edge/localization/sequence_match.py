@@ -14,9 +14,9 @@ import numpy as np
 
 from edge.config import Config, RigConfig
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.filter import WANDER, DriveErrors
+from edge.localization.filter import DriveErrors
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
-from edge.localization.pose_measurement import AIM_RAD, STANDS_M, PoseMeasurement, Vector, camera_pose
+from edge.localization.pose_measurement import AIM_RAD, PoseMeasurement, Vector, camera_pose
 from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -80,10 +80,6 @@ class SequenceMatch:
         """What its errors are those of."""
         return self.mapped.segment, self.match.direction
 
-    def on_course(self, course: tuple[float, float] | None) -> SequenceMatch:
-        """With the course of then, see `PoseMeasurement`."""
-        return self if self.pose is None else replace(self, pose=replace(self.pose, course=course))
-
 
 class Georeferencer:
     """Matches in local meters, with the odometer's readings at the frames of the sequence."""
@@ -144,8 +140,13 @@ class Georeferencer:
             sigma_factor=faint,
         )
 
-    def pose_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> SequenceMatch | None:
-        """The keypoint pose of a match, with its drive; None without one, or if the keyframe has no heading."""
+    def pose_measurement(
+        self, match: PlaceMatch, timestamp_sigma_m: float, yaw_rad: float | None = None
+    ) -> SequenceMatch | None:
+        """The keypoint pose of a match, with its drive; None without one, or if the keyframe has no heading.
+
+        yaw_rad: see `PoseMeasurement`.
+        """
         seen = match.seen
         if seen is None:
             return None
@@ -169,7 +170,7 @@ class Georeferencer:
         along = np.array([math.sin(road_rad), math.cos(road_rad)])
         along_m = route.route_m(seen.place_index) + forward_m
         camera_m = math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
-        measured = PoseMeasurement(position_m, pose, heading_rad, seen.points)
+        measured = PoseMeasurement(position_m, pose, heading_rad, seen.points, yaw_rad)
         return SequenceMatch(
             match=match,
             mapped=drive,
@@ -180,22 +181,6 @@ class Georeferencer:
             sigma_factor=1.0,
             pose=measured,
         )
-
-    def course(self, displacement_m: Vector) -> tuple[float, float] | None:
-        """The vehicle's course at a frame by dead reckoning, in radians clockwise from north, and the variance.
-
-        Two steps between frames give the course at their middles, which is extrapolated to the newest frame.
-        displacement_m: (4,) at that; None where the frame is not part of the sequence.
-        """
-        if len(self._readings) < 3:
-            return None
-        here, before, first = (self._readings.back(frames)[:2] for frames in range(3))
-        last_m, other_m = (float(np.hypot(*step_m)) for step_m in (here - before, before - first))
-        if last_m == 0 or other_m == 0 or float(np.hypot(*(displacement_m[:2] - here))) > STANDS_M:
-            return None
-        last_rad, share = _course_rad(here - before), last_m / (last_m + other_m)
-        course_rad = last_rad + share * math.remainder(last_rad - _course_rad(before - first), math.tau)
-        return course_rad, WANDER**2 * ((1 + share) ** 2 / last_m + share**2 / other_m)
 
     def _errors(
         self, match: PlaceMatch, drive: MapDrive, along_m: float, along: Vector, map_m: float, ahead_sigma_m: float

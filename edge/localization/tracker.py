@@ -37,7 +37,7 @@ from edge.localization.filter import (
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
 from edge.localization.integrity import BESIDE_M
-from edge.localization.odometer_calibration import AGREE_SIGMAS, STANDS_M, ScaleFactor
+from edge.localization.odometer_calibration import AGREE_SIGMAS, ScaleFactor
 from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
@@ -86,16 +86,13 @@ class TrackScore:
         self.newest: SequenceMatch | None = None
         self.stamp_ns = self.matches = self.disagreeing = self.points = 0
         self.since_m = self.driven_m = self.confidence = 0.0
-        self.by_chance, self.goes_back = by_chance, False
+        self.by_chance = by_chance
 
     def add(self, sighting: SequenceMatch, stamp_ns: int) -> None:
         """One more match that passed the test."""
-        look = sighting.pose
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
         self.matches, self.confidence = self.matches + 1, max(self.confidence, sighting.match.confidence)
-        self.points = 0 if look is None else look.inliers
-        if look is not None:
-            self.goes_back = look.goes_back
+        self.points = sighting.pose.inliers if sighting.pose else 0
 
     @property
     def is_confirmed(self) -> bool:
@@ -124,12 +121,13 @@ class Tracker:
     def reset(self) -> None:
         """No frame from before counts (after a blindness, or where the motion is not known), nor where it was."""
         self._sightings.clear()
-        self._is_checked = False  # whether the drive of the newest match moved as its vehicle did
+        self.is_checked = False
+        """Whether the drive of the newest match moved as its vehicle did."""
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
-        self._course_rad: float | None = None  # of the vehicle by dead reckoning, at the newest frame
+        self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
@@ -137,13 +135,18 @@ class Tracker:
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
     def update(
-        self, frame: ImageProcessed, looked: SequenceMatch | None, own: AutopilotState, timestamp_sigma_m: float = 0.0
+        self,
+        frame: ImageProcessed,
+        looked: SequenceMatch | None,
+        own: AutopilotState,
+        timestamp_sigma_m: float = 0.0,
+        yaw_rad: float | None = None,
     ) -> bool:
         """Use a frame; whether a place was compared with the state. looked: the match with the frame's keypoint pose.
 
-        own: the autopilot's state, as far as it is believed.
+        own: the autopilot's state, as far as it is believed. yaw_rad: its heading at the exposure.
         """
-        motion, match = frame.motion, frame.match
+        motion, match, self._yaw_rad = frame.motion, frame.match, yaw_rad
         before = self._at
         if motion is None:
             self.reset()
@@ -158,23 +161,21 @@ class Tracker:
             self._move(before, frame)
         if frame.in_line:
             self._sightings.add(_vector(motion))
-        course = self._sightings.course(_vector(motion))
-        self._course_rad = course and course[0]
         gps_m = self._gps_m = self._gps(frame, own)
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
             fix_m = gps_m
             self.bank.each(lambda state: measurements.by_gps(state, fix_m))
-        if own.gps_sigma_m is None and before is not None:
-            self.bank.each(measurements.by_compass)
+        if before is not None:
+            self.bank.each(lambda state: measurements.by_compass(state, has_gps=own.gps_sigma_m is not None))
         track = self._track
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
             self._track, self._exposure = None, None
         sighting = None
         is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M
         if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
-            sighting = self._sighting(match, looked and looked.on_course(course), timestamp_sigma_m)
+            sighting = self._sighting(match, looked, timestamp_sigma_m)
         if sighting is not None:
             self._use(sighting, own, frame.stamp_ns, is_evidence=is_evidence)
         has_gps = gps_m is not None and self.follows_gps
@@ -247,11 +248,6 @@ class Tracker:
         """Whether there was a keypoint pose within the last CORRELATION_M."""
         return self.bank.right.since_look_m < CORRELATION_M
 
-    @property
-    def is_checked(self) -> bool:
-        """Whether the drive of the newest match moved as its vehicle did."""
-        return self._is_checked
-
     def call_gps(self, name: Name) -> None:
         """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
         state = self.bank.of(name)
@@ -322,12 +318,12 @@ class Tracker:
 
     def _add(self, track: TrackScore, sighting: SequenceMatch, stamp_ns: int) -> None:
         """A match passed the innovation test."""
-        self._track, self._is_checked = track, sighting.mapped.checked_m > 0
+        self._track, self.is_checked = track, sighting.mapped.checked_m > 0
         track.add(sighting, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
             self.bank.before = None
         if track.matches >= FIRST or sighting.pose is None:
-            self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._course_rad)
+            self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
 
     def _begin(self, sighting: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -360,7 +356,7 @@ class Tracker:
         if sighting.pose is not None:
             off_m = float(left @ (sighting.pose.position_m - state.position_m))
             rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
-            noise = float(left @ sighting.pose.covariance @ left)
+            noise = float(left @ sighting.pose.pose_covariance[:2, :2] @ left)
         else:
             both, innovation, noises = measurements.line_of(state, slot, sighting)
             rows, off_m, noise = both[1:], float(innovation[1]), float(noises[1, 1])
@@ -404,8 +400,11 @@ class Tracker:
         track = self._track
         return track is not None and (not track.is_confirmed or track.disagreeing >= DISAGREE)
 
-    def at(self, stamp_ns: int, displacement: Odometry | None) -> PlaceFix | None:
-        """The position at another moment, moved on by the autopilot's velocity; None while that is not known."""
+    def at(self, stamp_ns: int, displacement: Odometry | None, yaw_rad: float | None) -> PlaceFix | None:
+        """The position at another moment, moved on by the autopilot's velocity; None while that is not known.
+
+        yaw_rad: the autopilot's heading then.
+        """
         track, before = self._track, self._at
         motion = None if before is None else before.motion
         if track is None or self._exposure is None or before is None or motion is None or displacement is None:
@@ -418,8 +417,7 @@ class Tracker:
             return None
         state = self.bank.right.copy()
         state.predict(step)
-        course_rad = math.atan2(step.moved_m[0], step.moved_m[1]) if driven_m >= STANDS_M else self._course_rad
-        return self._fix(track, state, stamp_ns, track.since_m + driven_m, course_rad)
+        return self._fix(track, state, stamp_ns, track.since_m + driven_m, yaw_rad)
 
     def _is_lost(self, track: TrackScore, stamp_ns: int, driven_m: float) -> bool:
         is_silent = not 0 <= stamp_ns - track.stamp_ns <= self._config.lost_after_s * 1e9
@@ -468,7 +466,7 @@ class Tracker:
         self.bank.each(lambda state: _shift(state, shift_m))
 
     def _fix(
-        self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, course_rad: float | None
+        self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, yaw_rad: float | None
     ) -> PlaceFix | None:
         newest, origin = track.newest, self._sightings.origin
         assert newest is not None
@@ -479,8 +477,8 @@ class Tracker:
         lat_deg, lon_deg = moved(*origin, float(state.position_m[0]), float(state.position_m[1]))
         heading_rad, is_looked = math.radians(found.heading_deg), state.since_look_m < CORRELATION_M
         slot = state.newest
-        if is_looked and course_rad is not None and slot is not None:
-            heading_rad = course_rad + state.mean[HEADING] + state.mean[slot.aim] + math.pi * track.goes_back
+        if is_looked and yaw_rad is not None and slot is not None:
+            heading_rad = yaw_rad + state.mean[HEADING] + state.mean[slot.aim]
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = state.spread
         if newest.pose is None:

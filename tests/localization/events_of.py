@@ -7,6 +7,7 @@ north of HOME. `route_bench` drives winding roads, with the errors that were mea
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -140,8 +141,8 @@ class Vehicle(StandIn):
     """One frame each 2 m, a fifth of a second apart.
 
     north_m: where it is. odometer: meters that it measures for each. aside_m: to the east, in each frame. off_m: how
-    far the autopilot has it too far north. compass_rad: its heading less that by the gyros. reports: what else the
-    autopilot says, see `AutopilotState`.
+    far the autopilot has it too far north. compass_rad: its heading less that by the gyros. nose_deg: its heading less
+    its course. reports: what else the autopilot says, see `AutopilotState`.
     """
 
     motion: Odometry
@@ -159,7 +160,7 @@ class Vehicle(StandIn):
         self.road, self.direction = road, direction
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.driven_m = north_m, 0.0
-        self.odometer, self.aside_m, self.off_m, self.compass_rad = 1.0, 0.0, 0.0, 0.0
+        self.odometer, self.aside_m, self.off_m, self.compass_rad, self.nose_deg = 1.0, 0.0, 0.0, 0.0, 0.0
 
     def go(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[str | None]:
         """Drive on; why there is no position for ArduPilot after each frame, None where there is one."""
@@ -197,8 +198,10 @@ class Vehicle(StandIn):
     def position(self) -> VehiclePosition:
         """Where the autopilot has it."""
         at = moved(*HOME, 0.0, self.north_m + self.off_m)
-        heading_deg, north_mps = 90.0 * (1 - self.sign), self.sign * SPEED_MPS
-        return VehiclePosition(self.t_ns, *at, 0.0, heading_deg, SPEED_MPS, north_mps)
+        course_deg = math.degrees(math.atan2(self.aside_m, self.sign * SPACING_M))
+        return VehiclePosition(
+            self.t_ns, *at, 0.0, (course_deg + self.nose_deg) % 360, SPEED_MPS, self.sign * SPEED_MPS
+        )
 
     def own(self, *, has_gps: bool = False, **reports: Any) -> None:
         """The autopilot reports something."""

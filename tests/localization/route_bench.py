@@ -287,7 +287,8 @@ class Bench(StandIn):
     def position(self) -> VehiclePosition:
         east_mps, north_mps = self.own_estimate.velocity_mps
         place = moved(*HOME, self.own_estimate.east_m, self.own_estimate.north_m)
-        return VehiclePosition(self.t_ns, *place, 0.0, None, math.hypot(east_mps, north_mps), north_mps, east_mps)
+        heading_deg, speed_mps = self.own_estimate.heading_deg, math.hypot(east_mps, north_mps)
+        return VehiclePosition(self.t_ns, *place, 0.0, heading_deg, speed_mps, north_mps, east_mps)
 
     def _expose(self, s: float, *, gps: bool) -> None:
         """A frame, where the vehicle is at a new place."""

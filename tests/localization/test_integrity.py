@@ -335,6 +335,7 @@ def test_a_bound_by_a_position_needs_one_stretch_more_than_what_bound_it(mapped:
 def test_a_vehicle_that_is_carried_while_it_rolls_is_noticed_and_known_again(ahead_m: float, mapped: MakeRoad) -> None:
     """From one frame to the next, by looks: no wheel has counted it. Before, no place there was ever believed again."""
     one = Vehicle(mapped(part(0, 1000, has_odometer=True)), exact())
+    one.nose_deg = 180.0  # it looks back, as the map's camera did
 
     def sees(at_m: float) -> PlaceMatch | None:
         place, covariance = round(at_m / SPACING_M), np.diag(np.square([0.4, 0.4, math.radians(0.5)]))
