@@ -130,7 +130,7 @@ class Filter:
         """Standard deviations of the autopilot's velocity. The position is not known before `place`."""
         self.mean, self.covariance = np.zeros(OF_ALL), np.zeros((OF_ALL, OF_ALL))
         self.likelihood = 0.0
-        self.since_look_m = math.inf
+        self.since_pose_m = math.inf
         """Driven since the last correction by a keypoint pose."""
         self.since_lane_m = math.inf
         """Driven since a lane counted for or against it."""
@@ -181,7 +181,7 @@ class Filter:
     def place(self, position_m: Vector, spread: Matrix) -> None:
         """Be there; what is known of the velocity stays."""
         self.set(POSITION, position_m, spread)
-        self.since_look_m = math.inf
+        self.since_pose_m = math.inf
 
     def widen(self, states: slice, sigma: float) -> None:
         """They may have become anything else within that standard deviation."""
@@ -274,7 +274,7 @@ class Filter:
     def predict(self, step: FilterStep) -> None:
         """Move on."""
         driven_m = float(np.hypot(*step.moved_m))
-        self.since_look_m += driven_m
+        self.since_pose_m += driven_m
         self.since_lane_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(step.doubtful_m.any())
         if self._is_doubtful and not was_doubtful:

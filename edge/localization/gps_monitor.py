@@ -160,7 +160,7 @@ class GpsMonitor:
 
         Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
         """
-        is_far = tracker.is_looked or tracker.gps_off("gps dragged") >= DEPARTS_M
+        is_far = tracker.has_pose or tracker.gps_off("gps dragged") >= DEPARTS_M
         drifts = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
         departs = is_far and drifts and tracker.is_checked
         is_known = frame.without_gps is not None

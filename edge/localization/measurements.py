@@ -30,7 +30,7 @@ GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
 COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
-LOOK_NOISE = np.diag([0.05, 0.05, COMPASS_NOISE_RAD]) ** 2
+POSE_NOISE = np.diag([0.05, 0.05, COMPASS_NOISE_RAD]) ** 2
 """Of a keypoint pose, beside its covariance: meters, and radians against the autopilot's heading."""
 SECOND_SHARE, SECOND_M = 0.1, 2.5
 """Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
@@ -54,33 +54,33 @@ def by_compass(state: Filter, *, has_gps: bool) -> None:
         state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
 
 
-def by_look(state: Filter, slot: Slot, look: PoseMeasurement, *, is_evidence: bool) -> bool:
+def by_pose(state: Filter, slot: Slot, pose: PoseMeasurement, *, is_evidence: bool) -> bool:
     """A keypoint pose: the vehicle's position and heading, whose error it partly shares with the last pose.
 
     Far points hardly separate a turn from a shift, so both are one measurement. The heading is relative to that of the
     autopilot, whose error is also that of the velocity without GPS; with GPS the velocity lacks the compass error.
     is_evidence: whether it counts for a hypothesis; a match that only dead reckoning made credible does not.
     """
-    shared = max(1.0, SHARED_M / max(state.since_look_m, STANDS_M))
+    shared = max(1.0, SHARED_M / max(state.since_pose_m, STANDS_M))
     rows = state.rows((POSITION, PLANE), (slot.map, PLANE), (slot.whole, PLANE), (HEADING, TURN), (slot.aim, TURN))
     if state.by_gps:
         rows[:, COMPASS] = -TURN
-    off, noise = np.array([*look.position_m, 0.0]) - rows @ state.mean, shared * look.pose_covariance + LOOK_NOISE
-    if look.yaw_rad is None:
+    off, noise = np.array([*pose.position_m, 0.0]) - rows @ state.mean, shared * pose.pose_covariance + POSE_NOISE
+    if pose.yaw_rad is None:
         rows, off, noise = rows[:2], off[:2], noise[:2, :2]
     else:
-        off[2] = math.remainder(look.heading_rad - look.yaw_rad + off[2], math.tau)
+        off[2] = math.remainder(pose.heading_rad - pose.yaw_rad + off[2], math.tau)
     known = len(off)
     anywhere = is_evidence * (WITHIN_M**-2 if known == 2 else WITHIN_M**-2 / math.tau)
     if not state.correct(rows, off, noise, anywhere, (SECOND_SHARE, SECOND[:known, :known])):
         return False
-    state.since_look_m = 0.0
+    state.since_pose_m = 0.0
     return True
 
 
-def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool) -> bool:
+def by_sequence(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool) -> bool:
     """A sequence match: the vehicle's along-track position at its midpoint; cross-track, it is within its lane."""
-    rows, off_m, noise = line_of(state, slot, line)
+    rows, off_m, noise = sequence_innovation(state, slot, line)
     spread = rows @ state.covariance @ rows.T
     if is_evidence and state.since_lane_m >= CORRELATION_M:  # a vehicle stays beside its lane
         state.since_lane_m = 0.0
@@ -91,14 +91,14 @@ def by_line(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: bool
         return False
     if not state.correct(rows[:1], off_m[:1], noise[:1, :1]):
         return False
-    rows, off_m, noise = line_of(state, slot, line)
+    rows, off_m, noise = sequence_innovation(state, slot, line)
     variance, lane = float(rows[1] @ state.covariance @ rows[1]), float(noise[1, 1])
     if variance > lane:  # only as far as nothing else says where it is cross-track; the lane shows no velocity
         state.pull(rows[1:], off_m[1:], 1 / (1 / lane - 1 / variance))
     return True
 
 
-def line_of(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
+def sequence_innovation(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
     """Rows, innovation and noise of a sequence match, along-track and cross-track."""
     along, since_m, doubtful_m = line.midpoint.along, line.midpoint.since_m[:2], line.midpoint.since_m[2:]
     axes = np.array([along, left_of(along)])

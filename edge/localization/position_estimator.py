@@ -98,7 +98,7 @@ class PositionEstimator:
 
     def __init__(self, config: Config, *listeners: Listener) -> None:
         self._config, self._listeners = config, listeners
-        self._sightings: Georeferencer | None = None
+        self._georeferencer: Georeferencer | None = None
         self._tracker: Tracker | None = None
         self._gps = GpsMonitor(config.gates)
         self._claims = EvidenceHistory(config.gates)
@@ -161,8 +161,8 @@ class PositionEstimator:
     @property
     def route(self) -> Route:
         """The drives of the maps that are searched."""
-        assert self._sightings is not None
-        return self._sightings.route
+        assert self._georeferencer is not None
+        return self._georeferencer.route
 
     @property
     def state(self) -> EstimatorState:
@@ -184,22 +184,22 @@ class PositionEstimator:
 
     def _use_maps(self, event: MapUpdate) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
-        if event.has_grown and self._sightings is not None:
-            self._sightings.route.grow(event.map_set)
+        if event.has_grown and self._georeferencer is not None:
+            self._georeferencer.route.grow(event.map_set)
             return
-        self._sightings = Georeferencer(Route(event.map_set), self._config)
-        self._tracker = Tracker(self._sightings, self._config)
-        self._gps.use_maps(self._sightings.route, self._config.rig)
+        self._georeferencer = Georeferencer(Route(event.map_set), self._config)
+        self._tracker = Tracker(self._georeferencer, self._config)
+        self._gps.use_maps(self._georeferencer.route, self._config.rig)
 
     def _use_frame(self, frame: ImageProcessed) -> None:
-        assert self._tracker is not None and self._sightings is not None
+        assert self._tracker is not None and self._georeferencer is not None
         match = frame.match
         self._is_recognized = match is not None and match.accepted
         tracker, believed = self._tracker, self._gps.believed(self._own)
         timestamp_sigma_m, before = frame.timestamp_sigma_s * (self._own.speed_mps or 0.0), self._motion
         yaw_rad = self._yaw_rad(frame.stamp_ns)
-        looked = None if match is None else self._sightings.pose_measurement(match, timestamp_sigma_m, yaw_rad)
-        is_compared = tracker.update(frame, looked, believed, timestamp_sigma_m, yaw_rad)
+        with_pose = None if match is None else self._georeferencer.pose_measurement(match, timestamp_sigma_m, yaw_rad)
+        is_compared = tracker.update(frame, with_pose, believed, timestamp_sigma_m, yaw_rad)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
         self._motion = frame.motion
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):

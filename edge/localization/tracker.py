@@ -47,7 +47,7 @@ Without it, vehicles that reversed for long or were ferried were up to 5 and 501
 instead, one that was towed 100 m in 12 s was sent positions 102 m off."""
 FAR_M = 1000.0
 """Distance from the origin of local meters at which a new origin is chosen."""
-LOOKED_NS = 1_000_000_000
+POSE_HOLDS_NS = 1_000_000_000
 """After a keypoint pose, in which a predicted position still has its inliers."""
 USUAL = 0.03
 """One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
@@ -88,11 +88,11 @@ class TrackScore:
         self.since_m = self.driven_m = self.confidence = 0.0
         self.by_chance = by_chance
 
-    def add(self, sighting: SequenceMatch, stamp_ns: int) -> None:
+    def add(self, measured: SequenceMatch, stamp_ns: int) -> None:
         """One more match that passed the test."""
-        self.newest, self.stamp_ns, self.since_m, self.disagreeing = sighting, stamp_ns, 0.0, 0
-        self.matches, self.confidence = self.matches + 1, max(self.confidence, sighting.match.confidence)
-        self.points = sighting.pose.inliers if sighting.pose else 0
+        self.newest, self.stamp_ns, self.since_m, self.disagreeing = measured, stamp_ns, 0.0, 0
+        self.matches, self.confidence = self.matches + 1, max(self.confidence, measured.match.confidence)
+        self.points = measured.pose.inliers if measured.pose else 0
 
     @property
     def is_confirmed(self) -> bool:
@@ -109,8 +109,8 @@ class TrackScore:
 class Tracker:
     """Follows the vehicle over the ground along the drives of a map."""
 
-    def __init__(self, sightings: Georeferencer, config: Config) -> None:
-        self._config, self._rig, self._sightings = config.tracking, config.rig, sightings
+    def __init__(self, georeferencer: Georeferencer, config: Config) -> None:
+        self._config, self._rig, self._georeferencer = config.tracking, config.rig, georeferencer
         self._assumed = self._config.scale_error_percent / 100
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
@@ -120,7 +120,7 @@ class Tracker:
 
     def reset(self) -> None:
         """No frame from before counts (after a blindness, or where the motion is not known), nor where it was."""
-        self._sightings.clear()
+        self._georeferencer.clear()
         self.is_checked = False
         """Whether the drive of the newest match moved as its vehicle did."""
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
@@ -137,12 +137,12 @@ class Tracker:
     def update(
         self,
         frame: ImageProcessed,
-        looked: SequenceMatch | None,
+        with_pose: SequenceMatch | None,
         own: AutopilotState,
         timestamp_sigma_m: float = 0.0,
         yaw_rad: float | None = None,
     ) -> bool:
-        """Use a frame; whether a place was compared with the state. looked: the match with the frame's keypoint pose.
+        """Use a frame; whether a place was compared with the state. with_pose: the match with its keypoint pose.
 
         own: the autopilot's state, as far as it is believed. yaw_rad: its heading at the exposure.
         """
@@ -152,15 +152,15 @@ class Tracker:
             self.reset()
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
-            self._sightings.clear()
+            self._georeferencer.clear()
             self._track = self._exposure = None
-        if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._sightings.length // 2:
-            self._sightings.clear()
+        if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._georeferencer.length // 2:
+            self._georeferencer.clear()
         self._at, self._last_ns = frame, frame.stamp_ns
         if before is not None and before.motion is not None:
             self._move(before, frame)
         if frame.in_line:
-            self._sightings.add(_vector(motion))
+            self._georeferencer.add(_vector(motion))
         gps_m = self._gps_m = self._gps(frame, own)
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
@@ -172,18 +172,18 @@ class Tracker:
         track = self._track
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
             self._track, self._exposure = None, None
-        sighting = None
+        measured = None
         is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M
         if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
-            sighting = self._sighting(match, looked, timestamp_sigma_m)
-        if sighting is not None:
-            self._use(sighting, own, frame.stamp_ns, is_evidence=is_evidence)
+            measured = self._measured(match, with_pose, timestamp_sigma_m)
+        if measured is not None:
+            self._use(measured, own, frame.stamp_ns, is_evidence=is_evidence)
         has_gps = gps_m is not None and self.follows_gps
         self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
-        if not has_gps and self._corrects_itself() and sighting is not None:
-            self._add(self._track or TrackScore(0.0), sighting, frame.stamp_ns)
+        if not has_gps and self._corrects_itself() and measured is not None:
+            self._add(self._track or TrackScore(0.0), measured, frame.stamp_ns)
         self._choose_origin()
-        return sighting is not None and is_evidence
+        return measured is not None and is_evidence
 
     def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
@@ -194,7 +194,7 @@ class Tracker:
             return None
         for_all = gps.sigma_m * GPS_SHARE
         self.bank.each(lambda state: state.expect_gps(for_all))
-        origin = self._sightings.origin = self._sightings.origin or (gps.lat_deg, gps.lon_deg)
+        origin = self._georeferencer.origin = self._georeferencer.origin or (gps.lat_deg, gps.lon_deg)
         gps_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, origin))
         off_m = gps_m - self.bank.right.position_m
         far_m = float(np.hypot(*off_m)) if self._is_placed and self.follows_gps else 0.0
@@ -244,9 +244,9 @@ class Tracker:
         return 0.0 if self._gps_m is None else float(np.hypot(*(self._gps_m - self.bank.of(name).position_m)))
 
     @property
-    def is_looked(self) -> bool:
+    def has_pose(self) -> bool:
         """Whether there was a keypoint pose within the last CORRELATION_M."""
-        return self.bank.right.since_look_m < CORRELATION_M
+        return self.bank.right.since_pose_m < CORRELATION_M
 
     def call_gps(self, name: Name) -> None:
         """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
@@ -279,62 +279,62 @@ class Tracker:
         None without a keypoint pose in the last CORRELATION_M.
         """
         state = self.bank.right
-        is_known = self._track is not None and state.since_look_m < CORRELATION_M
+        is_known = self._track is not None and state.since_pose_m < CORRELATION_M
         return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
 
-    def _sighting(
-        self, match: PlaceMatch, looked: SequenceMatch | None, timestamp_sigma_m: float
+    def _measured(
+        self, match: PlaceMatch, with_pose: SequenceMatch | None, timestamp_sigma_m: float
     ) -> SequenceMatch | None:
         """Where a match has the vehicle: by its keypoint pose, or else by its sequence."""
-        if looked is not None:
-            return looked
+        if with_pose is not None:
+            return with_pose
         # Where another place fits this frame better, the votes know the place, but no sequence ends in this frame.
         if match.uniqueness < 1 or match.sharpness < LEAST_SHARPNESS:
             return None
-        return self._sightings.of(match, timestamp_sigma_m)
+        return self._georeferencer.of(match, timestamp_sigma_m)
 
-    def _use(self, sighting: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
+    def _use(self, measured: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
         if not self._is_placed:
-            self._begin(sighting)
+            self._begin(measured)
         track = self._track
         if track is None:
-            track = TrackScore(self._by_chance(sighting))
+            track = TrackScore(self._by_chance(measured))
         if own.drives_itself:
-            lane_m = math.hypot(sighting.errors.lane_m, BESIDE_M)
-            sighting = dataclasses.replace(sighting, errors=dataclasses.replace(sighting.errors, lane_m=lane_m))
-        look, drive, errors = sighting.pose, sighting.drive, sighting.errors
+            lane_m = math.hypot(measured.errors.lane_m, BESIDE_M)
+            measured = dataclasses.replace(measured, errors=dataclasses.replace(measured.errors, lane_m=lane_m))
+        pose, drive, errors = measured.pose, measured.drive, measured.errors
 
         def use(state: Filter) -> bool:
             slot = state.slot(drive, errors)
-            if look is not None:
-                return measurements.by_look(state, slot, look, is_evidence=is_evidence)
-            return measurements.by_line(state, slot, sighting, is_evidence=is_evidence)
+            if pose is not None:
+                return measurements.by_pose(state, slot, pose, is_evidence=is_evidence)
+            return measurements.by_sequence(state, slot, measured, is_evidence=is_evidence)
 
-        self._compare_across(sighting)
+        self._compare_across(measured)
         if self.bank.each(use):
-            self._add(track, sighting, stamp_ns)
+            self._add(track, measured, stamp_ns)
         else:
             track.disagreeing += 1
 
-    def _add(self, track: TrackScore, sighting: SequenceMatch, stamp_ns: int) -> None:
+    def _add(self, track: TrackScore, measured: SequenceMatch, stamp_ns: int) -> None:
         """A match passed the innovation test."""
-        self._track, self.is_checked = track, sighting.mapped.checked_m > 0
-        track.add(sighting, stamp_ns)
+        self._track, self.is_checked = track, measured.mapped.checked_m > 0
+        track.add(measured, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
             self.bank.before = None
-        if track.matches >= FIRST or sighting.pose is None:
+        if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
 
-    def _begin(self, sighting: SequenceMatch) -> None:
+    def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
-        state, since_m = self.bank.right, sighting.midpoint.since_m
+        state, since_m = self.bank.right, measured.midpoint.since_m
         moved_m = state.truly(since_m[:2], since_m[2:])
-        state.place(sighting.midpoint.place_m + moved_m, ELSEWHERE_M**2 * np.eye(2))
+        state.place(measured.midpoint.place_m + moved_m, ELSEWHERE_M**2 * np.eye(2))
         self.bank.begin(state)
         self._is_placed = True
         self._is_begun = True
 
-    def _by_chance(self, sighting: SequenceMatch) -> float:
+    def _by_chance(self, measured: SequenceMatch) -> float:
         """Probability that a match anywhere along the road would be where it is expected.
 
         0 while what is known says which place within a correlation length it is.
@@ -342,23 +342,23 @@ class Tracker:
         if self._is_begun:
             self._is_begun = False
             return 0.0
-        along = sighting.midpoint.along
+        along = measured.midpoint.along
         reach_m = AGREE_SIGMAS * math.sqrt(float(along @ self.bank.right.spread @ along))
         return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
 
-    def _compare_across(self, sighting: SequenceMatch) -> None:
+    def _compare_across(self, measured: SequenceMatch) -> None:
         """A vehicle beside the road stays there until its motion says otherwise, whatever street matches."""
-        if sighting.pose is not None and self.bank.before is None:
+        if measured.pose is not None and self.bank.before is None:
             self.cross_track = None  # the pose measures the cross-track position
             return
-        state, left = (self.bank.before or self.bank.right).copy(), left_of(sighting.midpoint.along)
-        slot = state.slot(sighting.drive, sighting.errors)
-        if sighting.pose is not None:
-            off_m = float(left @ (sighting.pose.position_m - state.position_m))
+        state, left = (self.bank.before or self.bank.right).copy(), left_of(measured.midpoint.along)
+        slot = state.slot(measured.drive, measured.errors)
+        if measured.pose is not None:
+            off_m = float(left @ (measured.pose.position_m - state.position_m))
             rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
-            noise = float(left @ sighting.pose.pose_covariance[:2, :2] @ left)
+            noise = float(left @ measured.pose.pose_covariance[:2, :2] @ left)
         else:
-            both, innovation, noises = measurements.line_of(state, slot, sighting)
+            both, innovation, noises = measurements.sequence_innovation(state, slot, measured)
             rows, off_m, noise = both[1:], float(innovation[1]), float(noises[1, 1])
         sigma_m = math.sqrt(float((rows @ state.covariance @ rows.T)[0, 0]) + noise)
         if abs(off_m) > AGREE_SIGMAS * sigma_m:
@@ -370,7 +370,7 @@ class Tracker:
         """Without GPS, the vehicle is elsewhere, or its wheels slip, once that is a thousand times likelier."""
         bank = self.bank
         # By sequence matches alone, no vehicle is a lane further.
-        names: tuple[Name, ...] = ("lost", "beside", "slips") if self.is_looked else ("lost", "slips")
+        names: tuple[Name, ...] = ("lost", "beside", "slips") if self.has_pose else ("lost", "slips")
         if not self._is_placed or bank.evidence(*names) < CALL:
             return False
         name = max(names, key=bank.evidence)
@@ -459,25 +459,25 @@ class Tracker:
 
     def _choose_origin(self) -> None:
         """A new origin for local meters where the last one is far away."""
-        origin, shift_m = self._sightings.origin, self.bank.right.position_m.copy()
+        origin, shift_m = self._georeferencer.origin, self.bank.right.position_m.copy()
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
-        self._sightings.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
+        self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
         self.bank.each(lambda state: _shift(state, shift_m))
 
     def _fix(
         self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, yaw_rad: float | None
     ) -> PlaceFix | None:
-        newest, origin = track.newest, self._sightings.origin
+        newest, origin = track.newest, self._georeferencer.origin
         assert newest is not None
         match, sign = newest.match, 1 if newest.match.direction == "forward" else -1
-        found = self._sightings.position(match, newest.along_m + sign * since_m)
+        found = self._georeferencer.position(match, newest.along_m + sign * since_m)
         if found is None or found.heading_deg is None or origin is None:
             return None
         lat_deg, lon_deg = moved(*origin, float(state.position_m[0]), float(state.position_m[1]))
-        heading_rad, is_looked = math.radians(found.heading_deg), state.since_look_m < CORRELATION_M
+        heading_rad, has_pose = math.radians(found.heading_deg), state.since_pose_m < CORRELATION_M
         slot = state.newest
-        if is_looked and yaw_rad is not None and slot is not None:
+        if has_pose and yaw_rad is not None and slot is not None:
             heading_rad = yaw_rad + state.mean[HEADING] + state.mean[slot.aim]
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = state.spread
@@ -502,8 +502,8 @@ class Tracker:
             confidence=match.confidence,
             velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
             disputed=self._is_disputed,
-            by_lane=not is_looked,
-            points=(track.points or UNSET) if stamp_ns - track.stamp_ns < LOOKED_NS else UNSET,
+            by_lane=not has_pose,
+            points=(track.points or UNSET) if stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
             map=UNSET if match.map is None else match.map,
         )
 

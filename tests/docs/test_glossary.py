@@ -91,8 +91,6 @@ NAMES = re.compile(
 """Local names, functions and keys in words of earlier versions."""
 ORDINARY = re.compile(r"look_(ahead_\w+|sigma_m|key|alike)|_?look_up|_gps_steered_aside")
 """Keys that configs have, and ordinary English."""
-NOT_YET = {"measurements.py", "tracker.py", "position_estimator.py", "gps_monitor.py"}
-"""Files whose local names have some of them still."""
 WORDS = re.compile(
     r"\b(a|an|one|two|by|of|each|every|newest|last|first|further|single|all|no) looks?\b(?![ -](like|alike|at|up))"
     r"|\blooked at\b|\bsightings?\b|(?<!gps )\bdragged\b|\bthe newest matches disagree\b"
@@ -114,7 +112,7 @@ def tokens(*kinds: int) -> Iterator[tuple[str, str]]:
 
 def test_no_name_in_the_code_is_a_word_that_the_glossary_replaced() -> None:
     found = {(file, one) for file, one in tokens(tokenize.NAME) if NAMES.fullmatch(one)}
-    assert sorted(one for one in found if not ORDINARY.fullmatch(one[1]) and one[0] not in NOT_YET) == []
+    assert sorted(one for one in found if not ORDINARY.fullmatch(one[1])) == []
 
 
 def test_no_docstring_comment_message_or_page_has_a_word_that_the_glossary_replaced() -> None:
