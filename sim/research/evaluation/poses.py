@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
-from edge.feed import FeedImages, View, read_feed
+from edge.feed import FeedImages, FeedRow, View, read_feed
 from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
@@ -47,7 +47,7 @@ DRAWS = 100
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """What keypoint poses are off by, without any filter."""
-    mounts = _Mount(*args.map_mounted), _Mount(*args.mounted)
+    mounts = Mount(*args.map_mounted), Mount(*args.mounted)
     yield "| drive | with a pose | along-track | cross-track | heading | rms over sigma |"
     yield "|---" * 6 + "|"
     for drive, light in product(DRIVES, args.light or LIGHTS):
@@ -73,21 +73,21 @@ def keyframes_on_streets(args: argparse.Namespace) -> Iterator[str]:
 
 def _tables(args: argparse.Namespace, draws: int, repeats_m: float = 0) -> keyframes.Tables:
     """draws: drives of each light on each road."""
-    drives = [partial(_long, args.cache, _Mount(*args.mounted), repeats_m, draw) for draw in range(draws)]
-    return keyframes.Tables(args.seeds, partial(_long_map, args.cache, _Mount(*args.map_mounted), repeats_m), drives)
+    drives = [partial(_long, args.cache, Mount(*args.mounted), repeats_m, draw) for draw in range(draws)]
+    return keyframes.Tables(args.seeds, partial(_long_map, args.cache, Mount(*args.map_mounted), repeats_m), drives)
 
 
-def _long(folder: Path, mounted: _Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
+def _long(folder: Path, mounted: Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
     road_of = {"seed": road, "length_m": keyframes.LENGTH_M, "repeats_m": repeats_m}
     made = mounted.of(replace(DRIVES[drive][1], light=light, **road_of))
     name = f"{_named(road, repeats_m)}_{keyframes.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(
         draw
     )
-    return _drive(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), keyframes.SPACING_M)
+    return recorded(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), keyframes.SPACING_M)
 
 
-def _long_map(folder: Path, mounted: _Mount, repeats_m: float, road: int, view: View) -> ReferenceMap:
-    return _map(folder, road, view, mounted, keyframes.LENGTH_M, repeats_m)
+def _long_map(folder: Path, mounted: Mount, repeats_m: float, road: int, view: View) -> ReferenceMap:
+    return mapped(folder, road, view, mounted, keyframes.LENGTH_M, repeats_m)
 
 
 def _named(road: int, repeats_m: float) -> str:
@@ -95,7 +95,7 @@ def _named(road: int, repeats_m: float) -> str:
     return f"{road}_each{repeats_m:g}" if repeats_m else str(road)
 
 
-class _Mount(NamedTuple):
+class Mount(NamedTuple):
     """Degrees by which a camera looks down, and to the right."""
 
     down_deg: float
@@ -126,59 +126,79 @@ def _row(name: str, roads: Sequence[tuple[NDArray[np.float64], int]]) -> str:
 
 
 def _of_road(
-    folder: Path, drive: str, light: LightName, road: int, of_map: _Mount, mounted: _Mount
+    folder: Path, drive: str, light: LightName, road: int, of_map: Mount, mounted: Mount
 ) -> tuple[NDArray[np.float64], int]:
     """Of the vehicle's poses, not the camera's; as `_errors`."""
     view, made = DRIVES[drive]
-    reference = _map(folder, road, view, of_map)
+    reference = mapped(folder, road, view, of_map)
     scenario = mounted.of(replace(made, seed=road, light=light))
-    off, count = _errors(reference, _drive(folder / f"{road}_{drive}_{light}{mounted.name}", scenario, QUERY_M))
+    off, count = _errors(reference, recorded(folder / f"{road}_{drive}_{light}{mounted.name}", scenario, QUERY_M))
     off[:, 0, 2] -= np.radians(mounted.right_deg)
     return off, count
 
 
-def _drive(path: Path, scenario: Scenario, spacing_m: float) -> Path:
+def recorded(path: Path, scenario: Scenario, spacing_m: float) -> Path:
+    """The folder of a drive, which is recorded where it is not there yet."""
     if not path.exists():
         record_drive(scenario, path, spacing_m=spacing_m)
     return path
 
 
-def _map(
-    folder: Path, road: int, view: View, mounted: _Mount, length_m: float = LENGTH_M, repeats_m: float = 0
+def mapped(
+    folder: Path, road: int, view: View, mounted: Mount, length_m: float = LENGTH_M, repeats_m: float = 0
 ) -> ReferenceMap:
+    """A road's map, which is made where it is not there yet."""
     name = f"{_named(road, repeats_m)}_{length_m:g}m_{view}{mounted.name}"
     path = folder / f"{name}_map"
     if not path.exists():
         scenario = mounted.of(Scenario(road, length_m, repeats_m, view=view, drive_seed=11))
-        feed = _drive(folder / name, scenario, 2.0)
+        feed = recorded(folder / name, scenario, 2.0)
         key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
         build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), network=network, keypoints=key)
     return open_map(path, every_file=True)
 
 
-def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
-    """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
-    network, feed = KeypointNetwork(), read_feed(query)
-    places, images = reference.places, FeedImages(feed)
-    origin = (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
-    at = east_north(places["lat_deg"], places["lon_deg"], origin)
-    faces_back = np.pi * (reference.header.segments[0].view == "rear")
-    found = []
-    for index, row in enumerate(feed.rows):
+class Truth:
+    """Where a drive's frames are beside the places of a map."""
+
+    def __init__(self, reference: ReferenceMap) -> None:
+        self._places = places = reference.places
+        self._origin = (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
+        self._at_m = east_north(places["lat_deg"], places["lon_deg"], self._origin)
+        faces_back = np.pi * (reference.header.segments[0].view == "rear")
+        self._headings = np.radians(places["heading_deg"]) + faces_back
+
+    def near(self, row: FeedRow) -> range:
+        """Places around the one nearest to a frame."""
+        nearest = int(np.hypot(*(self._at_m - self._here(row)).T).argmin())
+        return range(max(0, nearest - AROUND), min(len(self._places), nearest + AROUND + 1))
+
+    def off(self, row: FeedRow, place: int, pose: tuple[float, float, float]) -> NDArray[np.float64]:
+        """What a pose beside a place is off by (3,): all in meters right and ahead, and radians turned."""
+        assert row.heading_deg is not None
+        heading = float(self._headings[place])
+        right, ahead = _turned(self._here(row) - self._at_m[place], heading)
+        turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
+        return np.asarray(np.array(pose) - np.array([right, ahead, turn]))
+
+    def _here(self, row: FeedRow) -> NDArray[np.float64]:
         assert row.lat_deg is not None
         assert row.lon_deg is not None
-        assert row.heading_deg is not None
-        here = east_north(np.array([row.lat_deg]), np.array([row.lon_deg]), origin)[0]
-        nearest = int(np.hypot(*(at - here).T).argmin())
+        (here,) = east_north(np.array([row.lat_deg]), np.array([row.lon_deg]), self._origin)
+        return np.asarray(here)
+
+
+def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
+    """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
+    network, feed, where = KeypointNetwork(), read_feed(query), Truth(reference)
+    images = FeedImages(feed)
+    found = []
+    for index, row in enumerate(feed.rows):
         keypoints = network.extract(images.read(index))
-        tried = range(max(0, nearest - AROUND), min(len(places), nearest + AROUND + 1))
-        poses = [(pose, place) for place in tried if (pose := _pose(reference, place, keypoints)) is not None]
+        poses = [(pose, place) for place in where.near(row) if (pose := _pose(reference, place, keypoints)) is not None]
         if poses:
             pose, place = max(poses, key=lambda one: one[0].inliers)
-            heading = np.radians(places["heading_deg"][place]) + faces_back
-            right, ahead = _turned(here - at[place], heading)
-            turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
-            off = np.array([pose.right_m - right, pose.ahead_m - ahead, pose.turn_rad - turn])
+            off = where.off(row, place, (pose.right_m, pose.ahead_m, pose.turn_rad))
             found.append((off, np.sqrt(np.diag(pose.covariance))))
     images.close()
     return np.array(found), len(feed.rows)
