@@ -46,12 +46,12 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 700,
-    "sim/research": 4550,
+    "sim/research": 4650,
     "sim/shadow": 600,
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35_350,
+    "tests": 35_400,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 
