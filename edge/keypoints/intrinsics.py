@@ -34,11 +34,6 @@ DOUBTFUL, WRONG, BEYOND_DOUBT = 0.004, 0.5, 0.99
 """How probable it is that it is wrong, from where on poses are wider, are by the camera found, and people are told."""
 KNOWN_SIGMA, TELLS = 0.03, (0.015, 0.03)
 """Of the focal length, from which on people are told; and by what at least focal length or k1 is wrong then."""
-PICTURE_SIGMA = 0.03, 0.04
-"""Of what one picture says, besides that of its points: those agree that fit a pose which the camera makes wrong."""
-UNSHOWN = 0.3
-"""How probable it counts at least that a config is wrong which pictures have not shown to be right: what is off by
-as much as another camera makes it is then within two sigmas."""
 SHARED, KEPT, OUTLIER_CHI2 = 2.0, 32.0, 16.0
 """Pictures that count as one, since neighbors err alike; those whose sum counts; and from where on what one says counts
 less."""
@@ -120,12 +115,8 @@ class CameraEvidence:
     def with_picture(self, said: Intrinsics, share: float = 1 / SHARED) -> CameraEvidence:
         """After a further one, which said this by itself; share: of it that is news."""
         before, apart = self.known, said.values - self.known.values
-        covariance = said.covariance + np.diag(np.square(PICTURE_SIGMA))
-        chi2 = float(apart @ np.linalg.solve(before.covariance + covariance, apart))
-        news, kept = (
-            np.linalg.inv(covariance) * share / max(1.0, chi2 / OUTLIER_CHI2),
-            self.said.information * (1 - 1 / KEPT),
-        )
+        chi2 = float(apart @ np.linalg.solve(before.covariance + said.covariance, apart))
+        news, kept = said.information * share / max(1.0, chi2 / OUTLIER_CHI2), self.said.information * (1 - 1 / KEPT)
         values = np.linalg.solve(kept + news, kept @ self.said.values + news @ said.values)
         return CameraEvidence(Intrinsics(np.asarray(values), kept + news))
 
@@ -151,11 +142,6 @@ class CameraEvidence:
             chi2 = float(self.said.values @ np.linalg.solve(spread, self.said.values))
             logs.append((chi2 + float(np.linalg.slogdet(spread)[1])) / 2)
         return 1 / (1 + RIGHT * math.exp(min(logs[1] - logs[0], 500.0)))
-
-    def doubt_with(self, said: Intrinsics, share: float) -> float:
-        """How probable it counts that the config is wrong for the pose of a picture that says this by itself."""
-        doubt = self.with_picture(said, share).doubt
-        return 0.0 if doubt < DOUBTFUL else max(doubt, UNSHOWN)
 
     def difference(self, configured_deg: float) -> CameraDifference | None:
         """The pictures' camera, where the config's has a horizontal field of view; None: not known."""

@@ -29,6 +29,9 @@ CAUTION = -1.5
 """The power of the share of points that agree by which errors exceed the sigmas of least squares: matches nearby, and
 points of the same rows, err alike, and where many disagree, those that agree are worse. Set on
 the roads 9701 and 9702; docs/keypoints.md has what it is worth on others."""
+CAMERA_CAUTION = 2.0
+"""By which variances exceed those of least squares where they are due to the camera: its first pictures are the
+worst."""
 KERNEL = 2.0
 """Sigmas at which a match has a quarter of its weight; it agrees up to twice that."""
 WIDEST = 4.0
@@ -73,11 +76,12 @@ class RelativePose:
             self, right_m=right_m, ahead_m=ahead_m, turn_rad=own, covariance=frame @ self.covariance @ frame.T
         )
 
-    def widened(self, other: RelativePose, share: float) -> RelativePose:
-        """As uncertain as if, with this probability, the other one were right."""
+    def mixed(self, other: RelativePose, share: float) -> RelativePose:
+        """This one, or with this probability the other: mean and spread of both, with the points of this one."""
         apart = (other.start - self.start)[0]
-        either = (1 - share) * self.covariance + share * other.covariance + share * np.outer(apart, apart)
-        return replace(self, covariance=either)
+        right_m, ahead_m, turn = (self.start[0] + share * apart).tolist()
+        spread = (1 - share) * self.covariance + share * other.covariance + share * (1 - share) * np.outer(apart, apart)
+        return replace(self, right_m=right_m, ahead_m=ahead_m, turn_rad=turn, covariance=spread)
 
     @property
     def start(self) -> NDArray[np.float64]:
@@ -129,24 +133,20 @@ def solve_pnp(
     worse = float(agrees.mean()) ** (2 * CAUTION)
     likely = np.exp((costs[best] - costs) * len(seen) * KERNEL**2 / (2 * worse))
     away = (cameras - cameras[best])[:, :3]
-    each = _covariances(found, worse, known) + away[:, :, np.newaxis] * away[:, np.newaxis]
+    each = worse * _covariances(found) + away[:, :, np.newaxis] * away[:, np.newaxis]
     covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
     right_m, ahead_m, turn = cameras[best, :3].tolist()
     alone = None if known is None else _alone(cameras[best, 4:], found[best], known, worse)
     return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]), intrinsics=alone)
 
 
-def _covariances(information: NDArray[np.float64], worse: float, known: Intrinsics | None) -> NDArray[np.float64]:
-    """Of right, ahead and turned (S, 3, 3), by the information (S, U, U) of all unknowns.
-
-    What the picture itself says of its camera does not make them narrower: it is wrong where the pose is.
-    """
-    of_pose = np.linalg.inv(information[:, :4, :4])
-    covariance = worse * of_pose[:, :3, :3]
-    if known is not None:
-        by_camera = -(of_pose @ information[:, :4, 4:])[:, :3]
-        covariance = covariance + by_camera @ known.covariance @ by_camera.transpose(0, 2, 1)
-    return np.asarray(covariance)
+def _covariances(information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of right, ahead and turned (S, 3, 3), by the information (S, U, U) of all unknowns."""
+    covariance = np.linalg.inv(information)[:, :3, :3]
+    if information.shape[1] == 4:
+        return np.asarray(covariance)
+    with_camera_known = np.linalg.inv(information[:, :4, :4])[:, :3, :3]
+    return np.asarray(covariance + (CAMERA_CAUTION - 1) * (covariance - with_camera_known))
 
 
 def _before(known: Intrinsics | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from edge.config import Config, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints
-from edge.keypoints.intrinsics import SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
+from edge.keypoints.intrinsics import DOUBTFUL, SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
 from edge.keypoints.pose import STARTS, RelativePose, pose_to_keyframe
@@ -154,11 +154,11 @@ class PlaceVerification:
         camera = self._camera_at(place)
         self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
         self.camera = after.difference(camera[0]) or self.camera
-        doubt = evidence.doubt_with(own.intrinsics, _share_of(own))
-        if evidence.doubt > WRONG or not doubt:
+        doubt = evidence.with_picture(own.intrinsics, share=_share_of(own)).doubt
+        if evidence.doubt > WRONG or doubt < DOUBTFUL:
             return by_config  # or already by the camera that was found
         other = self._pose(query, place, pose.start, evidence.known)
-        return by_config if other is None else by_config.widened(_as_supported(other), doubt)
+        return by_config if other is None else by_config.mixed(_as_supported(other), doubt)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
