@@ -78,7 +78,7 @@ def _row(name: str, drives: Sequence[_Drive]) -> str:
 
 
 def _drive(folder: Path, road: int, drive: str, light: LightName, camera: CameraModel) -> _Drive:
-    level = poses.Mount(0.0, 0.0)
+    level = poses.Mounting(0.0, 0.0)
     view, made = poses.DRIVES[drive]
     scenario = replace(made, seed=road, light=light, fov_deg=WIDE.fov_deg, width=WIDE.width, height=WIDE.height)
     query = poses.recorded(folder / f"{road}_{drive}_{light}_wide", scenario, poses.QUERY_M)

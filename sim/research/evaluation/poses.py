@@ -47,7 +47,7 @@ DRAWS = 100
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """What keypoint poses are off by, without any filter."""
-    mounts = Mount(*args.map_mounted), Mount(*args.mounted)
+    mounts = Mounting(*args.map_mounted), Mounting(*args.mounted)
     yield "| drive | with a pose | along-track | cross-track | heading | rms over sigma |"
     yield "|---" * 6 + "|"
     for drive, light in product(DRIVES, args.light or LIGHTS):
@@ -73,11 +73,13 @@ def keyframes_on_streets(args: argparse.Namespace) -> Iterator[str]:
 
 def _tables(args: argparse.Namespace, draws: int, repeats_m: float = 0) -> keyframes.Tables:
     """draws: drives of each light on each road."""
-    drives = [partial(_long, args.cache, Mount(*args.mounted), repeats_m, draw) for draw in range(draws)]
-    return keyframes.Tables(args.seeds, partial(_long_map, args.cache, Mount(*args.map_mounted), repeats_m), drives)
+    drives = [partial(_long, args.cache, Mounting(*args.mounted), repeats_m, draw) for draw in range(draws)]
+    return keyframes.Tables(args.seeds, partial(_long_map, args.cache, Mounting(*args.map_mounted), repeats_m), drives)
 
 
-def _long(folder: Path, mounted: Mount, repeats_m: float, draw: int, road: int, drive: str, light: LightName) -> Path:
+def _long(
+    folder: Path, mounted: Mounting, repeats_m: float, draw: int, road: int, drive: str, light: LightName
+) -> Path:
     road_of = {"seed": road, "length_m": keyframes.LENGTH_M, "repeats_m": repeats_m}
     made = mounted.of(replace(DRIVES[drive][1], light=light, **road_of))
     name = f"{_named(road, repeats_m)}_{keyframes.LENGTH_M:g}m_{drive}_{light}{mounted.name}" + f"_draw{draw}" * bool(
@@ -86,7 +88,7 @@ def _long(folder: Path, mounted: Mount, repeats_m: float, draw: int, road: int, 
     return recorded(folder / name, replace(made, drive_seed=made.drive_seed + DRAWS * draw), keyframes.SPACING_M)
 
 
-def _long_map(folder: Path, mounted: Mount, repeats_m: float, road: int, view: View) -> ReferenceMap:
+def _long_map(folder: Path, mounted: Mounting, repeats_m: float, road: int, view: View) -> ReferenceMap:
     return mapped(folder, road, view, mounted, keyframes.LENGTH_M, repeats_m)
 
 
@@ -95,7 +97,7 @@ def _named(road: int, repeats_m: float) -> str:
     return f"{road}_each{repeats_m:g}" if repeats_m else str(road)
 
 
-class Mount(NamedTuple):
+class Mounting(NamedTuple):
     """Degrees by which a camera looks down, and to the right."""
 
     down_deg: float
@@ -126,7 +128,7 @@ def _row(name: str, roads: Sequence[tuple[NDArray[np.float64], int]]) -> str:
 
 
 def _of_road(
-    folder: Path, drive: str, light: LightName, road: int, of_map: Mount, mounted: Mount
+    folder: Path, drive: str, light: LightName, road: int, of_map: Mounting, mounted: Mounting
 ) -> tuple[NDArray[np.float64], int]:
     """Of the vehicle's poses, not the camera's; as `_errors`."""
     view, made = DRIVES[drive]
@@ -145,7 +147,7 @@ def recorded(path: Path, scenario: Scenario, spacing_m: float) -> Path:
 
 
 def mapped(
-    folder: Path, road: int, view: View, mounted: Mount, length_m: float = LENGTH_M, repeats_m: float = 0
+    folder: Path, road: int, view: View, mounted: Mounting, length_m: float = LENGTH_M, repeats_m: float = 0
 ) -> ReferenceMap:
     """A road's map, which is made where it is not there yet."""
     name = f"{_named(road, repeats_m)}_{length_m:g}m_{view}{mounted.name}"
