@@ -167,6 +167,15 @@ def test_what_the_camera_is_turned_by_is_the_vehicles_heading(road: Road) -> Non
     assert one.place is not None and (one.place.heading_deg, one.place.points) == (180.0, UNSET), "then of the road"
 
 
+def test_a_pose_that_takes_a_turn_for_a_shift_moves_no_vehicle(road: Road) -> None:
+    """Of far points both look alike: 5 m to the side and 5 degrees turned, where the heading is known to a degree."""
+    one = homeward(road)
+    sigmas = np.array([1.2, 0.4, math.radians(1.2)])
+    alike = np.array([[1.0, 0.0, 0.95], [0.0, 1.0, 0.0], [0.95, 0.0, 1.0]])
+    one.go(10.0, looks(road, 1.5 + 5.0, turn_deg=5.0, covariance=alike * np.outer(sigmas, sigmas)))
+    assert left_m(one.place) == pytest.approx(1.5, abs=0.5)
+
+
 def test_how_far_cameras_are_ahead_of_their_antennas_is_taken_off_or_is_not_known(road: Road) -> None:
     measured = homeward(road, settings(RigConfig(look_ahead_reverse_m=1.2, look_sigma_m=0.1)))
     assert north_m(measured.place) == pytest.approx(measured.north_m + 1.2, abs=0.05)
