@@ -315,6 +315,14 @@ def test_looks_find_the_heading_error_of_the_velocity_and_not_that_of_the_camera
     assert one.drive.state.heading_error is None, "looks are far behind"
 
 
+@pytest.mark.parametrize(("askew_deg", "points"), [(12.0, 40), (16.0, None)])
+def test_poses_of_a_camera_that_is_mounted_far_askew_do_not_count(
+    road: Road, askew_deg: float, points: int | None
+) -> None:
+    place = homeward(road, sees=looks(road, turn_deg=askew_deg)).place
+    assert (place.points if place else None) == points
+
+
 def test_a_vehicle_that_flies_to_the_side_has_no_heading_error_by_that(road: Road) -> None:
     one = Vehicle(road, MEASURED, 390.0, "reverse")
     one.nose_deg = 40.0
