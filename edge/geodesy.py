@@ -68,6 +68,11 @@ def worse_source(before: PositionSource, after: PositionSource) -> PositionSourc
     return next((source for source in WORST_FIRST if source in (before, after)), after)
 
 
+def heading_between(before_deg: float, after_deg: float, share: float) -> float:
+    """A heading at that share of the way from one to another, the shorter way round; past 1 as it went on turning."""
+    return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360
+
+
 def first_known(lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]) -> Origin | None:
     """The first position of (N,) degrees, None if all are NaN."""
     known = np.flatnonzero(~np.isnan(lat_deg))

@@ -16,6 +16,7 @@ Pure: no link, no clock, no file. Daemon, trial and the replays of recorded driv
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from typing import TypeAlias
 from msgspec import Struct
 
 from edge.config import Config
+from edge.geodesy import heading_between
 from edge.journal.records import PlaceFix
 from edge.localization.autopilot_covariance import AutopilotCovariance, Drift
 from edge.localization.dead_reckoning import Odometry
@@ -104,7 +106,7 @@ class PositionEstimator:
         self._claims = EvidenceHistory(config.gates)
         self._bound = AutopilotCovariance(config.gates.drift_percent / 100)
         self._own = AutopilotState()
-        self._headings: deque[tuple[int, float]] = deque(maxlen=KEPT_HEADINGS)  # the autopilot's: stamp, radians
+        self._headings: deque[tuple[int, float]] = deque(maxlen=KEPT_HEADINGS)  # the autopilot's: stamp, degrees
         self._moved: Odometry | None = None
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
@@ -221,12 +223,11 @@ class PositionEstimator:
 
     def _yaw_rad(self, stamp_ns: int) -> float | None:
         """The autopilot's heading at an exposure; None where it has reported none around then."""
-        later = (at for at, (then_ns, _) in enumerate(self._headings) if then_ns >= stamp_ns)
-        last = next(later, len(self._headings) - 1)
+        last = min(bisect_left(self._headings, (stamp_ns,)), len(self._headings) - 1)
         if last < 1 or abs(stamp_ns - self._headings[last][0]) > HEADINGS_APART_NS:
             return None
-        (one_ns, one_rad), (next_ns, next_rad) = self._headings[last - 1], self._headings[last]
-        return one_rad + math.remainder(next_rad - one_rad, math.tau) * (stamp_ns - one_ns) / (next_ns - one_ns)
+        (before_ns, before_deg), (after_ns, after_deg) = self._headings[last - 1], self._headings[last]
+        return math.radians(heading_between(before_deg, after_deg, (stamp_ns - before_ns) / (after_ns - before_ns)))
 
     def _drift(self, fix: PlaceFix | None) -> Drift:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
@@ -259,10 +260,9 @@ class PositionEstimator:
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own
-        if own.position is not None and own.position.heading_deg is not None:
-            heading = own.position.stamp_ns, math.radians(own.position.heading_deg)
-            if not self._headings or heading[0] > self._headings[-1][0]:
-                self._headings.append(heading)
+        position, newest_ns = own.position, self._headings[-1][0] if self._headings else -1
+        if position is not None and position.heading_deg is not None and position.stamp_ns > newest_ns:
+            self._headings.append((position.stamp_ns, position.heading_deg))
         believed = self._gps.believed(own)
         self._bound.move(own)
         if believed.gps_sigma_m is not None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Generic, TypeVar
 
-from edge.geodesy import VehiclePosition, east_north_of, moved, worse_source
+from edge.geodesy import VehiclePosition, east_north_of, heading_between, moved, worse_source
 
 T = TypeVar("T")
 KEPT_POSITIONS = 64
@@ -98,19 +98,15 @@ def _between(before: VehiclePosition, after: VehiclePosition, stamp_ns: int) -> 
         lat_deg=lat_deg,
         lon_deg=lon_deg,
         alt_m=before.alt_m + share * (after.alt_m - before.alt_m),
-        heading_deg=_heading_between(before.heading_deg, after.heading_deg, share),
+        heading_deg=None
+        if before.heading_deg is None or after.heading_deg is None
+        else heading_between(before.heading_deg, after.heading_deg, share),
         speed_mps=before.speed_mps + share * (after.speed_mps - before.speed_mps),
         north_mps=before.north_mps + share * (after.north_mps - before.north_mps),
         east_mps=before.east_mps + share * (after.east_mps - before.east_mps),
         sigma_m=None if before.sigma_m is None or after.sigma_m is None else max(before.sigma_m, after.sigma_m),
         source=worse_source(before.source, after.source),
     )
-
-
-def _heading_between(before_deg: float | None, after_deg: float | None, share: float) -> float | None:
-    if before_deg is None or after_deg is None:
-        return None
-    return (before_deg + share * ((after_deg - before_deg + 180) % 360 - 180)) % 360
 
 
 def jumped(before: VehiclePosition, after: VehiclePosition) -> bool:

@@ -68,13 +68,17 @@ def _row(name: str, drives: Sequence[_Drive]) -> str:
     spread = np.maximum(*position)
     (right, nearly_right), (ahead, nearly_ahead) = np.percentile(np.abs(off[:, :2]), (50, 95), axis=0).T
     found = [one.found for one in drives if one.found is not None]
-    fov_deg, k1 = (sorted(values) for values in zip(*((one.fov_deg, one.k1) for one in found), strict=True))
     return (
         f"| {name} | {len(off)} | {ahead:.2f} / {nearly_ahead:.2f} m | {np.median(sigmas[:, 1]):.2f} m"
         f" | {right:.2f} / {nearly_right:.2f} m | {(spread > 3).sum()}, {(spread > 4).sum()}"
         f" | {(heading > 3).sum()}, {(heading > 4).sum()}"
-        f" | {fov_deg[0]:.1f} to {fov_deg[-1]:.1f} | {k1[0]:.2f} to {k1[-1]:.2f} |"
+        f" | {_range([one.fov_deg for one in found], 1)} | {_range([one.k1 for one in found], 2)} |"
     )
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    """From the least to the greatest; "-" where no drive has found one."""
+    return f"{min(values):.{digits}f} to {max(values):.{digits}f}" if values else "-"
 
 
 def _drive(folder: Path, road: int, drive: str, light: LightName, camera: CameraModel) -> _Drive:
