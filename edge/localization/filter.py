@@ -325,12 +325,13 @@ class Filter:
 
     def weigh(
         self, spread: Matrix, innovation: Vector, anywhere: float, second: tuple[float, Matrix] | None = None
-    ) -> None:
-        """Add the likelihood of an innovation with its covariance; the others: see `correct`."""
-        density = _normal(spread, innovation)[2]
+    ) -> tuple[float, Matrix, float]:
+        """Add the likelihood of an innovation with its covariance, returns its `_normal`; the others: see `correct`."""
+        density = (normal := _normal(spread, innovation))[2]
         if second is not None:
             density += second[0] * (_normal(spread + second[1], innovation)[2] - density)
         self.likelihood += math.log((1 - OUTLIERS) * density + OUTLIERS * anywhere)
+        return normal
 
     def pull(self, rows: Matrix, innovation: Vector, variance: float) -> None:
         """Correct the position alone, whatever else would explain the innovation."""
@@ -357,9 +358,7 @@ class Filter:
         """
         shared = self.covariance @ rows.T
         spread = rows @ shared + noise
-        if anywhere:
-            self.weigh(spread, innovation, anywhere, second)
-        chi2, inverse, _ = _normal(spread, innovation)
+        chi2, inverse, _ = self.weigh(spread, innovation, anywhere, second) if anywhere else _normal(spread, innovation)
         if chi2 > GATE[len(innovation)]:
             return False
         gain = shared @ inverse
@@ -371,9 +370,11 @@ class Filter:
 
 def _normal(spread: Matrix, off: Vector) -> tuple[float, Matrix, float]:
     """The square in standard deviations, the inverse of the covariance, and the density."""
-    inverse = np.linalg.inv(spread).astype(np.float64, copy=False)
+    # A single number, as most are: to the last bit what LAPACK has.
+    inverse = 1 / spread if len(off) == 1 else np.linalg.inv(spread).astype(np.float64, copy=False)
+    determinant = float(spread[0, 0] if len(off) == 1 else np.linalg.det(spread))
     chi2 = float(off @ inverse @ off)
-    return chi2, inverse, math.exp(-chi2 / 2) / math.sqrt(math.tau ** len(off) * float(np.linalg.det(spread)))
+    return chi2, inverse, math.exp(-chi2 / 2) / math.sqrt(math.tau ** len(off) * determinant)
 
 
 def turned(vector: Vector, clockwise_rad: float) -> Vector:

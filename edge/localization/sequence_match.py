@@ -221,7 +221,7 @@ def _course_rad(moved_m: Vector) -> float:
 
 def left_of(along: Vector) -> Vector:
     """The unit vectors (..., 2) to the left of others."""
-    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    return np.asarray(along[..., ::-1] * np.array([-1.0, 1.0]))
 
 
 def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:
