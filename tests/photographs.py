@@ -67,6 +67,7 @@ class PhotographedStreet:
         focal_px = width / 2 / np.tan(np.radians(fov_deg) / 2)
         shown = np.full((height, width, 3), 210, np.uint8)
         shown[height // 2 :] = 90
+        columns, rows = np.arange(width), np.arange(height)[:, np.newaxis]
         for image, corners in self._panels:
             x, y, z = (corners - (right_m, 0.0, ahead_m)).T
             if z.max() < NEAR_M or z.min() > SHOWN_M:
@@ -79,8 +80,7 @@ class PhotographedStreet:
             camera = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1]])
             to_texture = np.linalg.inv(camera @ texture)
             seen = cv2.warpPerspective(image, to_texture, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-            columns, rows = np.meshgrid(np.arange(width), np.arange(height))
-            u, v, w = np.tensordot(to_texture, np.stack([columns, rows, np.ones_like(rows)]).astype(float), axes=1)
+            u, v, w = (row[0] * columns + (row[1] * rows + row[2]) for row in to_texture)
             inside = (w > 0) & (u >= 0) & (v >= 0) & (u <= w * (image.shape[1] - 1)) & (v <= w * (image.shape[0] - 1))
             shown[inside] = seen[inside]
         return shown

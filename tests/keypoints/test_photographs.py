@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,17 @@ def test_the_pose_of_a_stereo_pair_is_its_baseline() -> None:
     assert np.degrees(found.turn_rad) == pytest.approx(0, abs=0.3)
 
 
-def bent(straight: Image) -> Image:
-    """A picture of STRAIGHT_SIZE as EuRoC's lens shows it."""
+@cache
+def through_lens() -> NDArray[np.float32]:
+    """Where each pixel of a picture through EuRoC's lens is in one of STRAIGHT_SIZE: x, y, (H, W, 2)."""
     wide, camera = CameraModel(*STRAIGHT_SIZE, STRAIGHT_DEG), CameraModel(*SIZE, FOV_DEG, EUROC)
     pixels = np.stack(np.meshgrid(*(np.arange(float(side)) for side in SIZE)), axis=-1)
-    at = (camera.directions(pixels) * wide.focal_px + wide.middle).astype(np.float32)
+    return (camera.directions(pixels) * wide.focal_px + wide.middle).astype(np.float32)
+
+
+def bent(straight: Image) -> Image:
+    """A picture of STRAIGHT_SIZE as EuRoC's lens shows it."""
+    at = through_lens()
     return np.asarray(cv2.remap(straight, at[..., 0], at[..., 1], cv2.INTER_AREA), np.uint8)
 
 
