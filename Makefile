@@ -9,9 +9,9 @@ PYTHON_OF_TESTS ?= $(BIN)/python
 export PYTHONDONTWRITEBYTECODE :=
 # As in lookback.service. A second thread of OpenBLAS waits by spinning: beside other workers tests took up to 9 times
 # as much of the processors.
-benchmark flights smoke test test-long test-core test-python test-kernels soak: export OMP_NUM_THREADS := 1
-benchmark flights smoke test test-long test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
-benchmark flights smoke test test-long test-core test-python test-kernels soak: export OPENCV_FOR_THREADS_NUM := 1
+benchmark flights smoke test test-long test-all test-core test-python test-kernels soak: export OMP_NUM_THREADS := 1
+benchmark flights smoke test test-long test-all test-core test-python soak: export OPENBLAS_NUM_THREADS := 1
+benchmark flights smoke test test-long test-all test-core test-python test-kernels soak: export OPENCV_FOR_THREADS_NUM := 1
 # Two more than processors, since some tests wait: 311 s instead of 324 on two. GNU's nproc counts one where OMP_NUM_THREADS is 1.
 # CHANGED=1: only the tests of what this branch has changed; CHANGED=COMMIT: of what has changed since then.
 CHANGED_TESTS = $(if $(CHANGED),$(or $(shell $(BIN)/python -m tests.changed $(filter-out 1,$(CHANGED))),$(error CHANGED=$(CHANGED): no such commit)))
@@ -25,7 +25,7 @@ NOT_CORE := sim docs faults firmware_config hardware systemd
 ALIKE := commands/test_real_feeds.py plugins/doctor/test_doctor.py plugins/mapping/test_mapping_plugin.py \
 	plugins/mapping/test_own_motion.py plugins/mapping/test_outage.py plugins/motion
 
-.PHONY: demo flights test test-long test-core test-python test-kernels test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
+.PHONY: demo flights test test-long test-all test-core test-python test-pythons test-kernels test-lowest test-newest test-boot soak check lint smoke bench bench-quick dist lock
 .PHONY: benchmark clean docs notebook
 
 demo: $(VENV)/.demo
@@ -38,6 +38,10 @@ test: $(VENV)/.dev
 
 test-long: $(VENV)/.dev
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m 'long and not soak'
+
+# Both at once: what is rendered, described or driven for one is there for the other, and no processor waits between them.
+test-all: $(VENV)/.dev
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(WITH_LONG)
 
 # The tests of edge/ and its plug-ins alone, for a Python beside the one of .venv.
 test-core:
@@ -66,6 +70,9 @@ test-python:
 		$(addprefix tests/,camera commands feed health journal plugins) $(addprefix tests/telemetry/test_,$(SOCKETS)) \
 		$(addprefix tests/test_,$(WHOLE)) tests/reference_map/test_store.py tests/faults/test_bad_configs.py \
 		tests/recognition/test_warm_start_file.py
+
+test-pythons: $(VENV)/.dev
+	.ci/pythons
 
 # The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
 LOWEST_PYTHON ?= python3.10
@@ -103,7 +110,7 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(env -u OMP_NUM_THREADS nproc) -o soak
 
-check: lint docs test test-long test-kernels smoke
+check: lint docs test-all test-kernels smoke
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
