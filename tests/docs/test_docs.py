@@ -225,6 +225,17 @@ def test_every_hazard_has_tests_that_exist_and_courses_that_are_driven() -> None
     assert [one for one in patterns if not fnmatch.filter(COURSES, one)] == []
 
 
+def test_every_point_on_robustness_has_tests_that_exist() -> None:
+    page = (ROOT / "docs/robustness.md").read_text(encoding="utf-8")
+    with (ROOT / "docs/robustness.csv").open(encoding="utf-8", newline="") as file:
+        tests = {one["begins"]: one["tests"].split() for one in csv.DictReader(file)}
+    for begins, names in tests.items():
+        assert re.search(rf"^(- )?{re.escape(begins)}", page, re.MULTILINE), begins
+        assert names and set(names) <= names_of_tests(), begins
+    points = re.findall(r"^- (.*)$", page, re.MULTILINE)
+    assert [one for one in points if sum(map(one.startswith, tests)) != 1] == []
+
+
 def test_every_example_is_linked_and_is_a_program() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     for example in (ROOT / "docs/examples").iterdir():
