@@ -72,7 +72,7 @@ test-python:
 		tests/recognition/test_warm_start_file.py
 
 test-pythons: $(VENV)/.dev
-	.ci/pythons
+	MAKEFLAGS= .ci/pythons
 
 # The same on the lowest version of each dependency and on the newest, each in its own environment: wheels only.
 LOWEST_PYTHON ?= python3.10

@@ -8,7 +8,7 @@ import shutil
 import socket
 import threading
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -44,7 +44,7 @@ def shown_on(port: int) -> Iterator[dict[str, float]]:
 
 @pytest.mark.parametrize("fov_deg", [66.0, pytest.param(80.0, marks=pytest.mark.long)])
 def test_a_wrong_field_of_view_is_told_once_and_a_right_one_never(
-    fov_deg: float, tmp_path: Path, network: Network
+    fov_deg: float, tmp_path: Path, network: Network, make_once: Callable[..., Path]
 ) -> None:
     case = tmp_path / "case"
     shutil.copytree(HOME, case)
@@ -54,7 +54,7 @@ def test_a_wrong_field_of_view_is_told_once_and_a_right_one_never(
     of_map = '{ street = ["out_first", "out_second"] }\nbuild = ["--fov-deg", "80"]'
     (case / CASE).write_text(f'query = "home_night"\nmaps = {of_map}\n')
     with shown_on(port) as shown:
-        made = run_case(case, tmp_path, network, own=tmp_path / "run")
+        made = run_case(case, make_once("golden", lambda folder: None), network, own=tmp_path / "run")
     assert shown["configured_deg"] == fov_deg
     assert shown["fov_deg"] == pytest.approx(80.0, abs=4 * shown["fov_sigma_deg"])
     assert shown["k1"] == pytest.approx(0.0, abs=4 * shown["k1_sigma"])

@@ -129,7 +129,7 @@ def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> N
 
 @pytest.mark.parametrize("off_m", [40.0, 400.0, 4e6])
 def test_a_jump_is_called_within_two_sightings(long_road: Road, off_m: float) -> None:
-    verdicts = drive(long_road, lambda at_m: (0.0, off_m if at_m >= 300.0 else 0.0), 600.0)
+    verdicts = drive(long_road, lambda at_m: (0.0, off_m if at_m >= 300.0 else 0.0), 600.0, ends_in="faulty")
     assert 298 <= called_at_m(verdicts) <= 440
 
 
@@ -246,10 +246,14 @@ def test_without_places_nothing_is_said(long_road: Road) -> None:
 
 
 def departs(
-    road: Road, offset: Offset, sees: Callable[[float], PlaceMatch | None] | None = None, aside: float = 0.0
+    road: Road,
+    offset: Offset,
+    sees: Callable[[float], PlaceMatch | None] | None = None,
+    aside: float = 0.0,
+    ends_in: str = "",
 ) -> list[GpsVerdict]:
     """Without own motion. aside: meters to the east for each to the north that it goes from 600 m on."""
-    return drive(road, offset, 1400.0, sees=sees, odometer=None, aside=aside)
+    return drive(road, offset, 1400.0, sees=sees, odometer=None, aside=aside, ends_in=ends_in)
 
 
 @pytest.mark.parametrize("share", [0.12, 0.25])
@@ -259,7 +263,7 @@ def test_gps_that_departs_from_a_recording_that_keeps_its_shape_is_wrong(
 ) -> None:
     """Also where own motion is not known; a recording of whose shape nothing is known is no witness."""
     road = mapped(replace(part(0, 1500), has_odometer=has_odometer))
-    verdicts = departs(road, lambda at_m: (share * max(0.0, at_m - 600.0), 0.0))
+    verdicts = departs(road, lambda at_m: (share * max(0.0, at_m - 600.0), 0.0), ends_in="faulty")
     assert "map faulty" not in states(verdicts)
     if has_odometer:
         assert share * (called_at_m(verdicts) - 600.0) < 85.0
