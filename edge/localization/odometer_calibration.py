@@ -19,10 +19,8 @@ from edge.localization.dead_reckoning import MAX_SPEED_MPS, REPORTS_APART_NS
 
 AGREE_SIGMAS = 3.0
 """Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
-SPAN_M, WITHIN_M, LEAST_M = 5.0, 500.0, 10.0
-"""Meters of a span that is compared, of all spans that count, and from which on they show anything."""
-STANDS_M = 0.3
-"""Less between two readings is no way: there a receiver's position wanders while the vehicle stands."""
+SPAN_M, WITHIN_M = 5.0, 500.0
+"""Meters of a span that is compared, and of all spans that count."""
 WALK_M, ROUGH_M, LATE_S, LAG_S = 0.2, 0.3, 0.2, 0.15
 """Of a receiver's positions: how much of their error changes within the root of a second, what else differs from one to
 the next, how late they come, and how uncertain that is: 0.1 to 0.3 s on 14 recorded drives, by 15 to 25 m of which,
@@ -168,7 +166,7 @@ class OdometerCalibration:
 
     def _compare(self, reading: _Reading, here: Origin) -> None:
         began = self._began
-        if began is None or reading.driven_m - began[0].driven_m < STANDS_M:
+        if began is None or reading.driven_m - began[0].driven_m < ROUGH_M:  # it stands, and the receiver wanders
             self._began = reading, here
             return
         before, there = began
@@ -187,7 +185,7 @@ class OdometerCalibration:
         self.scale = self._found()
 
     def _found(self) -> ScaleFactor | None:
-        if sum(one.driven_m for one in self._spans) < LEAST_M:
+        if len(self._spans) < 2:  # one span shows neither how late the receiver is, nor what differs from span to span
             return self.learned
         # By least squares, with how late the receiver is beside LATE_S: from a standstill on, all are late by as much.
         spans = np.array(self._spans)
