@@ -140,7 +140,7 @@ class Daemon:
             stamp_ns,
             match,
             motion=displacement,
-            without_gps=vehicle.velocity.without_gps.displacement(stamp_ns),
+            without_gps=vehicle.velocity.without_gps.at(stamp_ns),
             gps=vehicle.gps_fix(stamp_ns, now_ns),
             missed=missed,
             in_line=in_line,

@@ -4,8 +4,8 @@
 `place_fix` makes positions of matches; `sequence_match` puts a match on the ground, and `pose_measurement` what one
 picture says of it; `filter` is the Kalman filter of all that is unknown, `measurements` what each kind of measurement
 says of it, and `hypotheses` one such filter for each thing that may be wrong; `tracker` follows the vehicle with them,
-and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `gyro_odometer` what no
-filter has touched of it, and `odometer_calibration` says what GPS has shown of the wheels.
+and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `gyro_heading` how
+far a filter has turned its heading, and `odometer_calibration` says what GPS has shown of the wheels.
 `decide`, which is to be read first, says whether a position is published: by the `fix_rules`, which rest on the
 probability of another place (`integrity`, by the `evidence` observed, and by the `autopilot_covariance` without places,
 from an `odometry_datum` on), and on how far off it may be (`protection_level`).
@@ -15,9 +15,8 @@ from __future__ import annotations
 
 from edge.journal.records import PlaceFix
 from edge.localization.autopilot_covariance import PERIOD_NS
-from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Gyros, Integral, Odometry
+from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Integral, Odometry
 from edge.localization.events import (
-    BOUND_WRONG,
     GPS_SIGMA_M,
     AutopilotState,
     Discontinuity,
@@ -34,7 +33,7 @@ from edge.localization.events import (
 from edge.localization.filter import CORRELATION_M
 from edge.localization.fix_rules import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
 from edge.localization.gps_monitor import GpsVerdict
-from edge.localization.gyro_odometer import GyroOdometer
+from edge.localization.gyro_heading import GyroHeading
 from edge.localization.integrity import distance_from, offset_m
 from edge.localization.odometer_calibration import (
     AGREE_SIGMAS,
@@ -48,7 +47,6 @@ from edge.localization.position_estimator import Entry, EstimatorState, Position
 
 __all__ = [
     "AGREE_SIGMAS",
-    "BOUND_WRONG",
     "CORRELATION_M",
     "GPS_HEALTHY",
     "GPS_SIGMA_M",
@@ -70,8 +68,7 @@ __all__ = [
     "GpsFix",
     "GpsState",
     "GpsVerdict",
-    "GyroOdometer",
-    "Gyros",
+    "GyroHeading",
     "ImageProcessed",
     "Integral",
     "MapUpdate",

@@ -48,17 +48,19 @@ distance breaks. With 30 m, five drives home that had backed twice by 60 m on th
 
 @dataclass(frozen=True)
 class Gyros:
-    """Of a displacement whose heading is by gyros alone, see `gyro_odometer`: since its epoch began.
-
-    time_s: seconds. compass_rad: the autopilot's heading less that by the gyros. turned_rad2: variance of the latter,
-    by what it may have turned between two rates. bias_east_m, bias_north_m: meters that a bias of 1 rad/s would add.
+    """compass_rad: the autopilot's heading less that by gyros, see `gyro_heading`. turned_rad2: variance of the latter,
+    since its leg began, by what the vehicle may have turned between two rates.
     """
 
-    time_s: float = 0.0
     compass_rad: float = 0.0
     turned_rad2: float = 0.0
-    bias_east_m: float = 0.0
-    bias_north_m: float = 0.0
+
+
+class GyroReading(Struct, frozen=True, rename={"odometry_epoch": "leg"}):
+    """The vehicle's own motion, in which GPS has no part: a speed is known, and `gyros` where the heading is theirs."""
+
+    odometry_epoch: int
+    gyros: Gyros | None = None
 
 
 class Odometry(Struct, frozen=True, rename={"odometry_epoch": "leg"}):
@@ -66,7 +68,7 @@ class Odometry(Struct, frozen=True, rename={"odometry_epoch": "leg"}):
 
     unknown_m: the most by which it may be wrong for all times between two epochs, and in which a speed was bridged.
     doubtful_east_m, doubtful_north_m: what of it was not driven if a change of the speed that no vehicle can make,
-    `STRONGEST_MPS2`, was none. gyros: None where the heading is not theirs.
+    `STRONGEST_MPS2`, was none.
     """
 
     odometry_epoch: int
@@ -75,7 +77,6 @@ class Odometry(Struct, frozen=True, rename={"odometry_epoch": "leg"}):
     unknown_m: float = 0.0
     doubtful_east_m: float = 0.0
     doubtful_north_m: float = 0.0
-    gyros: Gyros | None = None
 
     def since(self, before: Odometry) -> tuple[float, float]:
         """Meters east and north from another one to this."""

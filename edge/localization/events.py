@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from edge.geodesy import VehiclePosition
 from edge.journal.records import PlaceFix
-from edge.localization.dead_reckoning import Odometry
+from edge.localization.dead_reckoning import GyroReading, Odometry
 from edge.localization.odometer_calibration import ScaleFactor
 from edge.reference_map import MapPlaces
 from edge.sequence import PlaceMatch
@@ -43,7 +43,8 @@ class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_
     """The answer to one used frame.
 
     stamp_ns: its exposure. match: None while there is none. motion: by the vehicle's velocity at the exposure, None
-    where that is unknown; without_gps: the same by what GPS has no part in. gps: where GPS has the vehicle then.
+    where that is unknown; without_gps: what is known of it by what GPS has no part in. gps: where GPS has the vehicle
+    then.
     missed: places passed before it without a frame. in_line: whether the frame is part of the sequence, see
     `PlaceRecognizer`. timestamp_sigma_s: one standard deviation of the time of exposure.
     """
@@ -51,7 +52,7 @@ class ImageProcessed(Struct, frozen=True, tag="Frame", rename={"timestamp_sigma_
     stamp_ns: int
     match: PlaceMatch | None = None
     motion: Odometry | None = None
-    without_gps: Odometry | None = None
+    without_gps: GyroReading | None = None
     gps: GpsFix | None = None
     missed: int = 0
     in_line: bool = True
@@ -62,12 +63,12 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     """The autopilot state, as it reports it; None: not known.
 
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS aids it, in each direction. motion: by its
-    velocity at the position's moment; without_gps: see `ImageProcessed`. scale: what GPS has shown of the odometer by
-    which the autopilot moves without it, see `OdometerCalibration`. accuracy_m: of the position, by its own word.
-    driven_m: in all. is_aided: whether anything besides our positions measures its velocity; runs_away: whether it is
-    known that nothing does. drives_itself: whether it steers the vehicle by that position, None where its mode is not
-    known. is_doubled: whether two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is
-    that of before. system_id, booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
+    velocity at the position's moment. scale: what GPS has shown of the odometer by which the autopilot moves without
+    it, see `OdometerCalibration`. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether
+    anything besides our positions measures its velocity; runs_away: whether it is known that nothing does.
+    drives_itself: whether it steers the vehicle by that position, None where its mode is not known. is_doubled: whether
+    two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is that of before. system_id,
+    booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
@@ -75,7 +76,6 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     gps_sigma_m: float | None = None
     position: VehiclePosition | None = None
     motion: Odometry | None = None
-    without_gps: Odometry | None = None
     scale: ScaleFactor | None = None
     accuracy_m: float | None = None
     speed_mps: float | None = None

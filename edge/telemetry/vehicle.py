@@ -158,7 +158,6 @@ class Vehicle:
             gps_sigma_m=gps.bound_m(position, now_ns),
             position=position,
             motion=None if position is None else motion.displacement(position.stamp_ns),
-            without_gps=None if position is None else self.velocity.without_gps.displacement(position.stamp_ns),
             scale=self.velocity.shown.scale,
             accuracy_m=self.accuracy_m(now_ns),
             speed_mps=motion.speed_mps(now_ns),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.geodesy import VehiclePosition, east_north_of
-from edge.localization import DeadReckoning, GyroOdometer, Integral, OdometerCalibration
+from edge.localization import MAX_SPEED_MPS, DeadReckoning, GyroHeading, Integral, OdometerCalibration
 from edge.telemetry.codec import Message
 
 WHEELS_APART_NS = 2_500_000_000
@@ -61,9 +61,8 @@ class VehicleVelocity:
     def __init__(self, motion: DeadReckoning) -> None:
         """motion: gets the speeds and velocities that count."""
         self._motion = motion
-        self.without_gps = GyroOdometer()
-        """The displacement by what GPS has no part in: gyros, with wheels, odometry or our camera, or the autopilot
-        without GPS."""
+        self.without_gps = GyroHeading()
+        """What GPS has no part in: gyros, with wheels, odometry or our camera, or the autopilot without GPS."""
         self.shown = OdometerCalibration()
         """What GPS has shown of the wheels."""
         self.listen: Callable[[int, float, int | None], object] = lambda stamp_ns, value, source: None
@@ -82,8 +81,8 @@ class VehicleVelocity:
 
     def end_leg(self, *, is_same_vehicle: bool) -> None:
         """The session has ended."""
-        for motion in (self._motion, self.without_gps):
-            motion.end_leg(is_same_vehicle=is_same_vehicle)
+        self._motion.end_leg(is_same_vehicle=is_same_vehicle)
+        self.without_gps.end_leg()
         self.listen(0, 0.0, None)
         self.shown = OdometerCalibration() if not is_same_vehicle else self.shown
         self._wheels = self._own = self._seen = None
@@ -158,7 +157,7 @@ class VehicleVelocity:
             own, heading_rad = self._own, None
             if own is not None and own.heading_deg is not None and stamp_ns - own.stamp_ns <= CAMERA_FRESH_NS:
                 heading_rad = math.radians(own.heading_deg)
-            self.without_gps.turn(stamp_ns, right_radps, heading_rad, self._body_mps(stamp_ns))
+            self.without_gps.turn(stamp_ns, right_radps, heading_rad, has_speed=self._has_speed(stamp_ns))
 
     def witness(self, now_ns: int) -> tuple[str, str]:
         """What measures its own motion, in which GPS has no part; and what is missing of that, "" where nothing is."""
@@ -172,15 +171,13 @@ class VehicleVelocity:
         """Whether odometry of another program comes."""
         return self._fresh(ODOMETRY, now_ns) is not None
 
-    def _body_mps(self, now_ns: int) -> tuple[float, float] | None:
-        """Ahead and to the left, by what GPS has no part in; None where nothing measures that."""
+    def _has_speed(self, now_ns: int) -> bool:
+        """Whether a speed is known in which GPS has no part."""
         own, speed_mps = self._own, self._own_speed(now_ns)
         if speed_mps is not None:
-            return speed_mps, self._left_mps(now_ns)
-        if self.aid.may_be_gps or own is None or own.heading_deg is None or now_ns - own.stamp_ns > CAMERA_FRESH_NS:
-            return None
-        moves = own.east_mps, own.north_mps
-        return _ahead(*moves, own.heading_deg), _ahead(*moves, own.heading_deg - 90.0)
+            return abs(speed_mps) <= MAX_SPEED_MPS
+        is_fresh = own is not None and own.heading_deg is not None and now_ns - own.stamp_ns <= CAMERA_FRESH_NS
+        return is_fresh and not self.aid.may_be_gps
 
     def _left_mps(self, now_ns: int) -> float:
         """To the left, where wheels do not measure the speed."""

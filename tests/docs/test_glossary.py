@@ -123,7 +123,7 @@ def test_no_docstring_comment_message_or_page_has_a_word_that_the_glossary_repla
     assert [(file, found[0]) for file, text in texts if (found := WORDS.search(re.sub(r"\s+", " ", text)))] == []
 
 
-NO_MESSAGE = {"relative pose", "pose measurement", "datum", "gyrodometry", "autopilot state", "filter bank"}
+NO_MESSAGE = {"relative pose", "pose measurement", "datum", "gyro-derived heading", "autopilot state", "filter bank"}
 NO_MESSAGE |= {"fault probabilities", "discontinuity", "kidnapped"}
 """Terms of code and docs alone: no message, help or comment of the config speaks of such a thing."""
 

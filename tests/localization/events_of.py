@@ -25,7 +25,6 @@ from edge.localization import (
     FixRequest,
     GpsFix,
     GpsVerdict,
-    Gyros,
     MapUpdate,
     NoFix,
     Odometry,
@@ -33,6 +32,7 @@ from edge.localization import (
     PlaceFix,
     PositionEstimator,
 )
+from edge.localization.dead_reckoning import GyroReading, Gyros
 from edge.localization.events import ImageProcessed
 from edge.localization.position_estimator import Listener
 from edge.reference_map import MapSet
@@ -108,9 +108,9 @@ class StandIn:
         self.frame: dict[str, Any] = {}
 
     @property
-    def without_gps(self) -> Odometry | None:
+    def without_gps(self) -> GyroReading | None:
         """Its own motion."""
-        return self.motion
+        return None if self.motion is None else GyroReading(self.motion.odometry_epoch)
 
     def report(self, *, has_gps: bool = False, **reports: Any) -> None:
         """The autopilot reports something."""
@@ -118,7 +118,6 @@ class StandIn:
             gps="healthy" if has_gps else "not healthy",
             gps_sigma_m=GPS_SIGMA_M if has_gps else None,
             motion=self.motion,
-            without_gps=self.without_gps,
             system_id=1,
             booted_ns=0,
         )
@@ -190,9 +189,9 @@ class Vehicle(StandIn):
         return self.drive.state.gps
 
     @property
-    def without_gps(self) -> Odometry:
+    def without_gps(self) -> GyroReading:
         """Its own motion, by gyros."""
-        return msgspec.structs.replace(self.motion, gyros=Gyros(self.t_ns / 1e9, self.compass_rad))
+        return GyroReading(self.motion.odometry_epoch, Gyros(self.compass_rad))
 
     @property
     def position(self) -> VehiclePosition:
