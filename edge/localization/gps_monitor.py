@@ -24,6 +24,7 @@ from edge.geodesy import along_and_across, east_north_of, moved, moved_left
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import Name
+from edge.localization.odometer_calibration import NEAR_SIGMAS
 from edge.localization.place_fix import map_error_m, position_on_route
 from edge.localization.tracker import Tracker
 from edge.reference_map import Position, Route
@@ -48,8 +49,6 @@ At 0.979, two of five simulated drives in snow that were hardly recognized were 
 UNSEEN_M = 80.0
 """What is not recognized before that is said; down to half of it where the last places made GPS suspect. With honest
 GPS it is said in none of 35 drives home by night, and in 9 of 91 in the map's direction at dusk, in rain and snow."""
-BESIDE_SIGMAS = 2.0
-"""Beside the lane, of the road, the map and GPS: as far GPS is on the drive."""
 MOST_PLACES = 2
 """A frame says something of so many places at most: what was driven without frames says nothing."""
 
@@ -272,7 +271,7 @@ class UnseenRoad:
             return
         offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
         ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
-        if abs(left_m) > BESIDE_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), by_gps[0].sigma_m):
+        if abs(left_m) > NEAR_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), by_gps[0].sigma_m):
             # For long, it has turned off; a filter that catches up with a spoofed receiver is back soon.
             self._beside_m += self._route.drive(last.place_index).spacing_m
             if self._beside_m > UNSEEN_M:

@@ -31,8 +31,9 @@ from edge.localization.measurements import SECOND_M
 Name: TypeAlias = Literal["burst", "gyros", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
 DRAG_MPS = 1.0
 """One standard deviation of a spoofing drift, in each direction."""
-ELSEWHERE_M, MAP_ELSEWHERE_M = 100.0, 60.0
-"""The same of how far off GPS or a drive of the map is."""
+ELSEWHERE_M = 100.0
+"""The same of how far off GPS, a drive of the map or all of it is, if it is elsewhere: a judgment. With 60 m in place
+of it for drives of the map, not one of eight recorded drives is another."""
 BURST_SHARE, BURST_M = 0.05, 7.0
 """Share of the fixes in a burst of multipath, and one standard deviation of it in each direction: 10 m are two."""
 GYROS_SHARE, GYROS_RADPS = 1e-5, math.radians(1.0)
@@ -126,7 +127,7 @@ def _gps_elsewhere(state: Filter) -> None:
 
 def _map_elsewhere(state: Filter) -> None:
     if state.newest is not None:
-        state.widen(state.newest.whole, MAP_ELSEWHERE_M)
+        state.widen(state.newest.whole, ELSEWHERE_M)
 
 
 JUMPS: dict[Name, Callable[[Filter], None]] = {

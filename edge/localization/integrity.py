@@ -7,7 +7,7 @@ The autopilot has no such checks, and a wrong position does more harm than none.
             last aiding was wrong, by anything
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
             to aid the autopilot, the map as a whole is shifted, or, where dead reckoning since GPS or since the last
-            matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, SHIFT_M)
+            matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, ELSEWHERE_M)
 
 `place_wrong` is STRETCH_WRONG for each independent segment (`evidence`). Evidence is gathered from every
 match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
@@ -30,6 +30,7 @@ from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, AutopilotState, ProtectionLevel
 from edge.localization.evidence import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory
+from edge.localization.hypotheses import ELSEWHERE_M
 from edge.localization.odometer_calibration import AGREE_SIGMAS
 from edge.localization.odometry_datum import DeadReckoningOffset
 from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, protection_level
@@ -40,9 +41,9 @@ fix: a fix that moves the autopilot away must rest on one independent segment mo
 CARRIED = 1e-3
 """Least probability, a judgment, that the vehicle was carried or towed since. Without it, one that was set 30 m ahead
 while it rolled was never believed again, though every keypoint pose showed it."""
-MAP_SHIFTED, SHIFT_M = 1e-4, 100.0
-"""Probability that a map is shifted as a whole, or that a street beside looks the same, and by how much then:
-judgments, see docs/integrity.md."""
+MAP_SHIFTED = 1e-4
+"""Probability that a map is shifted as a whole, or that a street beside looks the same, by ELSEWHERE_M then: a
+judgment, see docs/integrity.md."""
 GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
 """A reset leaves the autopilot where it is in a direction in which it is more certain than the position; GROWS is by
 how much one position becomes less certain after another on recorded drives (of 551, two by more). Of one that is less
@@ -131,7 +132,7 @@ def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> floa
 
 def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: bool = False) -> float:
     """Probability that a fix is of another place (Bayes), see the module."""
-    wrong = place_wrong / SPREAD_M + (MAP_SHIFTED / SHIFT_M if may_be_shifted else 0.0)
+    wrong = place_wrong / SPREAD_M + (MAP_SHIFTED / ELSEWHERE_M if may_be_shifted else 0.0)
     return wrong / (wrong + (1 - place_wrong) * likelihood)
 
 
@@ -166,7 +167,7 @@ def level_of(
     alike = 2 * UNNOTICED_M / SPREAD_M
     shifted = MAP_SHIFTED
     if reckoned is not None:
-        shifted *= _likelihood(reckoned, fix, SHIFT_M) / _likelihood(reckoned, fix)
+        shifted *= _likelihood(reckoned, fix, ELSEWHERE_M) / _likelihood(reckoned, fix)
     all_wrong = FaultProbabilities(
         _wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG
     )

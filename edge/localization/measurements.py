@@ -30,8 +30,6 @@ GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
 COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
-POSE_NOISE = np.diag([0.05, 0.05, COMPASS_NOISE_RAD]) ** 2
-"""Of a keypoint pose, beside its covariance: meters, and radians against the autopilot's heading."""
 SECOND_SHARE, SECOND_M = 0.1, 2.5
 """Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
 SECOND, PLANE, TURN = np.diag([SECOND_M, SECOND_M, 0.0]) ** 2, np.eye(3, 2), np.eye(3)[:, 2]
@@ -65,7 +63,8 @@ def by_pose(state: Filter, slot: Slot, pose: PoseMeasurement, *, is_evidence: bo
     rows = state.rows((POSITION, PLANE), (slot.map, PLANE), (slot.whole, PLANE), (HEADING, TURN), (slot.aim, TURN))
     if state.by_gps:
         rows[:, COMPASS] = -TURN
-    off, noise = np.array([*pose.position_m, 0.0]) - rows @ state.mean, shared * pose.pose_covariance + POSE_NOISE
+    off, noise = np.array([*pose.position_m, 0.0]) - rows @ state.mean, shared * pose.pose_covariance
+    noise[2, 2] += COMPASS_NOISE_RAD**2
     if pose.yaw_rad is None:
         rows, off, noise = rows[:2], off[:2], noise[:2, :2]
     else:

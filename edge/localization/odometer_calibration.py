@@ -19,6 +19,8 @@ from edge.localization.dead_reckoning import MAX_SPEED_MPS, REPORTS_APART_NS
 
 AGREE_SIGMAS = 3.0
 """Standard deviations that two things may be apart and still agree: an honest difference is in 1 of 370 cases more."""
+NEAR_SIGMAS = 2.0
+"""Those within which nothing is unusual, where a gate need not be as wide: an honest difference is in 1 of 22 more."""
 SPAN_M, WITHIN_M = 5.0, 500.0
 """Meters of a span that is compared, and of all spans that count."""
 WALK_M, ROUGH_M, LATE_S, LAG_S = 0.2, 0.3, 0.2, 0.15

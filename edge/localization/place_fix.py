@@ -22,8 +22,6 @@ from edge.sequence import MOST_OFF_COURSE_RAD, Direction, PlaceMatch
 
 UNTRACKED_SIGMA_M = 10.0
 """Of a match that the filter does not follow: the first sequence matches on a road were up to 20 m off."""
-WIDTH_SHARE = 0.06
-"""Standard deviation of a match's midpoint over its half_width_places: measured on the same drives."""
 PUSHED = 3.0
 """Places from an end of the drive within which a match may be biased inward."""
 JITTER_M = 1.5
@@ -105,8 +103,7 @@ def untracked_fix(match: PlaceMatch, stamp_ns: int, route: Route, rig: RigConfig
 class SequenceMidpoint:
     """Meters along the drive, in its own route_m: of the places at the first frame, the middle, and the newest frame.
 
-    back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of the places
-    and the width of the match.
+    back: frames from the middle to the newest. sigma_m: one standard deviation of along_m, by the spacing of places.
     """
 
     segment: int
@@ -140,8 +137,7 @@ def sequence_midpoint(match: PlaceMatch, route: Route, frames: int) -> SequenceM
     margin_m = PUSHED * drive.spacing_m
     if not drive.from_m + margin_m <= min(begins_m, ends_m) <= max(begins_m, ends_m) <= drive.to_m - margin_m:
         return None
-    width_m = WIDTH_SHARE * match.half_width_places * drive.spacing_m
-    sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), width_m, JITTER_M)
+    sigma_m = math.hypot(drive.spacing_m / math.sqrt(12), JITTER_M)
     back = (frames - 1) / 2
     return SequenceMidpoint(drive.segment, drive.recording, begins_m, middle_m, ends_m, back, sigma_m)
 

@@ -37,7 +37,7 @@ from edge.localization.filter import (
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
 from edge.localization.integrity import BESIDE_M
-from edge.localization.odometer_calibration import AGREE_SIGMAS, ScaleFactor
+from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
 from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
@@ -53,8 +53,6 @@ USUAL = 0.03
 """One standard deviation of the scale of wheels that GPS does not contradict: those of recorded drives are 0.3 to 3 %
 wrong, and of 50 m GPS shows it to 3 %. At dusk four recorded drives are 7.0 / 14.1 / 15.4 m off (median, 95 %, most),
 and 7.3 / 14.8 / 17.3 with 6 % in place of it and what was shown lost within 700 m."""
-UNEXPECTED_SIGMAS = 2.0
-"""How far GPS may be from what wheels usually are."""
 DISAGREE = 3
 """Matches in a row that fail the innovation test before positions are disputed: one false match is none."""
 CALL = 6.9
@@ -67,9 +65,6 @@ KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which it has each frame of a sequence within a place."""
 UNDATED_M = 5.0
 """A match whose place is uncertain by more, since its picture has no time, is evidence for no hypothesis."""
-NEAR = 4.0
-"""Square of the standard deviations within which a faulty GPS is consistent again: a spoofing drift is declared at
-5 m."""
 GPS_FAR_M = 2 * ELSEWHERE_M
 """GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
 MISLED_RAD = math.radians(15)
@@ -209,7 +204,7 @@ class Tracker:
         """GPS is lost. shown: what it has shown of the velocity that counts from now on."""
         if self._is_bound and shown is not None:
             usual = min(USUAL, self._assumed)
-            is_usual = abs(shown.mean) <= UNEXPECTED_SIGMAS * math.hypot(usual, shown.sigma)
+            is_usual = abs(shown.mean) <= NEAR_SIGMAS * math.hypot(usual, shown.sigma)
             scale = ScaleFactor(0.0, usual if is_usual else self._assumed).and_also(shown)
             self._is_shown = scale.later < self._assumed
             if self._is_shown:
@@ -235,9 +230,9 @@ class Tracker:
 
     @property
     def gps_is_near(self) -> bool:
-        """Whether GPS is where the vehicle is, by the standard deviations of both."""
-        off_m, state = self.gps_off_m, self.bank.right
-        return off_m is not None and float(off_m @ np.linalg.solve(state.spread + GPS_M**2 * np.eye(2), off_m)) <= NEAR
+        """Whether GPS is where the vehicle is, by the standard deviations of both; a spoofing drift is not, at 5 m."""
+        off_m, both = self.gps_off_m, self.bank.right.spread + GPS_M**2 * np.eye(2)
+        return off_m is not None and float(off_m @ np.linalg.solve(both, off_m)) <= NEAR_SIGMAS**2
 
     def gps_off(self, name: Name) -> float:
         """How far GPS is from where a hypothesis has the vehicle."""
@@ -327,11 +322,8 @@ class Tracker:
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
-        state, since_m = self.bank.right, measured.midpoint.since_m
-        moved_m = state.truly(since_m[:2], since_m[2:])
-        state.place(measured.midpoint.place_m + moved_m, ELSEWHERE_M**2 * np.eye(2))
-        self.bank.begin(state)
-        self._is_placed = True
+        since_m = measured.midpoint.since_m
+        self._place(measured.midpoint.place_m + self.bank.right.truly(since_m[:2], since_m[2:]))
         self._is_begun = True
 
     def _by_chance(self, measured: SequenceMatch) -> float:

@@ -88,11 +88,10 @@ class PlaceMatch:
     less 1. row_share: share of the places that are more similar to the newest frame than those around this one.
     confidence: probability that this place is right, see `PlaceConsensus`. accepted: whether it is believed; False
     means off the map, or one of several that look alike. by_votes: the answer without `MotionPrior.dead_reckoning`,
-    None where it is this one; whoever judges dead reckoning by places goes by `alone`. half_width_places: half the
-    number of places around it that are nearly as good. seen: the keyframe match of the frame with the place that is
-    believed; None without one, or where the frame was not verified. has_line: False where the place is believed by
-    keyframe matches alone, as of a vehicle that stands; it then is that of `seen`, and slope, distance and the like say
-    nothing. event: accepted, and not held off.
+    None where it is this one; whoever judges dead reckoning by places goes by `alone`. seen: the keyframe match of the
+    frame with the place that is believed; None without one, or where the frame was not verified. has_line: False where
+    the place is believed by keyframe matches alone, as of a vehicle that stands; it then is that of `seen`, and slope,
+    distance and the like say nothing. event: accepted, and not held off.
     """
 
     place_index: int
@@ -106,7 +105,6 @@ class PlaceMatch:
     row_share: float = 1.0
     confidence: float = 0.0
     accepted: bool = False
-    half_width_places: float = 0.5
     step: float = 1.0
     passed: tuple[float, ...] = ()
     seen: KeyframeMatch | None = None

@@ -158,7 +158,6 @@ def match_at(
         uniqueness=second / max(cost, 1) if second != NO_LINE else 1.0,
         sharpness=sharpness(along, at, window),
         row_share=np.count_nonzero(newest.min(axis=0) < lowest_around(of_order[segment], at, window)) / newest.shape[1],
-        half_width_places=places_nearly_as_good(along, at, min(second, 2 * cost)),
         step=search.step,
         passed=tuple(passed.tolist()),
     )
@@ -178,23 +177,6 @@ def lowest_around(row: NDArray[np.int32], place: int, window: float) -> int:
     """The lowest cost of a row (n,) of one segment within an eighth of a window of a place."""
     reach = max(1, int(window / 8))
     return int(row[max(0, place - reach) : place + reach + 1].min())
-
-
-NEARLY = 0.2
-"""Share of the way from the lowest cost up to the lowest cost elsewhere, below which a place is nearly as good."""
-
-
-def places_nearly_as_good(costs: NDArray[np.int32], place: int, elsewhere: int) -> float:
-    """Half the number of neighbors in a row, `place` among them, whose cost is near the lowest.
-
-    elsewhere: the lowest cost outside the window of uniqueness, against which "near" is measured.
-    """
-    limit = costs[place] + NEARLY * (elsewhere - int(costs[place]))
-    worse = np.flatnonzero(costs >= limit)
-    first, end = np.searchsorted(worse, [place, place + 1])
-    before = worse[first - 1] if first else -1
-    after = worse[end] if end < len(worse) else len(costs)
-    return float(after - before - 1) / 2
 
 
 class HoldOff:

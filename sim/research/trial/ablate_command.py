@@ -34,7 +34,6 @@ SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
     "autopilot_covariance.SETTLED_NS": 0,
     "filter.WANDER": 0.0,
-    "gps_monitor.BESIDE_SIGMAS": math.inf,
     "gps_monitor.FIRM": 0.0,
     "gps_monitor.LONGEST_GAP_M": math.inf,
     "gps_monitor.MOST_PLACES": math.inf,
@@ -52,7 +51,6 @@ CONSTANTS: dict[str, object] = {
     "tracker.FIRST": 1,
     "tracker.LEAST_SHARPNESS": 0.0,
     "tracker.STOOD_NS": math.inf,
-    "tracker.UNEXPECTED_SIGMAS": math.inf,
 }
 """Of `edge.localization`, with what puts each out of action."""
 NAMES = (*(rule.reason for rule in RULES if rule.reason != NO_PLACES), *CONSTANTS)
