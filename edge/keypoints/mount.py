@@ -1,6 +1,6 @@
 """How a camera is mounted: its pitch down, and its yaw to the right, against the way it moves.
 
-Each keyframe says so with its points (`points_of`), to 0.4 and 1.0 degrees; all of 300 m together to about 0.5.
+Each keyframe says so with its points (`points_of`), to 0.3 and 0.6 degrees; all of 300 m together to about 0.3.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ ROW_SIGMA = float(np.radians(5.0))
 MOUNT_SIGMA = float(np.radians(2.0))
 """Of a camera that was mounted by hand to face along the road."""
 SHARED = 200.0
-"""Keyframes that count as one: their errors are four times what least squares says, and neighbors err alike."""
+"""Keyframes that count as one: neighbors err alike, those in the same bend too."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from edge.feed import FeedImages, read_feed
+from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.mount import Mount, mount_of_drive, yaw_of
+from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.points import points_of
+from edge.keypoints.view_geometry import CameraModel
 from tests.keypoints.street import CAMERA, ROWS, seen, street, with_noise
 
 
@@ -42,6 +48,18 @@ def test_a_drive_shows_how_its_camera_is_mounted_and_its_points_are_as_by_a_leve
     assert known.mean() > 0.9
     assert level.places[known, :2] == pytest.approx(seen(world_m, (0, 0, 0, 0))[known], abs=0.02)
     assert np.median(np.abs(level.places[known, 2] * world_m[known, 2] - 1)) < 0.1
+
+
+def test_wrong_matches_of_a_bending_street_turn_its_camera_by_little() -> None:
+    """By 1.2 degrees where all matches within 2.5 pixels count alike, and all poses on such a map with it."""
+    feed, network = read_feed(Path(__file__).parents[1] / "golden/recordings/elsewhere"), KeypointNetwork()
+    images = FeedImages(feed)
+    keypoints = [network.extract(images.read(row), 300) for row in range(len(feed.rows))]
+    images.close()
+    route_m, heading = np.array([(row.distance_m, np.radians(row.heading_deg or 0.0)) for row in feed.rows], float).T
+    camera = CameraModel(feed.header.width, feed.header.height, CAMERA.fov_deg)
+    found = points_of_drive(keypoints.__getitem__, route_m, heading, camera, range(len(route_m)), faces_back=True)
+    assert np.degrees(mount_of_drive(of_row for _, of_row in found).radians[1]) == pytest.approx(0.0, abs=0.9)
 
 
 def test_level_directions_are_those_of_rays_turned_back() -> None:
