@@ -10,7 +10,7 @@ position is answered as accepted, and the autopilot's other answers come when th
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -48,8 +48,8 @@ from sim.world.scenario import LightName, View
 ANSWERS_S = 0.02
 """After which a position, or a set of sources, is accepted."""
 ANSWERED = EXTERNAL_POSITION_ESTIMATE, mavlink.MAV_CMD_SET_EKF_SOURCE_SET
-DAY: tuple[View, LightName, int] = ("rear", "day", 1)
-"""View, light and seed of the drive of a map."""
+DAY: tuple[LightName, int] = ("day", 1)
+"""Light and seed of the drive of a map."""
 
 
 def replay(
@@ -196,7 +196,7 @@ def _build_map(
     if drive.config.of(MappingConfig).folder:
         path.mkdir()
         return
-    out = map_scenario(drive.scenario, DAY)
+    out = map_scenario(drive.scenario, (_view(matched), *DAY))
     route, lane_m = out.drive().route, out.lane_m
     spacing_m = drive.config.sampling.spacing_m
     places = np.arange(int(drive.scenario.length_m / spacing_m))
@@ -214,6 +214,12 @@ def _build_map(
                 builder.keypoints.add(finder.extract(library[out].picture(route_m), MOST_OF_PLACE))
             row += 1
         builder.finish()
+
+
+def _view(matched: list[FrameUsed]) -> View:
+    """Of the camera that made the map: a front camera sees its places as it did if it goes the same way."""
+    ways = Counter(frame.direction for frame in matched if frame.accepted and frame.order == "same")
+    return "front" if ways["forward"] > ways["reverse"] else "rear"
 
 
 def _map_errors(

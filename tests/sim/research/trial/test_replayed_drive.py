@@ -297,3 +297,11 @@ def test_positions_come_again_after_a_reboot_far_from_the_origin(
     again = [one for one in now.positions if one.time_s > last_s + 30.0]
     assert len(again) >= 10
     assert max(one.error_m / one.sigma_m for one in again if one.sigma_m) < 3.0
+
+
+@pytest.mark.soak
+def test_a_map_is_made_again_by_the_camera_that_made_it(replayed: Callable[[str], tuple[Score, Score]]) -> None:
+    """A front camera's, along which it goes once more; a rear camera's has no keypoints that it could see."""
+    then, now = (one.row() for one in replayed("flights_b0903bde/ardupilot_rep974_dusk"))
+    assert now["believed"] >= then["believed"] - 5
+    assert now["p95_m"] == pytest.approx(then["p95_m"], abs=1.0)
