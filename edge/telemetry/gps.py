@@ -32,7 +32,8 @@ GOOD_M, BAD_M = 10.0, 25.0
 M_PER_HDOP, UNREPORTED = 4.0, 65535
 """Where a receiver reports no accuracy, its HDOP stands for one: good up to 2.5, where PX4's EKF2_REQ_HDOP is."""
 APART_SIGMAS, OFF_FIX_M, LATENCY_S = 3.0, 10.0, 0.3
-"""How far the filter's position may be from that of a receiver that it uses."""
+"""How far the filter's position may be from that of a receiver that it uses. LATENCY_S: of a fix; by the autopilot's
+clock it is 0.07 s in ArduPilot's simulator and none in PX4's, by the arrival of the message 0.1 to 0.3 s."""
 SOURCES: dict[int, PositionSource] = {
     mavlink.GPS_FIX_TYPE_DGPS: "dgps",
     mavlink.GPS_FIX_TYPE_RTK_FLOAT: "rtk_float",
@@ -82,6 +83,8 @@ class Receiver:
     def __init__(self, name: str) -> None:
         self.name = name
         self.heard_ns: int | None = None
+        self.fix_ns = 0
+        """When its newest fix was."""
         self.accuracy_m: float | None = None
         """As it reports it, None where it does not."""
         self.source: PositionSource = "unknown"
@@ -94,8 +97,11 @@ class Receiver:
         """One standard deviation of its position."""
         return max(GPS_SIGMA_M, self.accuracy_m or 0.0)
 
-    def read(self, message: Message, now_ns: int) -> None:
-        """GPS_RAW_INT or GPS2_RAW."""
+    def read(self, message: Message, now_ns: int, fix_ns: int | None = None) -> None:
+        """GPS_RAW_INT or GPS2_RAW; fix_ns: its time by the autopilot's clock, None without that.
+
+        A receiver that counts the time of day instead is dated by the message's arrival.
+        """
         self.state(now_ns)  # notices a silence before this message, which is an outage
         if self.is_silent(now_ns):
             self._fix.begin()
@@ -106,6 +112,7 @@ class Receiver:
         is_good = is_good and bool(message.lat or message.lon)
         if is_good:
             self.at = message.lat / 1e7, message.lon / 1e7
+            self.fix_ns = now_ns if fix_ns is None or not 0 <= now_ns - fix_ns <= GPS_FRESH_NS else fix_ns
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
         self._fix.report(now_ns, is_good=is_good)
 
@@ -193,21 +200,19 @@ class Gps:
         return max(near, key=lambda one: one.sigma_m, default=None)
 
     def fix(self, own: VehiclePosition | None, stamp_ns: int, now_ns: int) -> GpsFix | None:
-        """Where GPS puts the vehicle at a moment: by the filter while it uses GPS, else by a healthy receiver.
+        """Where the most accurate healthy receiver puts the vehicle at a moment.
 
-        None without a healthy receiver, and without the autopilot's velocity.
+        Not the filter's position: that resists a spoofing drift, then gives the receiver up, which is a jump (by 7 m on
+        one flight: GPS was declared faulty 16 m off, instead of 7). None without a healthy receiver, and without the
+        autopilot's velocity.
         """
-        if own is None:
+        healthy = [one for one in self.receivers if one.state(now_ns) == "healthy"]
+        if own is None or not healthy:
             return None
-        sigma_m, at, at_ns = self.bound_m(own, now_ns), (own.lat_deg, own.lon_deg), own.stamp_ns
-        if sigma_m is None:
-            healthy = [one for one in self.receivers if one.state(now_ns) == "healthy"]
-            if not healthy:
-                return None
-            best = min(healthy, key=lambda one: one.sigma_m)
-            at, at_ns, sigma_m = best.at, best.heard_ns or 0, math.hypot(best.sigma_m, LATENCY_S * own.speed_mps)
-        since_s = (stamp_ns - at_ns) / 1e9
-        return GpsFix(*moved(*at, own.east_mps * since_s, own.north_mps * since_s), sigma_m)
+        best = min(healthy, key=lambda one: one.sigma_m)
+        since_s = (stamp_ns - best.fix_ns) / 1e9
+        sigma_m = math.hypot(best.sigma_m, LATENCY_S * own.speed_mps)
+        return GpsFix(*moved(*best.at, own.east_mps * since_s, own.north_mps * since_s), sigma_m)
 
     def _hears_filter(self, now_ns: int) -> bool:
         return self._flags_ns is not None and now_ns - self._flags_ns <= GPS_FRESH_NS
@@ -221,7 +226,7 @@ class Gps:
 
 def _is_near(receiver: Receiver, own: VehiclePosition) -> bool:
     """Whether the autopilot's position is that of the receiver, as far as both are accurate."""
-    apart_ns = (receiver.heard_ns or 0) - own.stamp_ns
+    apart_ns = receiver.fix_ns - own.stamp_ns
     east_m, north_m = east_north_of(*receiver.at, (own.lat_deg, own.lon_deg))
     apart_m = math.hypot(east_m - own.east_mps * apart_ns / 1e9, north_m - own.north_mps * apart_ns / 1e9)
     return apart_m <= max(OFF_FIX_M, APART_SIGMAS * receiver.sigma_m) + LATENCY_S * own.speed_mps

@@ -285,7 +285,8 @@ class Vehicle:
 
     def _read_gps(self, message: Message, stamp_ns: int, now_ns: int) -> None:
         receivers, is_second = self.session.gps.receivers, message.get_msgId() == mavlink.MAVLINK_MSG_ID_GPS2_RAW
-        receivers[is_second].read(message, now_ns)
+        fix_ns = self.session.clock.monotonic_ns(int(message.time_usec) * 1000)
+        receivers[is_second].read(message, now_ns, fix_ns)
         first = receivers[0]
         if not is_second and first.is_good and first.state(now_ns) == "healthy":
             self.velocity.shown.add_fix(now_ns, first.at)

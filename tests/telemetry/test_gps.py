@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
-from edge.geodesy import VehiclePosition
+from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.journal.records import FixSent, FixWithheld
 from edge.telemetry.codec import MavlinkCodec
 from edge.telemetry.gps import Gps
@@ -310,6 +310,32 @@ def test_a_px4_without_any_receiver_is_known_not_to_have_gps() -> None:
         hear(mavlink.MAVLink_sys_status_message(0x1F, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), second * seconds)
         assert vehicle.session.gps.state(second * seconds) == ("not healthy" if second >= 11 else "unknown")
     assert vehicle.session.gps.state(20 * seconds) == "unknown", "SYS_STATUS is silent"
+
+
+@pytest.mark.parametrize(("epoch_s", "late_m"), [(0, 0.0), (1_790_000_000, 2.0)], ids=["boot", "time of day"])
+def test_gps_puts_a_vehicle_where_its_receiver_does_at_the_time_of_the_fix(epoch_s: int, late_m: float) -> None:
+    """At 10 m/s, by fixes that arrive after 0.2 s; the filter resists a spoofing drift, and is 6 m behind."""
+    vehicle, codec, their, latency_ns = Vehicle(), MavlinkCodec(1, 191), MavlinkCodec(1, 1), 200_000_000
+
+    def hear(message: Any, now_ns: int) -> None:
+        for one in codec.decode(their.encode(message)):
+            vehicle.handle(one, now_ns)
+
+    def at(now_ns: int, behind_m: float = 0.0) -> tuple[float, float]:
+        return moved(-27.47, 153.02, now_ns / 1e8 - behind_m, 0.0)
+
+    for now_ns in range(0, 8_000_000_000, 250_000_000):
+        filtered, received = at(now_ns, 6.0), at(now_ns - latency_ns)
+        place = round(filtered[0] * 1e7), round(filtered[1] * 1e7), 0, 0
+        hear(mavlink.MAVLink_heartbeat_message(10, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3), now_ns)
+        hear(mavlink.MAVLink_global_position_int_message(now_ns // 1_000_000, *place, 0, 1000, 0, 9000), now_ns)
+        hear(mavlink.MAVLink_ekf_status_report_message(0x33F, *[0.0] * 5), now_ns)
+        fix = round(received[0] * 1e7), round(received[1] * 1e7), 0, 100, 100, 0, 0, 10
+        fix_us = epoch_s * 1_000_000 + max(now_ns - latency_ns, 0) // 1000
+        hear(mavlink.MAVLink_gps_raw_int_message(fix_us, FIX_3D, *fix, 0, 1500), now_ns)
+    gps = vehicle.gps_fix(now_ns, now_ns)
+    assert gps is not None
+    assert east_north_of(gps.lat_deg, gps.lon_deg, at(now_ns)) == pytest.approx((-late_m, 0.0), abs=0.05)
 
 
 def streams_requested(rig: Rig) -> list[int]:
