@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from edge.keypoints.network import MOST, KeypointNetwork
 from edge.recognition.keyframe_matcher import KeyframeMatcher
 from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
+from edge.reference_map.keypoint_file import KEYPOINT
 from edge.reference_map.store import KEYPOINTS
 from edge.sequence import MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
@@ -32,6 +33,7 @@ from sim.maps.command import build_map
 from tests.common import S
 
 RECORDINGS = Path(__file__).parents[1] / "golden/recordings"
+CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
 TWICE_DEG = 0.01
 BESIDE_M = 9.0
 """Of the place, in another lane, of which a picture may be 8 m ahead or behind where the next one is not mapped."""
@@ -81,8 +83,7 @@ def opened(path: Path, grid: Network, *, keypoints: bool = True) -> PlaceRecogni
     reference = open_map(path)
     if not keypoints:
         reference = dataclasses.replace(reference, header=reference.header.with_keypoints(None))
-    config = Config(descriptor=DescriptorConfig(model="grid"))
-    return open_recognizer(config, network=grid, map_set=MapSet.of(reference))
+    return open_recognizer(CONFIG, network=grid, map_set=MapSet.of(reference))
 
 
 def driven(
@@ -93,10 +94,19 @@ def driven(
     for number in range(frames):
         heading_deg, distance_m = drive.rows[number].heading_deg, drive.rows[number].distance_m
         assert heading_deg is not None
-        course_rad = math.radians(heading_deg) + math.pi * backwards
-        travel = MotionPrior(distance_m, course_rad=course_rad)
+        travel = MotionPrior(distance_m, course_rad=math.radians(heading_deg) + math.pi * backwards)
         answers.append(recognizer.observe(drive.images[number], number * S, travel))
     return answers
+
+
+def known_at_rest(map_set: MapSet, grid: Network, spots: Iterable[int]) -> int:
+    """How many spots on the way home are known by their second picture."""
+    drive, known = Film("home_night"), 0
+    for first in spots:
+        recognizer = open_recognizer(CONFIG, network=grid, map_set=map_set)
+        assert recognizer.observe(drive.images[first], 0, MotionPrior(7.0)) is None
+        known += recognizer.verify_again(drive.images[first], S, MotionPrior(7.0)) is not None
+    return known
 
 
 def test_on_the_way_home_a_place_is_believed_after_meters_and_seen_from_where_the_vehicle_is(
@@ -150,19 +160,13 @@ def twice(grid: Network, make_once: Callable[[str, Callable[[Path], object]], Pa
 
 
 def test_a_street_that_the_map_has_twice_is_known_by_no_keyframe(maps: Path, twice: Path, grid: Network) -> None:
-    drive, known = Film("home_night"), {"once": 0, "twice": 0}
-    for first in range(45, 80, 8):
-        for name, path in {"once": maps / "street", "twice": twice}.items():
-            recognizer = opened(path, grid)
-            assert recognizer.observe(drive.images[first], 0, MotionPrior(7.0)) is None
-            match = recognizer.verify_again(drive.images[first], S, MotionPrior(7.0))
-            known[name] += match is not None
-    assert known["once"] >= 3
-    assert known["twice"] == 0
+    spots = range(45, 80, 8)
+    assert known_at_rest(MapSet.of(open_map(maps / "street")), grid, spots) >= 3
+    assert known_at_rest(MapSet.of(open_map(twice)), grid, spots) == 0
 
 
 def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Path, twice: Path) -> None:
-    drive, config = Film("home_night", 53), Config(descriptor=DescriptorConfig(model="grid"))
+    drive = Film("home_night", 53)
     for path, stays in ((maps / "street", True), (twice, False)):
         map_set = MapSet.of(open_map(path))
         drives, row = Drives(map_set, 2.0), drive.rows[0]
@@ -173,7 +177,7 @@ def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Pa
         )
         there, nearest = int(away_m[0].argmin()), np.argsort(away_m.min(axis=0))
         votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
-        matcher = KeyframeMatcher(map_set, drives, config)
+        matcher = KeyframeMatcher(map_set, drives, CONFIG)
         for _ in range(2):
             matcher.verify(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
         answer = matcher.answer(votes, None, 0.0, BESIDE_M)
@@ -182,11 +186,7 @@ def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Pa
 
 @pytest.mark.parametrize(("missing", "first"), [(slice(0, 42), 20), (slice(22, 62), 62)])
 def test_past_the_end_of_the_map_and_in_a_gap_no_place_stays_believed(
-    maps: Path,
-    grid: Network,
-    make_once: Callable[[str, Callable[[Path], object]], Path],
-    missing: slice,
-    first: int,
+    maps: Path, grid: Network, make_once: Callable[[str, Callable[[Path], object]], Path], missing: slice, first: int
 ) -> None:
     """The way home goes on from where the map began, or over a hole of 80 m."""
     once = read_feed(RECORDINGS / "out_second")
@@ -194,12 +194,24 @@ def test_past_the_end_of_the_map_and_in_a_gap_no_place_stays_believed(
     build = partial(_build_map, grid, [dataclasses.replace(once, rows=rows)])
     recognizer = opened(make_once(f"street_without_{missing.start}_to_{missing.stop}", build) / "map", grid)
     drive, believed = Film("home_night", first), 0
-    answers = driven(recognizer, drive, 50)
-    for number, match in enumerate(answers):
+    for number, match in enumerate(driven(recognizer, drive, 50)):
         if match is not None and match.accepted:
             believed += 1
             assert drive.off_m(number, match, recognizer.map_set) < BESIDE_M + 3.0
     assert believed >= 8
+
+
+def test_a_street_alike_counts_where_others_share_more_keypoints(twice: Path, grid: Network, tmp_path: Path) -> None:
+    """Three streets have all the keypoints, in other places: no pose; a fourth is the street itself, with fewer."""
+    streets = []
+    for number, (mixed, kept) in enumerate(((slice(0), 285), (slice(90), 300), (slice(45), 300))):
+        reference = open_map(shutil.copytree(twice, tmp_path / str(number)))
+        records = np.memmap(reference.path / KEYPOINTS, KEYPOINT, "r+").reshape(len(reference.places), -1)
+        records["descriptor"][mixed] = np.roll(records["descriptor"][mixed], 1, axis=1)
+        records["descriptor"][:, kept:] = 0
+        streets.append(dataclasses.replace(reference, places=reference.places.copy()))
+        streets[-1].places["lat_deg"] += 2 * number * TWICE_DEG
+    assert [known_at_rest(MapSet.of(several), grid, (53, 69)) for several in (streets[1:], streets)] == [2, 0]
 
 
 def _first(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
@@ -262,11 +274,7 @@ def test_keypoints_of_another_network_are_not_used(maps: Path, grid: Network) ->
     key = reference.header.keypoints_key
     assert key is not None
     other = reference.header.with_keypoints(replace(key, sha256="0" * 64))
-    recognizer = open_recognizer(
-        Config(descriptor=DescriptorConfig(model="grid")),
-        network=grid,
-        map_set=MapSet.of(dataclasses.replace(reference, header=other)),
-    )
+    recognizer = open_recognizer(CONFIG, network=grid, map_set=MapSet.of(dataclasses.replace(reference, header=other)))
     assert not recognizer.matcher.may_verify
     drive = Film("home_night", 100)
     assert not [one for one in driven(recognizer, drive, 12) if one is not None and one.accepted]
