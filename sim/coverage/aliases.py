@@ -14,7 +14,8 @@ from edge.reference_map import Drives, MapSet
 EVERY_M = 10.0
 """Distance between the places of a stretch that are compared."""
 MOST_LIKELY = 0.5
-"""Share of them that must be mistaken for places of the same other stretch."""
+"""Share of them that must be mistaken for places of the same other stretch; where all of them are mistaken, of any: a
+street that repeats itself has many."""
 NEIGHBOR_PLACES = 4
 """A place elsewhere is mistaken for a place if it is more similar to it than the places so many before and after."""
 ELSEWHERE_M = 80.0
@@ -45,11 +46,13 @@ def aliases(maps: MapSet, drives: Drives, spans: Sequence[SegmentSpan]) -> list[
     for span in spans:
         rivals = _rivals(maps, drives, span)
         others = Counter(_span_of(maps, drives, row, spans) for row in rivals if row is not None)
-        others.pop(None, None)
+        repeats = None not in rivals
+        for nowhere in (None, span):
+            others.pop(nowhere, None)
         if not others:
             continue
         (other, count), *_ = others.most_common(1)
-        if other is not None and other != span and count >= MOST_LIKELY * len(rivals):
+        if other is not None and (repeats or count >= MOST_LIKELY * len(rivals)):
             found.append(Alias(span, other, count / len(rivals)))
     return found
 

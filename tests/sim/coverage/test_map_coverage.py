@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from edge.__main__ import main
 from edge.config import Config
@@ -187,13 +188,22 @@ def test_far_from_where_drives_enter_stretches_that_nobody_drove_have_one_share(
     assert len(set(driven[2:])) > 1, "what was driven is known"
 
 
+def alike(path: Path, raw: NDArray[np.float32]) -> list[tuple[float, float]]:
+    """Where stretches begin that resemble another one, and where that begins, m."""
+    maps = road(path, [(0.0, raw)])
+    drives = Drives(maps, 2.0)
+    return [(one.stretch.from_m, one.other.from_m) for one in aliases(maps, drives, spans_of(maps, drives, 100.0))]
+
+
 def test_stretches_that_resemble_each_other_are_named(tmp_path: Path) -> None:
     raw = walk(300, np.random.default_rng(5))
     raw[200:250] = raw[50:100] + 0.1 * walk(50, np.random.default_rng(6))
-    maps = road(tmp_path / "map", [(0.0, raw)])
-    drives = Drives(maps, 2.0)
-    found = aliases(maps, drives, spans_of(maps, drives, 100.0))
-    assert [(one.stretch.from_m, one.other.from_m) for one in found] == [(100.0, 400.0), (400.0, 100.0)]
+    assert alike(tmp_path / "map", raw) == [(100.0, 400.0), (400.0, 100.0)]
+
+
+def test_a_street_that_repeats_itself_resembles_other_stretches_everywhere(tmp_path: Path) -> None:
+    noise = 0.1 * walk(300, np.random.default_rng(6))
+    assert len(alike(tmp_path / "map", np.resize(walk(27, np.random.default_rng(5)), noise.shape) + noise)) == 6
 
 
 def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -213,8 +223,9 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert [one["is_mean"] for one in found] == [False, False, True], "of the third no more is known"
 
 
-def test_a_page_of_the_route(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_of_the_route(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `sim`")
+    maps = road(tmp_path / "map", [(0.0, walk(PLACES, np.random.default_rng(8)))])
     command = ["map", "coverage", str(maps.path), write(tmp_path / "nowhere.jsonl", drive([])), "--rehearsals", "0"]
     assert main([*command, "--report", str(tmp_path / "route.html")]) == 0
     page = (tmp_path / "route.html").read_text(encoding="utf-8")
