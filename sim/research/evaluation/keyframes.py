@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +34,14 @@ LIGHTS: dict[str, tuple[LightName, ...]] = {
     "front": ("dusk", "night", "snow", "rain"),
     "home": ("dusk", "night", "snow"),
 }
-STREETS: tuple[tuple[str, LightName], ...] = (("front", "dusk"), ("home", "night"))
 OFF_MAP_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
 REPEATS_M = 54.0, 27.0, 12.0
 """After which the houses of a straight street repeat."""
+STREET_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
+ANOTHER_PLACE_M = 20.0
+"""From which a place that is believed there is another one."""
+GPS_LOST_M = {"no GPS": None, "GPS lost at the start": 0.0, "GPS": -1.0}
+"""As `DriveDescriptors.reckoned` has it."""
 STARTS_M, STANDS_M = 160.0, 40.0
 """Between the starts of a vehicle that drives, and between those of one that stands."""
 PICTURES, NOISE = 4, 2.0
@@ -171,20 +176,23 @@ class Tables:
             cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
             yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
 
-    def on_street(self, drive: str, light: LightName) -> Iterator[str]:
-        """Cells: frames believed and wrong while driving, and spots known and wrong at rest, by keypoints."""
-        found = np.zeros(6, int)
+    def on_street(self, drive: str, light: LightName, seed: int) -> NDArray[np.intp]:
+        """Counts (2, G, 3) of frames while driving and spots at rest, by `GPS_LOST_M`: all, believed, wrong.
+
+        seed: of the errors of GPS and odometer.
+        """
+        found = np.zeros((2, len(GPS_LOST_M), 3), int)
         for draw in self._draws:
             for mapped in self._mapped(drive, (light,), draw):
                 film = mapped.drives[light]
-                off_m = _off_m(
-                    mapped, list(self._bench.answers(mapped, film.images, film.ground_m, keypoints=True)), film.ground_m
-                )
-                found[:3] += len(off_m), np.isfinite(off_m).sum(), (off_m > TOLERANCE_M).sum()
-                for _, off_m in _standing(self._bench, mapped, film):
-                    found[3:] += 1, np.isfinite(off_m).any(), (off_m > TOLERANCE_M).any()
-        yield f"{found[1]} of {found[0]}, {found[2]} wrong"
-        yield f"{found[4]} of {found[3]}, {found[5]} wrong"
+                for number, lost_m in enumerate(GPS_LOST_M.values()):
+                    reckoned = None if lost_m is None else film.described(0).reckoned(lost_m, seed, mapped.origin)
+                    answers = list(self._bench.answers(mapped, film.images, film.ground_m, reckoned, keypoints=True))
+                    off_m = _off_m(mapped, answers, film.ground_m)
+                    found[0, number] += len(off_m), np.isfinite(off_m).sum(), (off_m > ANOTHER_PLACE_M).sum()
+                    for _, off_m in _standing(self._bench, mapped, film, reckoned):
+                        found[1, number] += 1, np.isfinite(off_m).any(), (off_m > ANOTHER_PLACE_M).any()
+        return found
 
     def _mapped(
         self, drive: str, lights: Sequence[LightName], draw: Callable[[int, str, LightName], Path]
@@ -227,23 +235,34 @@ def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterato
 
 
 def _standing(
-    bench: Bench, mapped: RoadMap, film: DriveRecording
+    bench: Bench, mapped: RoadMap, film: DriveRecording, reckoned: Sequence[DeadReckoningPosition] | None = None
 ) -> Iterator[tuple[list[PlaceMatch | None], NDArray[np.float64]]]:
     """The answers at spots along a drive, and how far they are off."""
     for start in range(0, len(film.images) - 10, round(STANDS_M / SPACING_M)):
         pictures = list(_stands(film.images[start]))
         at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
-        answers = list(bench.answers(mapped, pictures, at_m, keypoints=True))
+        prior = reckoned and [reckoned[start]] * len(pictures)
+        answers = list(bench.answers(mapped, pictures, at_m, prior, keypoints=True))
         yield answers, _off_m(mapped, answers, at_m)
 
 
 def on_streets(streets: dict[float, Tables]) -> Iterator[str]:
-    """Rows of the table of straight streets whose houses repeat after so many meters."""
-    yield "| drive | light | houses repeat after | believed while driving | known at rest |"
-    yield "|---|---|---|---|---|"
-    for repeats_m, tables in streets.items():
-        for drive, light in STREETS:
-            yield f"| {drive} | {light} | {repeats_m:g} m | {' | '.join(tables.on_street(drive, light))} |"
+    """Rows of the table of straight streets whose houses repeat after so many meters, and of all of them."""
+    gps = " | ".join(GPS_LOST_M)
+    yield f"| drive | light | houses repeat after | driving, {gps} | at rest, {gps} |"
+    yield "|" + "---|" * (3 + 2 * len(GPS_LOST_M))
+    every = np.zeros((2, len(GPS_LOST_M), 3), int)
+    drives = product(streets.items(), LIGHTS, STREET_LIGHTS)
+    for seed, ((repeats_m, tables), drive, light) in enumerate(drives):
+        found = tables.on_street(drive, light, seed)
+        every += found
+        yield f"| {drive} | {light} | {repeats_m:g} m | {_counted(found)} |"
+    yield f"| all | | | {_counted(every)} |"
+
+
+def _counted(found: NDArray[np.intp]) -> str:
+    """Cells of what `Tables.on_street` counts."""
+    return " | ".join(f"{believed} of {count}, {wrong}" for count, believed, wrong in found.reshape(-1, 3))
 
 
 def _stands(image: Image) -> Iterator[Image]:

@@ -17,6 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from edge import __version__
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.descriptor.network import Network
 from edge.feed import FeedImages, FeedRow, View, read_feed
@@ -66,6 +67,9 @@ def keyframes_off_map(args: argparse.Namespace) -> Iterator[str]:
 
 def keyframes_on_streets(args: argparse.Namespace) -> Iterator[str]:
     """What it believes on straight streets built alike."""
+    seeds = " ".join(map(str, args.seeds))
+    yield f"`python -m sim.research.evaluation streets --seeds {seeds} --draws {args.draws}` of version {__version__}:"
+    yield ""
     yield from keyframes.on_streets(
         {repeats_m: _tables(args, args.draws, repeats_m) for repeats_m in keyframes.REPEATS_M}
     )
