@@ -59,8 +59,6 @@ CALL = 6.9
 """Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
 FIRST = 2
 """Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
-SAME_PLACE_M = 10.0
-"""A match further from the estimate is of another place, where matches must agree for a correlation length."""
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which it has each frame of a sequence within a place."""
 UNDATED_M = 5.0
@@ -366,7 +364,7 @@ class Tracker:
         if not self._is_placed or bank.evidence(*names) < CALL:
             return False
         name = max(names, key=bank.evidence)
-        before, right = bank.right, bank.of(name)
+        right = bank.of(name)
         if name == "slips":
             self._is_shown = False
             bank.begin(right, bank.before)
@@ -375,8 +373,8 @@ class Tracker:
             bank.begin(bank.before)
             self._track = TrackScore(0.0)
         else:
-            is_elsewhere = float(np.hypot(*(right.position_m - before.position_m))) > SAME_PLACE_M
-            bank.begin(right, (bank.before or before) if is_elsewhere else bank.before)
+            is_elsewhere = name == "lost"  # where matches must agree for a correlation length
+            bank.begin(right, (bank.before or bank.right) if is_elsewhere else bank.before)
             self._track = TrackScore(math.inf if is_elsewhere else 0.0)
         self._track.matches = FIRST - 1  # those that outvoted what was known
         return True

@@ -232,6 +232,7 @@ def test_an_estimate_that_began_with_a_second_solution_is_outvoted(road: Road) -
     assert left_m(one.place) == pytest.approx(-1.0, abs=0.1)
     one.go(6, looks(road, 1.5))
     assert left_m(one.place) == pytest.approx(1.5, abs=0.1)
+    assert one.place is not None and not one.place.disputed, "it is at the same place"
 
 
 def test_no_number_of_looks_moves_an_estimate_to_another_place(road: Road) -> None:
