@@ -30,8 +30,6 @@ class Stretch:
     `Segment`. late_m: by how much its positions, and the heading of a log with an odometer, are further
     along the road than its pictures. backward: it was driven the other way, its camera looked ahead, so the same way.
     crept: first and last meter of the road between which its GPS moved away, and by how much to the east and north.
-    wanders: the draw by which its GPS wanders by 0.7 m over some 60 m. Its compass is 2 degrees off then, and one more
-    or less as the vehicle turns, and its odometer 2 % too long. None: they do not.
     """
 
     begins_m: float
@@ -46,22 +44,12 @@ class Stretch:
     late_m: float = 0.0
     backward: bool = False
     crept: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
-    wanders: int | None = None
 
     def off_m(self, at_m: float) -> Points:
         """East and north (2,), by which a position is wrong."""
         begins_m, ends_m, east_m, north_m = self.crept
         share = min(max((at_m - begins_m) / (ends_m - begins_m), 0.0), 1.0)
         return np.array([self.east_m + share * east_m, self.north_m + share * north_m])
-
-    def wander_m(self, places: int) -> Points:
-        """East and north (places, 2), by which its GPS is off from place to place."""
-        wander_m = np.zeros((places, 2))
-        if self.wanders is not None:
-            kept, rng = math.exp(-SPACING_M / 60.0), np.random.default_rng(self.wanders)
-            for row in range(1, places):
-                wander_m[row] = kept * wander_m[row - 1] + 0.7 * math.sqrt(1 - kept**2) * rng.normal(size=2)
-        return wander_m
 
 
 @dataclass(frozen=True)
@@ -131,15 +119,20 @@ def build_maps(
             at_m = np.arange(stretch.begins_m, min(stretch.ends_m, len(line) - 1), SPACING_M)[
                 :: -1 if stretch.backward else 1
             ]
-            compass_deg, longer = (0.0, 1.0) if stretch.wanders is None else (2.0, 1.02)
-            for row, (s, wander_m) in enumerate(zip(at_m, stretch.wander_m(len(at_m)), strict=True)):
+            for row, s in enumerate(at_m):
                 logged = min(int(s + stretch.late_m), len(line) - 1)
                 looks = heading[logged if stretch.has_odometer else int(s)]  # wheels, heading, positions: of one log
-                east_m, north_m = line[logged] + stretch.off_m(s) + wander_m
+                east_m, north_m = line[logged] + stretch.off_m(s)
                 lat_deg, lon_deg = moved(*HOME, float(east_m), float(north_m))
                 route_m = (before[3] + row) * SPACING_M
-                compass = math.degrees(looks + math.pi * stretch.backward) + compass_deg * (1 + math.sin(looks) / 2)
-                known = index + row, lat_deg, lon_deg, 0.0, compass % 360, longer * route_m
+                known = (
+                    index + row,
+                    lat_deg,
+                    lon_deg,
+                    0.0,
+                    math.degrees(looks + math.pi * stretch.backward) % 360,
+                    route_m,
+                )
                 builder.add(raw, Place(*known, position_sigma_m=stretch.sigma_m, position_source="gps"))
             begins_m = before[1] if stretch.continues else float(at_m[0])
             found.append((before[0], begins_m, float(at_m[-1]), before[3] + len(at_m)))
