@@ -31,9 +31,10 @@ GOOD_M, BAD_M = 10.0, 25.0
 """Reported accuracy from which a fix becomes good, and beyond which it stays so no longer."""
 M_PER_HDOP, UNREPORTED = 4.0, 65535
 """Where a receiver reports no accuracy, its HDOP stands for one: good up to 2.5, where PX4's EKF2_REQ_HDOP is."""
-APART_SIGMAS, OFF_FIX_M, LATENCY_S = 3.0, 10.0, 0.3
-"""How far the filter's position may be from that of a receiver that it uses. LATENCY_S: of a fix; by the autopilot's
-clock it is 0.07 s in ArduPilot's simulator and none in PX4's, by the arrival of the message 0.1 to 0.3 s."""
+APART_SIGMAS, OFF_FIX_M, LATENCY_S, DATED_S = 3.0, 10.0, 0.3, 0.1
+"""How far the filter's position may be from that of a receiver that it uses. LATENCY_S: of a fix that is dated by the
+arrival of its message, DATED_S: by the autopilot's clock. They were 0.1 to 0.3 s and 0.07 s in ArduPilot's simulator,
+0.04 s and none in PX4's."""
 SOURCES: dict[int, PositionSource] = {
     mavlink.GPS_FIX_TYPE_DGPS: "dgps",
     mavlink.GPS_FIX_TYPE_RTK_FLOAT: "rtk_float",
@@ -83,8 +84,8 @@ class Receiver:
     def __init__(self, name: str) -> None:
         self.name = name
         self.heard_ns: int | None = None
-        self.fix_ns = 0
-        """When its newest fix was."""
+        self.fix_ns, self.latency_s = 0, LATENCY_S
+        """When its newest fix was, and by how much it may have been before that."""
         self.accuracy_m: float | None = None
         """As it reports it, None where it does not."""
         self.source: PositionSource = "unknown"
@@ -112,7 +113,8 @@ class Receiver:
         is_good = is_good and bool(message.lat or message.lon)
         if is_good:
             self.at = message.lat / 1e7, message.lon / 1e7
-            self.fix_ns = now_ns if fix_ns is None or not 0 <= now_ns - fix_ns <= GPS_FRESH_NS else fix_ns
+            is_dated = fix_ns is not None and 0 <= now_ns - fix_ns <= GPS_FRESH_NS
+            self.fix_ns, self.latency_s = (fix_ns, DATED_S) if fix_ns is not None and is_dated else (now_ns, LATENCY_S)
             self.accuracy_m, self.source = accuracy_m or None, SOURCES.get(message.fix_type, "gps")
         self._fix.report(now_ns, is_good=is_good)
 
@@ -211,7 +213,7 @@ class Gps:
             return None
         best = min(healthy, key=lambda one: one.sigma_m)
         since_s = (stamp_ns - best.fix_ns) / 1e9
-        sigma_m = math.hypot(best.sigma_m, LATENCY_S * own.speed_mps)
+        sigma_m = math.hypot(best.sigma_m, best.latency_s * own.speed_mps)
         return GpsFix(*moved(*best.at, own.east_mps * since_s, own.north_mps * since_s), sigma_m)
 
     def _hears_filter(self, now_ns: int) -> bool:

@@ -336,6 +336,7 @@ def test_gps_puts_a_vehicle_where_its_receiver_does_at_the_time_of_the_fix(epoch
     gps = vehicle.gps_fix(now_ns, now_ns)
     assert gps is not None
     assert east_north_of(gps.lat_deg, gps.lon_deg, at(now_ns)) == pytest.approx((-late_m, 0.0), abs=0.05)
+    assert gps.sigma_m == pytest.approx(4.24 if late_m else 3.16, abs=0.01)
 
 
 def streams_requested(rig: Rig) -> list[int]:
