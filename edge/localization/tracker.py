@@ -248,6 +248,7 @@ class Tracker:
         state.keeps_gps = False
         state.set(COMPASS, 0.0, MISLED_RAD**2)
         self.follows_gps = self._is_shown = False
+        self._exposure = None  # the filter that followed GPS had the vehicle there
         self.bank.begin(state)
 
     def doubt_scale(self) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from edge.config import RigConfig
+from edge.config import GatesConfig, RigConfig
 from edge.localization import Fix
 from edge.sequence import KeyframeMatch, PlaceMatch
 from sim.research.trial import gps_histories
@@ -22,7 +22,7 @@ EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
 """Frames from look to look; how far off one is; which share of them is a second solution, and by how much."""
 DISAGREE = 6.9
 """log((1 - gps_missed) / gps_false_call), by default."""
-SETTINGS = settings(RigConfig(look_sigma_m=0.01))
+SETTINGS = settings(RigConfig(look_sigma_m=0.01), GatesConfig(doubted_gps="switch"))
 
 
 class Called(NamedTuple):
@@ -126,21 +126,20 @@ def test_gps_by_which_a_vehicle_leaves_what_it_sees_is_called_by_own_motion(long
     assert found[-1].state == "faulty", "no line speaks for GPS soon after looks did not"
 
 
-@pytest.mark.parametrize("drag_s", [12.0, 20.0])
-def test_a_drag_that_ends_in_a_jam_leaves_what_places_say(long_road: Road, drag_s: float) -> None:
-    """By 0.5 m/s, before it is called and after; the autopilot is where GPS was."""
+@pytest.mark.parametrize(("drag_s", "every"), [(12.0, EVERY), (20.0, EVERY), (math.inf, 10**6)])
+def test_a_drag_that_ends_in_a_jam_leaves_what_places_say(long_road: Road, drag_s: float, every: int) -> None:
+    """By 0.5 m/s, before it is called and after; the autopilot is where GPS was. Without a jam, from the call on: no
+    position is of the filter that followed GPS. every: frames from look to look."""
     one, rng, sigmas = Vehicle(long_road, SETTINGS, LENGTH_M - 10.0, "reverse"), np.random.default_rng(3), []
-    for frame in range(250):
-        time_s = frame * FRAME_NS / 1e9
+    for frame, time_s in enumerate((np.arange(420) * FRAME_NS / 1e9).tolist()):
         has_gps, one.off_m = time_s < 20.0 + drag_s, 0.5 * min(max(time_s - 20.0, 0.0), drag_s)
         one.move()
         one.own(has_gps=has_gps)
-        shown = looked(one.north_m, *rng.normal(0.0, LOOK_M, 2), is_look=frame % EVERY == 0)
+        shown = looked(one.north_m, *rng.normal(0.0, LOOK_M, 2), is_look=frame % every == 0)
         one.show(shown, gps_at(one.north_m + one.off_m) if has_gps else None)
-        answer = one.ask()
-        if not has_gps and isinstance(answer, Fix):
+        if isinstance(answer := one.ask(), Fix):
             sigmas.append(abs(north_m(answer.place) - one.north_m) / answer.place.sigma_m)
-    assert len(sigmas) >= 25
+    assert len(sigmas) >= 8
     assert max(sigmas) < 3.0
 
 
