@@ -233,7 +233,9 @@ def crept_m2(
 
     Each position is the middle of windows of CREPT_M, over which both differ by a vector. What the standard deviations
     at its ends and CREPT_SHARE of the way do not explain is spread over the window, of that in which it is most. Of two
-    places, what lies between them is how far one may be off against the other. Arguments: see `disagreements`.
+    places, what lies between them is how far one may be off against the other. A jump from one position to the next is
+    not creeping: places behind it are as certain as before, and elsewhere, which a hypothesis finds. With it, on a map
+    of which 400 m were 300 m off a position 303 m off was published. Arguments: see `disagreements`.
     """
     way_m, points = np.maximum.accumulate(driven_m), points_m @ np.array([1.0, 1j])
     if len(points) < 2:
@@ -253,13 +255,15 @@ def crept_m2(
     off = complex(np.median(ratios.real) - 1.0, np.median(ratios.imag)) if far.any() else 0j
     off *= min(1.0, MOST_BIAS / max(abs(off), 1e-9))
     share, known_m2 = np.zeros(len(points)), np.maximum(sigma_m, LEAST_SIGMA_M) ** 2
+    unlike = np.diff(points) - (1.0 + off) * np.diff(moved)
+    unlike[np.abs(unlike) ** 2 > CREPT_TIMES * (known_m2[1:] + known_m2[:-1])] = 0  # a jump
+    apart = np.concatenate([[0j], np.cumsum(unlike)])
     for window_m in CREPT_M:
         first, last = ends(window_m)
         length_m = np.maximum(way_m[last] - way_m[first], CREPT_M[0])
-        apart_m = np.abs(points[last] - points[first] - (1.0 + off) * (moved[last] - moved[first]))
+        apart_m2 = np.abs(apart[last] - apart[first]) ** 2
         usual_m2 = known_m2[first] + known_m2[last] + (CREPT_SHARE * length_m) ** 2
-        is_more = apart_m**2 > CREPT_TIMES * usual_m2
-        share = np.maximum(share, np.where(is_more, apart_m**2 - usual_m2, 0.0) / length_m)
+        share = np.maximum(share, np.where(apart_m2 > CREPT_TIMES * usual_m2, apart_m2 - usual_m2, 0.0) / length_m)
     return np.concatenate([[0.0], np.cumsum((share[1:] + share[:-1]) / 2 * np.diff(way_m))])
 
 

@@ -164,19 +164,17 @@ class Route:
             np.ascontiguousarray(known[name]) for name in ("route_m", "lat_deg", "lon_deg", "heading_deg")
         )
         extent_m = float(np.fmin.reduce(records["route_m"])), float(np.fmax.reduce(records["route_m"]))
-        spacing_m = _usual_step_m(records["route_m"])
         if np.isnan(heading_deg).any():
             heading_deg = np.where(np.isnan(heading_deg), _course_deg(lat_deg, lon_deg), heading_deg)
         unwrapped_deg = unwrapped(lon_deg) if lon_deg.size else lon_deg
         sigma_m, points_m = sigmas_m(known), east_north(lat_deg, lon_deg)
         # An odometer that agrees shows the shape of a drive, and not when its pictures were taken.
-        checked_m, whole_m = 0.0, self._index.whole_sigma_m(segment)
-        if self._index.moved_as_driven(segment):
-            checked_m = float(np.hypot(*points_m.T).max(initial=0.0))
+        whole_m, is_checked = self._index.whole_sigma_m(segment), self._index.moved_as_driven(segment)
+        checked_m = float(np.hypot(*points_m.T).max(initial=0.0)) if is_checked else 0.0
         whole_sigma_m = UNKNOWN_WHOLE_M if whole_m is None else (whole_m, 0.0)
         about = segment, self._index.recording(segment), checked_m, whole_sigma_m, len(records)
         lines = route_m, lat_deg, unwrapped_deg, heading_deg, sigma_m, crept_m2(points_m, sigma_m, route_m, heading_deg)
-        return MapDrive(*about, *extent_m, spacing_m, *lines)
+        return MapDrive(*about, *extent_m, _usual_step_m(records["route_m"]), *lines)
 
 
 def _sigma_between_m(drive: MapDrive, target_m: float, after: int) -> float:
