@@ -273,14 +273,17 @@ def warned_before_50_m(run: CourseRun) -> str:
     return "no warning" if math.isinf(warned_s) else f"{worst_m:.0f} m before it" if worst_m >= CALLED_M else ""
 
 
-def told_after(from_m: float) -> Rule:
-    """The rule that the pilot reads of GPS or the map soon after the two begin to disagree, at a meter of the way."""
+def told_after(from_m: float, off_from_s: float = math.inf) -> Rule:
+    """The rule that the pilot reads of GPS or the map soon after the two begin to disagree, at a meter of the way.
+
+    off_from_s: when GPS jumps; own motion may show that before a place does.
+    """
 
     def told_soon(run: CourseRun) -> str:
         warnings = [(at_s, text) for at_s, severity, text in run.texts if severity <= WARNING]
         told_s = [at_s for at_s, text in warnings if any(one in text for one in TOLD)]
         after_m = np.interp(told_s, run.track.time_s, run.track.along_m) - from_m
-        told_m = min(after_m[after_m >= 0], default=math.inf)
+        told_m = min(after_m[(after_m >= 0) | (np.array(told_s) >= off_from_s)], default=math.inf)
         return f"told after {told_m:.0f} m" if told_m > LINE_M + TOLD_M else ""
 
     return told_soon

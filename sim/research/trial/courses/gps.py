@@ -110,20 +110,20 @@ def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
     """GPS is consistent with the map for 400 m; in a gap of the map of 250 m or 800 m it begins to be 30 m off, also
     where nothing but GPS measures the velocity. A person drives, who must read of it soon."""
     gap_m = 800.0 if value == "far-gap" else 250.0
-    _wrong_in_gap(draft, gap_m, 30.0)
-    draft.rules = (*HONEST, told_after(400.0 + gap_m))
+    draft.rules = (*HONEST, told_after(400.0 + gap_m, _wrong_in_gap(draft, gap_m, 30.0)))
     if value == "gap-unaided":
         draft.errors = replace(draft.errors, source="none")
 
 
-def _wrong_in_gap(draft: CourseDraft, gap_m: float, off_m: float) -> None:
-    """A gap of the map after 400 m, in the middle of which GPS begins to be so far to the side."""
+def _wrong_in_gap(draft: CourseDraft, gap_m: float, off_m: float) -> float:
+    """A gap of the map after 400 m, in the middle of which GPS begins to be so far to the side: at that second."""
     agreed_m = draft.length_m - 400.0
     draft.map = [MapStretch(0.0, agreed_m - gap_m), MapStretch(agreed_m, draft.length_m)]
     from_s, (east_m, north_m) = (400.0 + gap_m / 2) / 8.0, draft.side(off_m)
     wrong = GpsReport(east_off_m=east_m, north_off_m=north_m)
     draft.gps_at = lambda time_s: GpsReport() if time_s < from_s else wrong
     draft.steers = False
+    return from_s
 
 
 @course("D", "gps-turned-twice", rules=(never_called, never_sent))
