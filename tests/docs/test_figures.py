@@ -23,7 +23,7 @@ def test_the_flights_of_readme_are_those_of_their_page() -> None:
         f"{sent} positions, median error at night {by_night['ArduPilot']} m (ArduPilot), {by_night['PX4']} m (PX4)"
         in README
     )
-    assert f"of the {known} with a recorded sigma, {beyond_3} exceeds 3 sigma, {beyond_4} exceed 4" in README
+    assert f"of the {known} with a recorded sigma, {beyond_3} exceed 3 sigma, {beyond_4} exceed 4" in README
 
 
 def test_each_drive_of_readme_is_one_of_the_page() -> None:
