@@ -233,9 +233,9 @@ def crept_m2(
 
     Each position is the middle of windows of CREPT_M, over which both differ by a vector. What the standard deviations
     at its ends and CREPT_SHARE of the way do not explain is spread over the window, of that in which it is most. Of two
-    places, what lies between them is how far one may be off against the other. A jump from one position to the next is
-    not creeping: places behind it are as certain as before, and elsewhere, which a hypothesis finds. With it, on a map
-    of which 400 m were 300 m off a position 303 m off was published. Arguments: see `disagreements`.
+    places, what lies between them is how far one may be off against the other. A jump that counts as wrong is not
+    creeping: places behind it are as certain as before, and elsewhere, which a hypothesis finds. With it, on a map of
+    which 400 m were 300 m off a position 303 m off was published. Arguments: see `disagreements`.
     """
     way_m, points = np.maximum.accumulate(driven_m), points_m @ np.array([1.0, 1j])
     if len(points) < 2:
@@ -256,7 +256,7 @@ def crept_m2(
     off *= min(1.0, MOST_BIAS / max(abs(off), 1e-9))
     share, known_m2 = np.zeros(len(points)), np.maximum(sigma_m, LEAST_SIGMA_M) ** 2
     unlike = np.diff(points) - (1.0 + off) * np.diff(moved)
-    unlike[np.abs(unlike) ** 2 > CREPT_TIMES * (known_m2[1:] + known_m2[:-1])] = 0  # a jump
+    unlike[np.abs(unlike) > np.maximum(OFF_M, OFF_SIGMAS * np.maximum(sigma_m[1:], sigma_m[:-1]))] = 0
     apart = np.concatenate([[0j], np.cumsum(unlike)])
     for window_m in CREPT_M:
         first, last = ends(window_m)
