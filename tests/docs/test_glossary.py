@@ -93,7 +93,7 @@ ORDINARY = re.compile(r"look_(ahead_\w+|sigma_m|key|alike)|_?look_up|_gps_steere
 """Keys that configs have, and ordinary English."""
 WORDS = re.compile(
     r"\b(a|an|one|two|by|of|each|every|newest|last|first|further|single|all|no) looks?\b(?![ -](like|alike|at|up))"
-    r"|\blooked at\b|\bsightings?\b|(?<!gps )\bdragged\b|\bthe newest matches disagree\b"
+    r"|\blooked at\b|\bsightings?\b|(?<!gps[ -])\bdragged\b|\bthe newest matches disagree\b"
     r"|(called|calls GPS) wrong|GPS (agrees|disagrees|is doubtful)\b",
     re.IGNORECASE,
 )
