@@ -52,7 +52,7 @@ test-core:
 # Without what rounds nothing that these do not: most recordings, searches of int8 rows at another spacing. A recording with
 # keypoints takes five times as long by two threads.
 KERNELS := Haswell.2.avx2 SkylakeX.1.avx512f Prescott.1.pni
-ROUNDED := best_of_both dead_reckoning gps_monitor gyro_heading odometer_calibration pose_measurement position_estimator route_filter
+ROUNDED := dead_reckoning gps_monitor gyro_heading odometer_calibration pose_measurement position_estimator route_filter
 test-kernels: $(KERNELS:%=kernel-%)
 kernel-%: $(VENV)/.dev
 	@set -- $(subst ., ,$*) "$$(OPENBLAS_VERBOSE=2 $(BIN)/python -c 'import numpy' 2>&1)"; \

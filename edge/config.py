@@ -262,6 +262,7 @@ class GatesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     drift_percent: Annotated[float, Meta(ge=0, le=100)] = 5.0
     confirm_m: Annotated[float, Meta(gt=0, le=1000)] = 100.0
     doubted_gps: Literal["report", "switch", "send"] = "report"
+    misled: Literal["ask", "hold"] = "ask"
     gps_false_call: Annotated[float, Meta(gt=0, le=0.1)] = 1e-3
     gps_missed: Annotated[float, Meta(gt=0, le=0.5)] = 0.01
 
@@ -277,7 +278,7 @@ class TelemetryConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """[telemetry]: the MAVLink connections, what is sent on them, and the journal."""
 
     connection: str = "serial:/dev/serial0:921600"
-    emit: Literal["report", "external_position", "global_position_sensor", "auto"] = "report"
+    emit: Literal["report", "external_position", "vision_position", "global_position_sensor", "auto"] = "report"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     sensor_id: Annotated[int, Meta(ge=1, le=255)] = 1

@@ -12,9 +12,8 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar, Union
 import msgspec
 
 from edge.journal.journal import earlier_files
-from edge.journal.records import KINDS, RENAMED, SCHEMA, FrameUsed, JournalOpened, Record, with_todays_keys
+from edge.journal.records import KINDS, SCHEMA, FrameUsed, JournalOpened, Record, with_todays_keys
 
-HELD_AXES = {"along": "along-track", "across": "cross-track"}
 GPS_STATES = {
     "agrees": "consistent",
     "doubtful": "suspect",
@@ -79,11 +78,7 @@ def in_todays_words(fields: dict[str, Any]) -> dict[str, Any]:
     """The keys and words of a record of schema 2 as those of today; any other as it is."""
     if fields.get("event") == "gps_judged":
         return {**fields, "state": GPS_STATES.get(fields.get("state", ""), fields.get("state"))}
-    if RENAMED.keys().isdisjoint(fields):
-        return fields
     today: dict[str, Any] = with_todays_keys(fields)
-    if isinstance(held := today.get("held_axes"), str):
-        today["held_axes"] = HELD_AXES.get(held, held)
     return today
 
 

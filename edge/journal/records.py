@@ -23,7 +23,6 @@ of RENAMED."""
 RENAMED = {
     "sigma_across_m": "sigma_cross_track_m",
     "level_across_m": "level_cross_track_m",
-    "keeps": "held_axes",
 }
 """Keys of schema 2, as they are called now."""
 
@@ -56,10 +55,6 @@ Heading = Annotated[float | None, unit("deg", "heading of travel, clockwise from
 Distance = Annotated[float | None, unit("m", "distance from the autopilot's own position, null where it has none", 3)]
 Points = Annotated[int | UnsetType, unit("", "keypoints that agree where the camera was, as in `place`")]
 SigmaAlong = Annotated[float | UnsetType, unit("m", "one standard deviation along-track", 3)]
-HeldAxes = Annotated[
-    Literal["along-track", "cross-track"] | UnsetType,
-    unit("", "the axis on which the position is the autopilot's own; absent: on none"),
-]
 
 
 class Record(msgspec.Struct, frozen=True, tag_field="event"):
@@ -248,24 +243,9 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
     points: Points = UNSET
     sigma_along_m: SigmaAlong = UNSET
-    held_axes: HeldAxes = UNSET
-
-
-class FixConfirmed(Record, frozen=True, tag="fix_confirmed"):
-    """The autopilot's own position agrees with a position, so that no reset was sent; at most one record a second."""
-
-    place: Place
-    stamp_ns: Annotated[int, unit("ns", "the moment of the position")]
-    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)", 9)]
-    lon_deg: Annotated[float, unit("deg", "longitude (WGS 84)", 9)]
-    sigma_m: Annotated[float, unit("m", "one standard deviation of the distance from the truth", 3)]
-    distance_m: Distance
-    map: MapName = UNSET
-    level_along_m: Annotated[float | None, unit("m", "protection level along-track, as in `fix_sent`", 2)] = None
-    level_cross_track_m: Annotated[float | None, unit("m", "protection level cross-track", 2)] = None
-    points: Points = UNSET
-    sigma_along_m: SigmaAlong = UNSET
-    held_axes: HeldAxes = UNSET
+    pose_sigma_m: Annotated[
+        float | UnsetType, unit("m", "one standard deviation of a keypoint pose without the map's error", 3)
+    ] = UNSET
 
 
 class FixAnswered(Record, frozen=True, tag="fix_answered"):
@@ -290,6 +270,13 @@ class SourceSetAnswered(Record, frozen=True, tag="source_set"):
 
     number: Annotated[int, unit("", "1 with GPS, 2 without; ArduPilot's set of sources")]
     result: Annotated[str, unit("", 'name of the MAV_RESULT without its prefix, "NO_ANSWER" or "NOT_READ_BACK"')]
+
+
+class VehicleMisled(Record, frozen=True, tag="misled"):
+    """A vehicle steers itself while GPS is wrong and no place says where it is; every three seconds."""
+
+    gps: Annotated[str, unit("", "what the places say of GPS, as in `gps_judged`")]
+    stopped: Annotated[bool, unit("", "whether it was stopped, by [gates] misled; else the pilot was asked to")]
 
 
 class GpsJudged(Record, frozen=True, tag="gps_judged"):

@@ -27,11 +27,12 @@ from edge.localization.events import (
     GpsState,
     ImageProcessed,
     MapUpdate,
+    Moment,
     OdometryUpdate,
     ProtectionLevel,
 )
 from edge.localization.filter import CORRELATION_M
-from edge.localization.fix_rules import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix, position_of
+from edge.localization.fix_rules import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix
 from edge.localization.gps_monitor import GpsVerdict
 from edge.localization.gyro_heading import GyroHeading
 from edge.localization.integrity import distance_from, offset_m
@@ -44,12 +45,14 @@ from edge.localization.odometer_calibration import (
     learned,
 )
 from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
+from edge.localization.tracker import HOLE_S
 
 __all__ = [
     "AGREE_SIGMAS",
     "CORRELATION_M",
     "GPS_HEALTHY",
     "GPS_SIGMA_M",
+    "HOLE_S",
     "MAX_SPEED_MPS",
     "MOST_DRIVES",
     "NO_PLACES",
@@ -72,6 +75,7 @@ __all__ = [
     "ImageProcessed",
     "Integral",
     "MapUpdate",
+    "Moment",
     "NoFix",
     "OdometerCalibration",
     "Odometry",
@@ -83,5 +87,4 @@ __all__ = [
     "distance_from",
     "learned",
     "offset_m",
-    "position_of",
 ]

@@ -1,21 +1,18 @@
-"""The covariance of the autopilot's own position since its last aiding, and dead reckoning from that. Pure."""
+"""How uncertain the autopilot's own position is since its last aiding, and dead reckoning from that. Pure."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import math
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import BOUND_WRONG, AutopilotState, Fix
+from edge.localization.events import BOUND_WRONG, AutopilotState
 from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
 from edge.sequence import DeadReckoningPosition
 
@@ -26,7 +23,6 @@ LONGEST_NS = 600_000_000_000  # without a word of the autopilot, after which it 
 SAME_BOOT_NS = 2_000_000_000  # by which two times of one boot differ by delays of the link
 CLOCK_RATE = 0.01  # the clock of a simulated autopilot was seen to run 0.75 % slow
 FASTER = 1.5  # than the speeds before and after: what may have been driven in between
-Matrix: TypeAlias = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
 
@@ -34,82 +30,20 @@ log = logging.getLogger(__name__)
 class PositionAiding:
     """The last position aiding of the autopilot: by GPS, or by a position of ours.
 
-    covariance: of the position now. fault_probability: that the aiding was wrong. by_gps: whether it was GPS.
+    sigma_m: of its position then, in each direction. driven_m, motion: in all by then. fault_probability: that the
+    aiding was wrong. by_gps: whether it was GPS.
     """
 
-    covariance: PropagatedCovariance
+    sigma_m: float
+    driven_m: float
+    motion: Odometry | None
     fault_probability: float
     by_gps: bool
 
-
-class Drift(NamedTuple):
-    """One standard deviation of a velocity's scale, of its heading in radians, and of what else a way adds as a share.
-
-    Where nothing was shown of scale and heading, the last one stands for all.
-    """
-
-    scale: float
-    heading_rad: float
-    way: float
-
-    @property
-    def most(self) -> float:
-        """Of the meters driven, in any direction."""
-        return math.hypot(max(self.scale, self.heading_rad), self.way)
-
-
-@dataclass(frozen=True)
-class PropagatedCovariance:
-    """Of a position east and north, each (2, 2): the covariance at its aiding, and what was added to it since.
-
-    by_velocity: meters for each of the velocity's scale, and for each radian of its heading. by_way: for each share of
-    the meters driven. An error of scale or heading adds up over a way, and is gone where a position has measured it.
-    """
-
-    covariance: Matrix
-    by_velocity: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
-    by_way: Matrix = field(default_factory=lambda: np.zeros((2, 2)))
-
-    def moved(self, east_m: float, north_m: float, driven_m: float, unknown_m: float) -> PropagatedCovariance:
-        """After so many meters more; unknown_m: one standard deviation of those while the velocity was unknown."""
-        by_velocity = self.by_velocity + np.array([[east_m, north_m], [north_m, -east_m]])
-        covariance = self.covariance + unknown_m**2 * np.eye(2)
-        return PropagatedCovariance(covariance, by_velocity, self.by_way + driven_m * np.eye(2))
-
-    def bound_by(self, fix: Fix, left_m: float) -> PropagatedCovariance:
-        """After the autopilot used a fix of ours and is `left_m` from it: its held axes go on from before.
-
-        Of `by_way` the length stays, not its direction: that of the unmodeled velocity error is unknown, and changes
-        in a bend.
-        """
-        place = fix.place
-        assert place.heading_deg is not None
-        axes = _axes(place.heading_deg)
-        held, sigmas_m = np.array(fix.held_axes), np.maximum([place.sigma_along_m, place.sigma_cross_track_m], left_m)
-        kept, set_by = axes[held].T @ axes[held], axes[~held].T @ np.diag(sigmas_m[~held] ** 2) @ axes[~held]
-        by_way = axes[held].T @ np.diag(np.linalg.norm(axes[held] @ self.by_way, axis=1)) @ axes[held]
-        return PropagatedCovariance(kept @ self.covariance @ kept + set_by, kept @ self.by_velocity, by_way)
-
-    def _covariance(self, drift: Drift) -> Matrix:
-        by_velocity, by_way = self.by_velocity * (drift.scale, drift.heading_rad), drift.way * self.by_way
-        covariance: Matrix = self.covariance + by_velocity @ by_velocity.T + by_way @ by_way.T
-        return covariance
-
-    def most_m(self, drift: Drift) -> float:
-        """One standard deviation in the direction where it is largest."""
-        return math.sqrt(np.linalg.eigvalsh(self._covariance(drift))[-1])
-
-    def along_and_across_m(self, heading_deg: float, drift: Drift) -> tuple[float, float]:
-        """One standard deviation along-track and cross-track of a heading."""
-        axes = _axes(heading_deg)
-        along_m, across_m = np.sqrt((axes @ self._covariance(drift) @ axes.T).diagonal())
-        return float(along_m), float(across_m)
-
-
-def _axes(heading_deg: float) -> Matrix:
-    """Unit vectors along a heading and to its right, (2, 2)."""
-    sin, cos = math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))
-    return np.array([[sin, cos], [cos, -sin]])
+    def sigma_at(self, driven_m: float, motion: Odometry | None, drift: float) -> float:
+        """One standard deviation later, in each direction; drift: of the meters driven since."""
+        unknown_m = 0.0 if motion is None or self.motion is None else motion.unknown_sigma_since(self.motion)
+        return math.hypot(self.sigma_m, drift * max(0.0, driven_m - self.driven_m), unknown_m)
 
 
 class AidingSnapshot(msgspec.Struct, frozen=True):
@@ -147,7 +81,7 @@ class AidingSnapshot(msgspec.Struct, frozen=True):
 
 
 class AutopilotCovariance:
-    """The covariance of the autopilot's own position, and the last datum by GPS.
+    """The standard deviation of the autopilot's own position, and the last datum by GPS.
 
     An aiding (GPS or a fix) holds over a silent link and over a restart of this program, while the autopilot has not
     rebooted, which its boot time shows.
@@ -155,9 +89,8 @@ class AutopilotCovariance:
 
     def __init__(self, drift: float) -> None:
         """drift: of the meters driven, where nothing else is known of the velocity."""
-        self.drift = Drift(0.0, 0.0, drift)
-        """By what is known of it now."""
-        self._at: AutopilotState | None = None
+        self.drift = drift
+        """By what is known of it now, of the meters driven."""
         self.aiding: PositionAiding | None = None
         """The last one since its boot, None where there was none."""
         self._has_run_away = False  # since then: nothing measured its velocity for a while
@@ -181,28 +114,12 @@ class AutopilotCovariance:
     def bind(self, sigma_m: float, own: AutopilotState, wrong: float = BOUND_WRONG, *, by_gps: bool = False) -> None:
         """Aid it: that is its sigma now, in each direction. wrong: the probability that the aiding is wrong."""
         if own.driven_m is not None:
-            self.aiding = PositionAiding(PropagatedCovariance(sigma_m**2 * np.eye(2)), wrong, by_gps)
+            self.aiding = PositionAiding(sigma_m, own.driven_m, own.motion, wrong, by_gps)
             self._has_run_away = False
-
-    def bind_by_fix(self, fix: Fix, left_m: float, own: AutopilotState) -> None:
-        """It has used a fix or agrees with it, and is `left_m` from it now."""
-        before, place = self.aiding, fix.place
-        self.bind(max(place.sigma_m, left_m), own, fix.bound_wrong)
-        if self.aiding is not None and own.driven_m is not None and place.heading_deg is not None:
-            self.aiding = replace(self.aiding, covariance=(before or self.aiding).covariance.bound_by(fix, left_m))
 
     def move(self, own: AutopilotState) -> None:
         """The vehicle has moved on. A position whose velocity nothing measures runs away until the next aiding."""
         self._has_run_away |= not own.is_aided
-        before, self._at = self._at, own
-        if before is None or before.driven_m is None or own.driven_m is None or self.aiding is None:
-            return
-        motions = before.motion, own.motion
-        moved_m, unknown_m = (0.0, 0.0), 0.0
-        if motions[0] is not None and motions[1] is not None:
-            moved_m, unknown_m = motions[1].since(motions[0]), motions[1].unknown_sigma_since(motions[0])
-        errors = self.aiding.covariance.moved(*moved_m, max(0.0, own.driven_m - before.driven_m), unknown_m)
-        self.aiding = replace(self.aiding, covariance=errors)
 
     def keep(self, t_ns: int, own: AutopilotState, *, is_by_gps: bool) -> float | None:
         """Keep its sigma for `snapshot`, once a second; where nothing aids it, return the kept one if that still holds.
@@ -224,7 +141,7 @@ class AutopilotCovariance:
         if sigma_m is not None:
             self._kept = now
             return None
-        since_m = None if before is None else before.since(now, self.drift.most)
+        since_m = None if before is None else before.since(now, self.drift)
         if before is not None and since_m is not None:
             self.rests_on_fixes |= before.by_fixes
         return since_m
@@ -267,25 +184,13 @@ class AutopilotCovariance:
         if self._trusted is None or motion is None or own.driven_m is None:
             return None
         where = moved(self._trusted.lat_deg, self._trusted.lon_deg, *motion.since(self._trusted.displacement))
-        return DeadReckoningPosition(*where, self._trusted.sigma_at(motion, self.drift.most, own.driven_m))
+        return DeadReckoningPosition(*where, self._trusted.sigma_at(motion, self.drift, own.driven_m))
 
-    def _errors(self, own: AutopilotState) -> PropagatedCovariance | None:
+    def sigma_m(self, own: AutopilotState) -> float | None:
+        """One standard deviation, None where it has had no aiding."""
         if self.aiding is None or self._has_run_away or not own.is_aided or own.driven_m is None:
             return None
-        return self.aiding.covariance
-
-    def sigma_m(self, own: AutopilotState, least_m: float = 0.0) -> float | None:
-        """One standard deviation, None where it has had no aiding."""
-        errors = self._errors(own)
-        return None if errors is None else max(errors.most_m(self.drift), least_m)
-
-    def axes_m(self, own: AutopilotState, fix: PlaceFix, least_m: float) -> tuple[float, float] | None:
-        """Its standard deviations along-track and cross-track of a fix, None as in `sigma_m`."""
-        errors = self._errors(own)
-        if errors is None or fix.heading_deg is None:
-            return None
-        axes_m = errors.along_and_across_m(fix.heading_deg, self.drift)
-        return max(axes_m[0], least_m), max(axes_m[1], least_m)
+        return max(self.aiding.sigma_at(own.driven_m, own.motion, self.drift), own.accuracy_m or 0.0)
 
     def dead_reckoning_offset(
         self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState
@@ -293,4 +198,4 @@ class AutopilotCovariance:
         """Where GPS had the vehicle last, moved on by the autopilot's velocity; None where that is not known."""
         if self.by_gps is None or motion is None or own.driven_m is None or not fix.is_position:
             return None
-        return self.by_gps.reckoned(fix, motion, self.drift.most, own.driven_m)
+        return self.by_gps.reckoned(fix, motion, self.drift, own.driven_m)

@@ -5,40 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from msgspec.structs import replace
-
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
 from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import BOUND_WRONG, AutopilotState, Fix, FixRequest
 from edge.localization.evidence import Evidence, EvidenceHistory
-from edge.localization.fix_rules import AGREES, NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
-from edge.localization.integrity import (
-    CARRIED,
-    ONE_MORE,
-    FixCandidate,
-    another_place,
-    better_of,
-    innovation_of,
-    is_correction,
-    level_of,
-    worse_m,
-)
+from edge.localization.fix_rules import NO_PLACES, RULES, GateInputs, NoFix, Rule, refusal
+from edge.localization.integrity import CARRIED, ONE_MORE, another_place, innovation_of, is_off, level_of
 
 
 @dataclass(frozen=True)
 class StateEstimate:
     """What is known when a position is asked for.
 
-    place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment. autopilot:
-    what the autopilot reports, without what is known to be wrong of it, which is_led says that there is. covariance:
-    of its position. evidence: by the places so far. cross_track: see `Tracker`. is_blurred: whether the newest frame's
-    place is recognized, and no sequence match shows where exactly.
+    place: that position, None while the vehicle is lost. motion: by the autopilot's velocity at its moment.
+    pose_sigma_m: see `Fix`. autopilot: what the autopilot reports, without what is known to be wrong of it, which
+    is_led says that there is. covariance: of its position. evidence: by the places so far. cross_track: see `Tracker`.
+    is_blurred: whether the newest frame's place is recognized, and no sequence match shows where exactly.
     """
 
     place: PlaceFix | None
     motion: Odometry | None
+    pose_sigma_m: float | None
     autopilot: AutopilotState
     covariance: AutopilotCovariance
     evidence: EvidenceHistory
@@ -55,13 +44,6 @@ def decide(
     if place is None:
         return refusal(GateInputs(gates, limits, own, known.is_blurred), rules) or NoFix(NO_PLACES)
 
-    # What would be sent: along-track and cross-track, the better of the place and the autopilot's own position.
-    axes_m = bound.axes_m(own, place, own.accuracy_m or 0.0) if limits.is_reset else None
-    if limits.again is not None:
-        best: FixCandidate | None = FixCandidate(place, limits.again.held_axes)
-    else:
-        best = better_of(place, own, axes_m, by_gps=bound.aiding is not None and bound.aiding.by_gps)
-    sent = best or FixCandidate(place)
     # What speaks for the place, what the autopilot and own motion say of it, and how probable another one is (Bayes).
     evidence = Evidence() if motion is None or not place.is_position else history.of(place, motion)
     place_wrong = history.wrong(evidence)
@@ -69,9 +51,8 @@ def decide(
     likelihood, may_be_shifted = autopilot.likelihood(place)
     wrong = another_place(evidence, place_wrong, likelihood, may_be_shifted=may_be_shifted)
     # How far off it may be, also by GPS and motion since, in which no place has a part.
-    level = level_of(
-        sent.place, evidence, history, bound.dead_reckoning_offset(sent.place, motion, own), own.speed_mps or 0.0, gates
-    )
+    reckoned = bound.dead_reckoning_offset(place, motion, own)
+    level = level_of(place, evidence, history, reckoned, own.speed_mps or 0.0, gates)
 
     facts = GateInputs(
         gates,
@@ -85,16 +66,11 @@ def decide(
         is_contradicted=autopilot.contradicts(place),
         wrong=wrong,
         level=level,
-        worse_m=worse_m(place, best, autopilot, own),
         is_needed=not limits.is_reset
         or limits.again is not None
-        or axes_m is None
+        or autopilot.sigma_m is None
         or known.is_led
-        or is_correction(sent, own, gates.min_move_m),
+        or is_off(own, place, gates.min_move_m),
     )
     bound_wrong = min(BOUND_WRONG, max(CARRIED, ONE_MORE * place_wrong))
-    fix = Fix(sent.place, level, bound_wrong, motion, sent.held_axes)
-    refused = refusal(facts, rules)
-    if refused is None:
-        return fix
-    return replace(refused, confirms=fix) if refused.reason == AGREES else refused
+    return refusal(facts, rules) or Fix(place, level, bound_wrong, motion, known.pose_sigma_m)

@@ -21,7 +21,7 @@ from edge.reference_map import MapPlaces
 from edge.sequence import PlaceMatch
 
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
-Moment: TypeAlias = Literal["exposure", "now"]
+Moment: TypeAlias = Literal["exposure", "pose", "now"]
 BOUND_WRONG = 0.1
 """Probability that the last aiding of the autopilot was wrong, where it was not a fix of ours: see `integrity`."""
 
@@ -66,9 +66,10 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     velocity at the position's moment. scale: what GPS has shown of the odometer by which the autopilot moves without
     it, see `OdometerCalibration`. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether
     anything besides our positions measures its velocity; runs_away: whether it is known that nothing does.
-    drives_itself: whether it steers the vehicle by that position, None where its mode is not known. is_doubled: whether
-    two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is that of before. system_id,
-    booted_ns: which autopilot it is, and when that booted, on CLOCK_MONOTONIC.
+    drives_itself: whether it steers the vehicle by that position, None where its mode is not known. fuses_poses:
+    whether it fuses keypoint poses as measurements. is_doubled: whether two autopilots have its ids. is_clock_known:
+    whether it is heard, and its boot clock is that of before. system_id, booted_ns: which autopilot it is, and when
+    that booted, on CLOCK_MONOTONIC.
     """
 
     gps: GpsState = "unknown"
@@ -83,6 +84,7 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     is_aided: bool = True
     runs_away: bool = False
     drives_itself: bool | None = None
+    fuses_poses: bool = False
     is_doubled: bool = False
     is_clock_known: bool = True
     system_id: int | None = None
@@ -96,8 +98,7 @@ class OdometryUpdate(Struct, frozen=True, tag="Moved"):
 
 
 class FixFeedback(Struct, frozen=True, tag="Used", rename={"remaining_m": "left_m"}):
-    """A position was sent, or confirms the autopilot's own. remaining_m: how far that is from it now; None: not known
-    yet.
+    """A position was sent. remaining_m: how far the autopilot's own is from it now; None: not known yet.
 
     fix: None of one that was not ours to judge, as of a recorded drive.
     """
@@ -151,24 +152,25 @@ class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
     level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as an aiding of
-    the autopilot, once that has used it. motion: see `ImageProcessed`, at its moment. held_axes: whether the
-    autopilot's own position is kept along-track, and cross-track.
+    the autopilot, once that has used it. motion: see `ImageProcessed`, at its moment. pose_sigma_m: one standard
+    deviation, in each direction, of a keypoint pose without the error of the map; None of any other position.
     """
 
     place: PlaceFix
     level: ProtectionLevel
     bound_wrong: float = BOUND_WRONG
     motion: Odometry | None = None
-    held_axes: tuple[bool, bool] = (False, False)
+    pose_sigma_m: float | None = None
 
 
 class FixRequest(Struct, frozen=True, tag="Limits"):
     """What holds for a position beside what happened: of the message that would carry it, and of the moment.
 
-    at: of the newest exposure, or of now. oldest_s: its age at most. is_reset: whether the autopilot uses it as it is
-    instead of weighing it. moves_autopilot: whether it goes there; if not, neither its GPS nor its clock matters.
-    again: one that was not answered, in place of the newest. unable: why nothing is recognized at this moment, "" while
-    it is.
+    at: of the newest exposure; of the newest keypoint pose; or of now, but of the newest pose where there are poses:
+    each is a measurement of its own, what is predicted between them is none. oldest_s: its age at most. is_reset:
+    whether the autopilot uses it as it is instead of weighing it. moves_autopilot: whether it goes there; if not,
+    neither its GPS nor its clock matters. again: one that was not answered, in place of the newest. unable: why nothing
+    is recognized at this moment, "" while it is.
     """
 
     at: Moment = "exposure"

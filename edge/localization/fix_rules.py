@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
-from edge.localization.events import UNBOUNDED, AutopilotState, Fix, FixRequest, ProtectionLevel
+from edge.localization.events import UNBOUNDED, AutopilotState, FixRequest, ProtectionLevel
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class GateInputs:
     autopilot, is_blurred: see `StateEstimate`. place: the position. age_s: since its moment. distance_m: from the
     autopilot's own. move_m: the same, 0 where that has no aiding: after a reboot without GPS it may be the mere
     origin. is_contradicted: whether they are further apart than both are uncertain. wrong: probability of another
-    place, infinite where nothing was observed. level: how far off it may be. worse_m: see there. is_needed: of a reset,
-    whether the autopilot is beyond doubt off by it.
+    place, infinite where nothing was observed. level: how far off it may be. is_needed: of a reset, whether the
+    autopilot is beyond doubt elsewhere.
     """
 
     gates: GatesConfig
@@ -40,7 +40,6 @@ class GateInputs:
     is_contradicted: bool = False
     wrong: float = math.inf
     level: ProtectionLevel = UNBOUNDED
-    worse_m: tuple[float, float] | None = (math.inf, 0.0)
     is_needed: bool = True
 
 
@@ -61,7 +60,7 @@ class Rule(NamedTuple):
 
 
 GPS_HEALTHY = "GPS is healthy"
-AGREES = "the autopilot agrees with the places"
+NOT_NEEDED = "no reset is needed"
 NO_PLACES = "the places do not agree yet"
 STANDING = "standing"
 TWO_AUTOPILOTS = "two autopilots have the same ids"
@@ -158,19 +157,10 @@ RULES = (
         is_certain=True,
     ),
     Rule(
-        "less accurate than the autopilot",
-        "a reset needs a sigma, along-track or cross-track, of at most 10 m and 1.2 times the autopilot's (1.0 times "
-        "after GPS), or of at most half the autopilot's; where nothing measures the velocity, of at most 10 m",
-        "test_a_reset_never_makes_a_position_less_accurate",
-        lambda now: now.worse_m is not None,
-        is_certain=True,
-        lacks=lambda now: "{:.1f} m, {:.1f} m needed".format(*now.worse_m or ()),
-    ),
-    Rule(
-        AGREES,
-        "a reset by less than `min_move_m`, or two standard deviations of the position (three by sequence matches "
-        "alone), in each direction in which it is measured",
-        "test_an_autopilot_that_agrees_with_the_places_is_not_reset",
+        NOT_NEEDED,
+        "a reset, of an autopilot that is nearer than `min_move_m`, or than three standard deviations of the position, "
+        "along-track and cross-track",
+        "test_an_autopilot_is_reset_where_it_is_beyond_doubt_off",
         lambda now: not now.is_needed,
         is_certain=True,
         lacks=lambda now: f"{now.distance_m or 0.0:.1f} m apart",
@@ -184,7 +174,6 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
 
     detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
     distance_m: from the autopilot's own position. level: see `Fix`, where the place is certain enough. None: not known.
-    confirms: the position that aids an autopilot which agrees with it, though it is not sent; see `AGREES`.
     """
 
     reason: str
@@ -193,7 +182,6 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
     distance_m: float | None = None
     level: ProtectionLevel | None = None
     lacks: str = ""
-    confirms: Fix | None = None
 
     @property
     def in_words(self) -> str:
@@ -202,11 +190,6 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
 
     def __str__(self) -> str:
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
-
-
-def position_of(answer: Fix | NoFix) -> Fix | None:
-    """The position that may be published, or that an autopilot which agrees with it does not need; None without one."""
-    return answer if isinstance(answer, Fix) else answer.confirms
 
 
 def refusal(facts: GateInputs, rules: Sequence[Rule]) -> NoFix | None:

@@ -19,12 +19,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple
-
-from msgspec.structs import replace
 
 from edge.config import GatesConfig
-from edge.geodesy import VehiclePosition, along_and_across, east_north_of, moved
+from edge.geodesy import VehiclePosition, along_and_across, east_north_of
 from edge.journal.records import PlaceFix
 from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
@@ -44,34 +41,6 @@ while it rolled was never believed again, though every keypoint pose showed it."
 MAP_SHIFTED = 1e-4
 """Probability that a map is shifted as a whole, or that a street beside looks the same, by ELSEWHERE_M then: a
 judgment, see docs/integrity.md."""
-GROWS, BOUND, ACCURATE_M = 1.2, 2.0, 10.0
-"""A reset leaves the autopilot where it is in a direction in which it is more certain than the position; GROWS is by
-how much one position becomes less certain after another on recorded drives (of 551, two by more). Of one that is less
-accurate than ACCURATE_M the autopilot must be BOUND times as uncertain, since its uncertainty by the distance driven is
-a bound, not what is expected; where nothing measures its velocity, none is sent. Messages that are weighed need none of
-this."""
-BESIDE_M = 6.0
-"""Cross-track standard deviation of the autopilot's position up to which it is held where only the lane contradicts it:
-on recorded drives at dusk resets to the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from
-it, and further than 7 to 11 m off nothing is recognized. An autopilot that steers by its own position is as far from
-its lane: without that, rms over sigma of positions of simulated ones is 1.4."""
-
-
-OFF_SIGMAS = 2.0
-"""A reset is a correction: of an autopilot that is further from the position than `min_move_m` and OFF_SIGMAS standard
-deviations of it, on an axis on which the position is measured; AGREE_SIGMAS where only sequence matches do, whose
-error is alike for 150 m. A reset costs what the filter knows of how its heading error has moved it, which it would
-take back once its compass finds that error (EKF3's `setLatLng` clears those covariances). On real ArduPilot 4.6.3,
-home at night by these, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median, 95 %), and at dusk 39 resets 11.9 /
-17.3 m of 2.4 / 2.8 m. With 2.5 by these, wheels that are 3 % wrong were corrected sooner on two roads (24.3 -> 17.6 m,
-14.3 -> 9.7 m, 95 %), and right ones were made worse on a third (3.0 -> 22.9 m; learned ones 15.5 m)."""
-
-
-class FixCandidate(NamedTuple):
-    """What would be sent; held_axes: see `Fix`."""
-
-    place: PlaceFix
-    held_axes: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True)
@@ -112,7 +81,7 @@ def innovation_of(
     cross_track: tuple[float, float] | None,
 ) -> Innovation:
     """Of an autopilot's position without aiding, as after a reboot: by GPS and motion since."""
-    sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
+    sigma_m = bound.sigma_m(own)
     reckoned = None if sigma_m is not None else bound.dead_reckoning_offset(place, motion, own)
     if reckoned is not None:
         return Innovation(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, cross_track)
@@ -196,79 +165,22 @@ def offset_m(position: VehiclePosition, fix: PlaceFix) -> tuple[float, float]:
     return east_north_of(fix.lat_deg, fix.lon_deg, position.at(fix.stamp_ns))
 
 
-def better_of(
-    fix: PlaceFix, own: AutopilotState, axes_m: tuple[float, float] | None, *, by_gps: bool
-) -> FixCandidate | None:
-    """Along-track and cross-track, the better of a fix and the autopilot's own position.
+def is_off(own: AutopilotState, place: PlaceFix, least_m: float) -> bool:
+    """Whether the autopilot is beyond doubt elsewhere: by over least_m and AGREE_SIGMAS, along-track or cross-track.
 
-    axes_m: standard deviations of the latter, None where they do not count; by_gps: whether GPS aided it last. None
-    where the fix is better in neither. Where they contradict each other, the fix: it is published only where its place
-    is certain.
+    A reset costs what the filter knows of how its heading error has moved it, which it would take back once its compass
+    finds that error (EKF3's `setLatLng` clears those covariances). On real ArduPilot 4.6.3, home at night by 2 sigma of
+    sequence matches, 126 resets made 5.4 / 7.8 m of 1.4 / 2.2 m alone (median, 95 %), and at dusk 39 resets 11.9 / 17.3
+    m of 2.4 / 2.8 m. With 2.5, wheels that are 3 % wrong were corrected sooner on two roads (24.3 -> 17.6 m, 14.3 ->
+    9.7 m, 95 %), and right ones were made worse on a third (3.0 -> 22.9 m). least_m: 0 for any reset.
     """
-    if axes_m is None or own.position is None or not fix.is_position:
-        return FixCandidate(fix)
-    assert fix.heading_deg is not None and fix.lat_deg is not None and fix.lon_deg is not None
-    heading_rad = math.radians(fix.heading_deg)
-    sin, cos = math.sin(heading_rad), math.cos(heading_rad)
-    off_m = along_and_across(offset_m(own.position, fix), fix.heading_deg)
-    sigmas_m = fix.sigma_along_m, fix.sigma_cross_track_m
-    if any(
-        abs(one_m) > AGREE_SIGMAS * math.hypot(*both_m) for one_m, *both_m in zip(off_m, axes_m, sigmas_m, strict=True)
-    ):
-        return FixCandidate(fix)  # the autopilot's aiding was wrong
-    own_along_m, own_cross_m = axes_m
-    grows = 1.0 if by_gps else GROWS
-    holds_along = fix.sigma_along_m > _most_m(own_along_m, grows)
-    # One that steers itself by its own position has that on the lane, wherever the vehicle is.
-    is_beside = own.drives_itself or own_cross_m <= BESIDE_M
-    holds_cross = fix.sigma_cross_track_m > _most_m(own_cross_m, grows) or (fix.by_lane and is_beside)
-    if holds_along and holds_cross:
-        return None
-    if not holds_along and not holds_cross:
-        return FixCandidate(fix)
-    kept, kept_m = ((cos, -sin), off_m[1]) if holds_cross else ((sin, cos), off_m[0])
-    lat_deg, lon_deg = moved(fix.lat_deg, fix.lon_deg, -kept_m * kept[0], -kept_m * kept[1])
-    place = replace(
-        fix,
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        sigma_along_m=own_along_m if holds_along else fix.sigma_along_m,
-        sigma_cross_track_m=own_cross_m if holds_cross else fix.sigma_cross_track_m,
-    )
-    return FixCandidate(place, (holds_along, holds_cross))
-
-
-def is_correction(best: FixCandidate, own: AutopilotState, min_move_m: float) -> bool:
-    """Whether the autopilot's own position is so far from a position that resetting it corrects more than it costs.
-
-    Only in directions in which the position is not the autopilot's own. See OFF_SIGMAS; min_move_m: 0 for any reset.
-    """
-    if not min_move_m or own.position is None or best.place.heading_deg is None:
+    if not least_m or own.position is None or place.heading_deg is None:
         return True
-    off_m = along_and_across(offset_m(own.position, best.place), best.place.heading_deg)
-    sigmas_m = best.place.sigma_along_m, best.place.sigma_cross_track_m
-    times = AGREE_SIGMAS if best.place.by_lane else OFF_SIGMAS
+    off_m = along_and_across(offset_m(own.position, place), place.heading_deg)
+    sigmas_m = place.sigma_along_m, place.sigma_cross_track_m
     return any(
-        not is_held and abs(one_m) > max(min_move_m, times * sigma_m)
-        for one_m, sigma_m, is_held in zip(off_m, sigmas_m, best.held_axes, strict=True)
+        abs(one_m) > max(least_m, AGREE_SIGMAS * sigma_m) for one_m, sigma_m in zip(off_m, sigmas_m, strict=True)
     )
-
-
-def worse_m(
-    place: PlaceFix, best: FixCandidate | None, innovation: Innovation, own: AutopilotState
-) -> tuple[float, float] | None:
-    """Standard deviation of a position, and the largest that makes the autopilot's no worse; None where it does not.
-
-    Along the way; of one that is better in a direction, but whose velocity nothing measures, in all.
-    """
-    if best is None:
-        return place.sigma_along_m, _most_m(innovation.sigma_m or 0.0, 1.0 if innovation.by_gps else GROWS)
-    return (place.sigma_m, ACCURATE_M) if not own.is_aided and place.sigma_m > ACCURATE_M else None
-
-
-def _most_m(own_m: float, grows: float) -> float:
-    """The largest standard deviation of a position that makes the autopilot's no worse in a direction."""
-    return max(min(grows * own_m, ACCURATE_M), own_m / BOUND)
 
 
 def distance_from(position: VehiclePosition, fix: PlaceFix) -> float:

@@ -20,14 +20,14 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from msgspec import Struct
 
 from edge.config import Config
 from edge.geodesy import heading_between
 from edge.journal.records import PlaceFix
-from edge.localization.autopilot_covariance import AutopilotCovariance, Drift
+from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.decide import StateEstimate, decide
 from edge.localization.events import (
@@ -73,6 +73,14 @@ Entry: TypeAlias = Event | FixResult | SnapshotRestore
 """Of the list of a drive."""
 Listener: TypeAlias = Callable[[int, Entry], object]
 """Gets an entry, and its time in ns of CLOCK_MONOTONIC."""
+
+
+class FixCandidate(NamedTuple):
+    """A position that is asked for; see `StateEstimate`."""
+
+    place: PlaceFix | None = None
+    motion: Odometry | None = None
+    pose_sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +149,7 @@ class PositionEstimator:
 
     def fix(self, t_ns: int, limits: FixRequest, rules: Sequence[Rule] = RULES) -> Fix | NoFix:
         """A position that may be published at a moment, or why none may; rules: fewer to see what each is worth."""
-        known = self._estimate(*self._asked(t_ns, limits))
+        known = self._estimate(self._asked(t_ns, limits))
         answer = decide(t_ns, known, limits, self._config.gates, rules)
         self._publish(t_ns, FixResult(limits, answer))
         return answer
@@ -167,6 +175,12 @@ class PositionEstimator:
         return self._georeferencer.route
 
     @property
+    def pose_ns(self) -> int | None:
+        """The exposure of the newest keypoint pose that may be a measurement, None without one."""
+        pose = None if self._tracker is None else self._tracker.pose()
+        return None if pose is None else pose.place.stamp_ns
+
+    @property
     def state(self) -> EstimatorState:
         """What the events so far show."""
         if self._known is None:
@@ -174,7 +188,7 @@ class PositionEstimator:
             position, heading_error = None, None
             if self._tracker is not None:
                 position, heading_error = self._tracker.at_exposure(), self._tracker.heading_error
-            own_sigma_m = bound.sigma_m(own, own.accuracy_m or 0.0)
+            own_sigma_m = bound.sigma_m(own)
             is_bounded = bound.aiding is not None
             of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
             self._known = EstimatorState(position, gps.published, gps.is_ignored, *of_own, heading_error)
@@ -201,6 +215,7 @@ class PositionEstimator:
         timestamp_sigma_m, before = frame.timestamp_sigma_s * (self._own.speed_mps or 0.0), self._motion
         yaw_rad = self._yaw_rad(frame.stamp_ns)
         with_pose = None if match is None else self._georeferencer.pose_measurement(match, timestamp_sigma_m, yaw_rad)
+        tracker.may_leave_gps = self._own.fuses_poses and self._config.gates.doubted_gps == "switch"
         is_compared = tracker.update(frame, with_pose, believed, timestamp_sigma_m, yaw_rad)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
         self._motion = frame.motion
@@ -229,19 +244,18 @@ class PositionEstimator:
         (before_ns, before_deg), (after_ns, after_deg) = self._headings[last - 1], self._headings[last]
         return math.radians(heading_between(before_deg, after_deg, (stamp_ns - before_ns) / (after_ns - before_ns)))
 
-    def _drift(self, fix: PlaceFix | None) -> Drift:
+    def _drift(self, fix: PlaceFix | None) -> float:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
         shown = None if self._tracker is None else self._tracker.velocity_errors
         if shown is not None:
-            return Drift(*shown, 0.0)
-        found = self._bound.drift.way if fix is None else fix.velocity_error
-        return Drift(0.0, 0.0, max(self._config.gates.drift_percent / 100, found))
+            return max(shown)
+        return self._bound.drift if fix is None else max(self._config.gates.drift_percent / 100, fix.velocity_error)
 
     def _observe(self, fix: PlaceFix, motion: Odometry | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
         if motion is None or not fix.is_position or fix.disputed:
             return
-        known = self._estimate(fix, motion)
+        known = self._estimate(FixCandidate(fix, motion))
         likelihood, is_shift = innovation_of(
             fix, motion, known.autopilot, known.covariance, known.cross_track
         ).likelihood(fix)
@@ -251,7 +265,8 @@ class PositionEstimator:
         """Use the newest verdict on GPS; where GPS is ignored from now on, the places aid the autopilot."""
         ignored, bound = self._gps.is_ignored, self._bound.aiding
         is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
-        self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost)
+        has_poses = self._own.fuses_poses and self._tracker is not None and self._tracker.pose() is not None
+        self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost, has_poses=has_poses)
         is_no_bound = is_lost and is_bound_by_gps and self._gps.is_faulty
         if is_no_bound or (self._gps.is_ignored and not ignored):
             # What GPS has contradicted so far is not contradicted any more.
@@ -278,7 +293,8 @@ class PositionEstimator:
         if used.remaining_m is None or used.fix is None:
             self._bound.sent(t_ns)
         elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
-            self._bound.bind_by_fix(used.fix, used.remaining_m, self._own)
+            sigma_m = max(used.fix.place.sigma_m, used.remaining_m)
+            self._bound.bind(sigma_m, self._own, used.fix.bound_wrong)
             self._claims.contradict_nothing()
             self._gps.bound()
 
@@ -286,18 +302,21 @@ class PositionEstimator:
         self._bound.bind(sigma_m, self._own, by_gps=by_gps)
         self._claims.contradict_nothing()
 
-    def _asked(self, t_ns: int, limits: FixRequest) -> tuple[PlaceFix | None, Odometry | None]:
-        """The position that is asked for, and the vehicle's motion at its moment."""
-        if self._tracker is None or limits.unable or self._own.is_doubled:
-            return None, None
-        if limits.again is not None:
-            return limits.again.place, limits.again.motion
+    def _asked(self, t_ns: int, limits: FixRequest) -> FixCandidate:
+        """What is asked for, without a place where there is none."""
+        tracker, again = self._tracker, limits.again
+        if tracker is None or limits.unable or self._own.is_doubled:
+            return FixCandidate()
+        if again is not None:
+            return FixCandidate(again.place, again.motion, again.pose_sigma_m)
+        if limits.at == "pose" or (limits.at == "now" and tracker.has_pose):
+            return FixCandidate(*tracker.pose() or ())
         if limits.at == "now":
-            return self._tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved
-        return self._tracker.at_exposure(), self._exposed
+            return FixCandidate(tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved)
+        return FixCandidate(tracker.at_exposure(), self._exposed)
 
-    def _estimate(self, place: PlaceFix | None, motion: Odometry | None) -> StateEstimate:
+    def _estimate(self, asked: FixCandidate) -> StateEstimate:
         is_blurred = self._is_recognized and self._tracker is not None and self._tracker.at_exposure() is None
         own, cross_track = self._gps.believed(self._own), None if self._tracker is None else self._tracker.cross_track
         is_led = own.position != self._own.position
-        return StateEstimate(place, motion, own, self._bound, self._claims, cross_track, is_blurred, is_led)
+        return StateEstimate(*asked, own, self._bound, self._claims, cross_track, is_blurred, is_led)

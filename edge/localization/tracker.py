@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import UNSET
@@ -20,7 +21,7 @@ from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import AutopilotState, GpsFix, ImageProcessed
+from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
@@ -36,10 +37,10 @@ from edge.localization.filter import (
     Vector,
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
-from edge.localization.integrity import BESIDE_M
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
+from edge.localization.pose_measurement import PoseMeasurement
 from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
-from edge.sequence import LEAST_SHARPNESS, PlaceMatch
+from edge.sequence import LEAST_SHARPNESS, Direction, PlaceMatch
 
 STOOD_NS = 10_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no sequence may have a frame from before that.
@@ -59,6 +60,16 @@ CALL = 6.9
 """Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
 FIRST = 2
 """Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
+HOLE_S = 8.0
+"""Without a keypoint pose for so long, FIRST must agree again before one is handed on: EKF3 takes the first one after
+10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source)."""
+ALIKE_M, ALIKE_SHARE = 1.5, 0.1
+"""By how much two keypoint poses that contradict GPS may differ from the vehicle's motion: on a road that was not tuned
+on, by GPS that was dragged by 1 m/s, poses failed from 2.4 m on, and GPS was suspect 11 m later without this."""
+BESIDE_M = 6.0
+"""Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: on recorded drives at
+dusk matches of the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from it. Without it, rms
+over sigma of positions of simulated ones is 1.4."""
 KNOWN_SCALE = 0.015
 """Standard deviation of the odometer's scale up to which it has each frame of a sequence within a place."""
 UNDATED_M = 5.0
@@ -67,6 +78,24 @@ GPS_FAR_M = 2 * ELSEWHERE_M
 """GPS that is further off counts as so far off: there is no place for it among the hypotheses."""
 MISLED_RAD = math.radians(15)
 """One standard deviation of the heading of an autopilot that followed a faulty GPS: 7 to 18 degrees on six drives."""
+
+
+class PoseFix(NamedTuple):
+    """A keypoint pose: its position, with the error of the map; the vehicle's motion then; and its standard deviation
+    in the direction where that is largest, without the error of the map.
+    """
+
+    place: PlaceFix
+    motion: Odometry
+    sigma_m: float
+
+
+class ContradictingPose(NamedTuple):
+    """A keypoint pose that failed the innovation test: its drive of the map, meters (2,), and the motion by then."""
+
+    drive: tuple[int, Direction]
+    position_m: Vector
+    motion: Odometry
 
 
 class TrackScore:
@@ -108,6 +137,8 @@ class Tracker:
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
         """Whether GPS counts as a measurement: it was not declared faulty."""
+        self.may_leave_gps = self.has_left_gps = False
+        """Whether keypoint poses that contradict GPS are enough for that, and whether they were."""
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self.reset()
 
@@ -124,6 +155,9 @@ class Tracker:
         self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
+        self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
+        self._pose: PoseFix | None = None
+        self._contradicting: ContradictingPose | None = None  # the newest one, if that failed while GPS counted
         self.cross_track: tuple[float, float] | None = None
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
@@ -146,7 +180,7 @@ class Tracker:
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
-            self._track = self._exposure = None
+            self._track = self._exposure = self._pose = None
         if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._georeferencer.length // 2:
             self._georeferencer.clear()
         self._at, self._last_ns = frame, frame.stamp_ns
@@ -164,7 +198,7 @@ class Tracker:
             self.bank.each(lambda state: measurements.by_compass(state, has_gps=own.gps_sigma_m is not None))
         track = self._track
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
-            self._track, self._exposure = None, None
+            self._track = self._exposure = self._pose = None
         measured = None
         is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M
         if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
@@ -243,13 +277,19 @@ class Tracker:
 
     def call_gps(self, name: Name) -> None:
         """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
-        state = self.bank.of(name)
+        self._ignore_gps(self.bank.of(name))
+
+    def _ignore_gps(self, state: Filter) -> None:
         state.lose_gps()
         state.keeps_gps = False
         state.set(COMPASS, 0.0, MISLED_RAD**2)
         self.follows_gps = self._is_shown = False
-        self._exposure = None  # the filter that followed GPS had the vehicle there
+        self._exposure = self._pose = None  # the filter that followed GPS had the vehicle there
         self.bank.begin(state)
+
+    def follow_gps(self) -> None:
+        """It counts again."""
+        self.follows_gps, self.has_left_gps = True, False
 
     def doubt_scale(self) -> None:
         """What GPS has shown of the velocity's scale does not hold."""
@@ -305,10 +345,32 @@ class Tracker:
             return measurements.by_sequence(state, slot, measured, is_evidence=is_evidence)
 
         self._compare_across(measured)
-        if self.bank.each(use):
+        is_used = self.bank.each(use)
+        if pose is not None and self._leaves_gps(measured, pose, is_used=is_used):
+            self._agreeing, self._posed_ns = FIRST - 1, stamp_ns
+            is_used = self.bank.each(use)
+        if is_used:
             self._add(track, measured, stamp_ns)
         else:
             track.disagreeing += 1
+
+    def _leaves_gps(self, measured: SequenceMatch, pose: PoseMeasurement, *, is_used: bool) -> bool:
+        """Whether GPS counts no more, since FIRST poses in a row contradict it and moved as the vehicle did."""
+        before, motion = self._contradicting, self._at.motion if self._at else None
+        self._contradicting = None
+        if is_used or motion is None or not (self.follows_gps and self._gps_m is not None):
+            return False
+        now = self._contradicting = ContradictingPose(measured.drive, pose.position_m, motion)
+        if not self.may_leave_gps or before is None or before.motion.odometry_epoch != motion.odometry_epoch:
+            return False
+        moved_m = self.bank.right.truly(np.array(motion.since(before.motion)), np.zeros(2))
+        off_m = float(np.hypot(*(now.position_m - before.position_m - moved_m)))
+        if before.drive != now.drive or off_m > ALIKE_M + ALIKE_SHARE * float(np.hypot(*moved_m)):
+            return False
+        self.has_left_gps = True
+        self._ignore_gps(self.bank.right)
+        self.bank.each(lambda state: state.widen(POSITION, GPS_SIGMA_M))
+        return True
 
     def _add(self, track: TrackScore, measured: SequenceMatch, stamp_ns: int) -> None:
         """A match passed the innovation test."""
@@ -318,6 +380,30 @@ class Tracker:
             self.bank.before = None
         if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
+        if measured.pose is not None:
+            self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
+            self._posed_ns, self._pose = stamp_ns, self._pose_fix(measured, measured.pose)
+
+    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> PoseFix | None:
+        """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
+        exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
+        if exposure is None or origin is None or at is None or at.motion is None or self._agreeing < FIRST:
+            return None
+        lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
+        axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
+        axes = np.concatenate([axes, left_of(axes)])
+        errors = measured.errors
+        of_map = errors.map_m**2 * np.eye(2) + errors.whole
+        along_m, cross_m = np.sqrt((axes @ (pose.covariance + of_map) @ axes.T).diagonal())
+        place = replace(
+            exposure,
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            heading_deg=math.degrees(pose.heading_rad) % 360,
+            sigma_along_m=float(along_m),
+            sigma_cross_track_m=float(cross_m),
+        )
+        return PoseFix(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -384,6 +470,18 @@ class Tracker:
         """The position at the exposure of the last match that passed the innovation test; None while it is lost."""
         exposure = self._exposure
         return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
+
+    def pose(self) -> PoseFix | None:
+        """The newest keypoint pose that passed the innovation test, as did the one before it within HOLE_S.
+
+        None before the first one, and once the vehicle is lost.
+        """
+        pose, exposure = self._pose, self.at_exposure()
+        return (
+            None
+            if pose is None or exposure is None
+            else pose._replace(place=replace(pose.place, disputed=exposure.disputed))
+        )
 
     @property
     def _is_disputed(self) -> bool:

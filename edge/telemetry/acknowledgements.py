@@ -33,7 +33,7 @@ NO_ANSWER = "NO_ANSWER"
 CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
 
 MOVED_NS = 1_500_000_000
-"""How long after ACCEPTED the position may take to move; and how long a stream may pause."""
+"""How long after ACCEPTED the position may take to move; and how long a stream may pause, unless it is of poses."""
 STREAM_NS = 10_000_000_000
 """How long an autopilot that is far from the positions of a stream may take to come nearer."""
 FAR_SIGMAS = 2.0
@@ -163,7 +163,8 @@ class PositionUse:
             if sent.own is not None and (self._followed is None or not self._followed[1]):
                 self._followed = sent, 0
         elif sent.own is not None:
-            self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > MOVED_NS)
+            pauses_ns = MOVED_NS if sent.fix.pose_sigma_m is None else STREAM_NS
+            self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > pauses_ns)
 
     def _follow_stream(self, sent: FixTransmission, unused: str, *, is_new: bool) -> None:
         if unused and unused != self._unused:

@@ -35,7 +35,7 @@ from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
-from edge.telemetry.position_sender import PositionSender, level_m
+from edge.telemetry.position_sender import DOUBTED, PositionSender, level_m
 from edge.telemetry.session import Session
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 from edge.telemetry.vehicle_velocity import slip
@@ -43,7 +43,6 @@ from edge.telemetry.wheel_store import WheelStore, in_percent
 
 DRAIN_S = 0.1  # what a serial port has not sent yet is lost when it is closed
 RESTORE_TRIES = 3
-DOUBTED = ("suspect", "inconsistent", "faulty")  # verdicts on GPS
 GPS_SPEED_NS = 500_000_000  # older, the speed is of another moment
 log = logging.getLogger(__name__)
 
@@ -158,9 +157,9 @@ class AutopilotConnection:
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
-        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.newest
+        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
-        along_m, cross_track_m = level_m(sent[1].level) if sent else (None, None)
+        along_m, cross_track_m = level_m(sent.fix.level) if sent else (None, None)
         scale = self.vehicle.velocity.shown.scale
         return LinkStatus(
             state=self.state,
@@ -178,8 +177,8 @@ class AutopilotConnection:
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
-            sent_ns=sent[0] if sent else None,
-            sent_sigma_m=round(sent[1].place.sigma_m, 2) if sent else None,
+            sent_ns=sent.at_ns if sent else None,
+            sent_sigma_m=round(sent.place.sigma_m, 2) if sent else None,
             level_along_m=along_m,
             level_cross_track_m=cross_track_m,
         )
@@ -319,6 +318,8 @@ class AutopilotConnection:
 
     def _answer(self, message: Message) -> None:
         now_ns = self.clock_ns()
+        if message.get_msgId() == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            self.positions.sources.read_text(message.text)
         is_answer = message.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_ACK
         if is_answer and message.target_component not in (0, self.config.component_id):
             return
@@ -366,7 +367,7 @@ class AutopilotConnection:
             self._bound.keep(now_ns)
         if now_ns >= self._wheels.due_ns:
             self._wheels.keep(now_ns)
-        self.send(self.positions.follow_up(now_ns))
+        self.send(self.positions.follow_up(now_ns, all_came=self.requests.parameters.are_over(now_ns)))
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
 

@@ -16,6 +16,7 @@ from edge.telemetry.session import Origin
 EXTERNAL_POSITION_ESTIMATE: int = mavlink.MAV_CMD_EXTERNAL_POSITION_ESTIMATE  # 43003
 SENSOR_ENABLE, SENSOR_GPS = 43006, 0  # MAV_CMD_ESTIMATOR_SENSOR_ENABLE, which pymavlink does not have yet
 TEXT_BYTES = 50
+ARDUPILOT_M_PER_DEG = 0.011131884502145034 * 1e7
 UNIQUENESS_NAME, SIGMA_NAME, PLACE_NAME = b"uniqueness", b"fix_sigma", b"place"  # at most 10 characters
 LEVEL_NAMES, UNBOUNDED_M = (b"pl_along", b"pl_across"), 1e6
 GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
@@ -25,13 +26,16 @@ GPS_DOUBT_NAME, GPS_OFF_NAME, UNKNOWN_DOUBT = b"gps_doubt", b"gps_off", -1.0
 class MessageContext:
     """What a position message carries besides the fix.
 
-    boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix.
+    boot_s: time of sending on the autopilot's boot clock. age_s: time since the moment of the fix. origin: of its local
+    frame, None where it has none. alt_m: its own altitude above mean sea level.
     """
 
     system_id: int
     boot_s: float
     age_s: float
     sensor_id: int = 1
+    origin: Origin | None = None
+    alt_m: float = 0.0
 
 
 def heartbeat(system_status: int, kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Message:
@@ -83,6 +87,47 @@ def global_position_sensor(fix: PlaceFix, sending: MessageContext) -> Message:
         alt=math.nan,
         eph=fix.sigma_m,
         epv=math.nan,
+    )
+
+
+def vision_position(fix: PlaceFix, sending: MessageContext) -> Message:
+    """VISION_POSITION_ESTIMATE 102: where the vehicle is now, north, east and down of the autopilot's origin.
+
+    By ArduPilot's own flat formula (`Location::get_distance_NE`), and at its own altitude: the first one sets its
+    height. It reads the covariance as one sigma, the cube root of the sum of squared variances, and no attitude while
+    its yaw is that of the compass. ValueError as above, and without an origin.
+    """
+    lat_deg, lon_deg = _position(fix, sending)
+    origin = sending.origin
+    if origin is None:
+        raise ValueError("a vision position needs the autopilot's origin")
+    north_m = (lat_deg - origin.lat_deg) * ARDUPILOT_M_PER_DEG
+    to_east = math.cos(math.radians((lat_deg + origin.lat_deg) / 2))
+    east_m = math.remainder(lon_deg - origin.lon_deg, 360) * ARDUPILOT_M_PER_DEG * to_east
+    covariance = [0.0] * 21
+    covariance[0] = covariance[6] = math.sqrt(fix.sigma_m**3 / 2)  # x and y of the upper triangle
+    usec, down_m = round(sending.boot_s * 1e6), origin.alt_m - sending.alt_m
+    return mavlink.MAVLink_vision_position_estimate_message(usec, north_m, east_m, down_m, 0.0, 0.0, 0.0, covariance)
+
+
+def no_vision_position(boot_s: float) -> Message:
+    """ODOMETRY 331 of quality -1, which ArduPilot does not use: without a message for 0.3 s it cannot be armed.
+
+    Its velocity is not a number, since one that was used once would be expected from then on.
+    """
+    unknown = [math.nan] * 21
+    return mavlink.MAVLink_odometry_message(
+        round(boot_s * 1e6),
+        mavlink.MAV_FRAME_LOCAL_FRD,
+        mavlink.MAV_FRAME_BODY_FRD,
+        *(0.0, 0.0, 0.0),
+        [1.0, 0.0, 0.0, 0.0],
+        *(math.nan, math.nan, math.nan, 0.0, 0.0, 0.0),
+        unknown,
+        unknown,
+        0,
+        mavlink.MAV_ESTIMATOR_TYPE_VISION,
+        -1,
     )
 
 
@@ -143,6 +188,11 @@ def stream_request(system_id: int, message_id: int, rate_hz: float) -> Message:
 def message_request(system_id: int, message_id: int) -> Message:
     """COMMAND_LONG 512: request a message once."""
     return _command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
+
+
+def set_mode(system_id: int, mode: tuple[int, ...]) -> Message:
+    """COMMAND_LONG 176: a mode of the vehicle, see `Firmware.hold`."""
+    return _command(system_id, mavlink.MAV_CMD_DO_SET_MODE, *mode)
 
 
 def parameter_request(system_id: int, name: str) -> Message:

@@ -26,6 +26,7 @@ Parameters: TypeAlias = Mapping[str, float]
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 GPS_SET, SET_WITHOUT_GPS = 1, 2
+ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 CONTROL, ID, EV_CONTROL = "EKF2_AGP0_CTRL", "EKF2_AGP0_ID", "EKF2_EV_CTRL"
 GPS_MODE, NO_AID_TIMEOUT = "EKF2_GPS_MODE", "EKF2_NOAID_TOUT"
 FUSES_POSITION, EV_VELOCITY = 1, 1 << 2  # bits of CONTROL and EV_CONTROL
@@ -57,21 +58,24 @@ class Requirement:
 class Firmware:
     """One autopilot; the defaults are those of one that is not known.
 
-    takes: by which message it takes a position, from which version on; the first that fits is used. needs: what that
-    message needs. aid: what measures its velocity without GPS by its `aid_parameters`, see `NO_AID`; None: not known.
-    camera_velocity: the message by which it takes a velocity of the camera; camera_drifts: whether its filter adds
-    errors of its own to that, which change in 200 m: on five simulated roads, positions were up to 12 m and 4.9
-    standard deviations off by it. gps_glitch: the flag of its filter. rates_follow_gps: whether the bias of the turn
-    rates in its ATTITUDE follows a spoofed GPS, so that its gyros count. integers_as_bytes: whether the bytes of
-    an integer parameter are put where the float goes. home_is_item_0: whether that item of a mission is its own home
-    position. stands_at_origin: whether one that has no position takes an origin for where it is, and can be armed.
-    gps_switch: what its filter uses is selected as one of its sets of sources, which it does not report, or by GPS
-    itself, which it does; such a one ignores positions far from GPS. examined: what else `lookback doctor` reads.
-    aid_remedy, camera_remedy: what to do where a velocity is not measured, or that of the camera not used.
+    takes: by which message it takes a position, from which version on; the first that fits is used. asks: the
+    parameters that its user sets for a message which is not used without them. needs: what a message needs. aid: what
+    measures its velocity without GPS by its `aid_parameters`, see `NO_AID`; None: not known. camera_velocity: the
+    message by which it takes a velocity of the camera; camera_drifts: whether its filter adds errors of its own to
+    that, which change in 200 m: on five simulated roads, positions were up to 12 m and 4.9 standard deviations off by
+    it. gps_glitch: the flag of its filter. rates_follow_gps: whether the bias of the turn rates in its ATTITUDE follows
+    a spoofed GPS, so that its gyros count. integers_as_bytes: whether the bytes of an integer parameter are put where
+    the float goes. home_is_item_0: whether that item of a mission is its own home position. stands_at_origin: whether
+    one that has no position takes an origin for where it is, and can be armed. hold: parameters of DO_SET_MODE by which
+    a vehicle on the ground stops and stays. gps_switch: what its filter uses is selected as one of its sets of sources,
+    which it does not report, or by GPS itself, which it does; such a one ignores positions far from GPS. examined: what
+    else `lookback doctor` reads. aid_remedy, camera_remedy: what to do where a velocity is not measured, or that of the
+    camera not used.
     """
 
     name: str
     takes: tuple[tuple[Version, str], ...] = ()
+    asks: Mapping[str, tuple[Requirement, ...]] = field(default_factory=dict)
     needs: Mapping[str, tuple[Requirement, ...]] = field(default_factory=dict)
     aid_parameters: tuple[str, ...] = ()
     aid: Callable[[Parameters, Collection[int], int], str | None] = lambda parameters, heard, source_set: None
@@ -82,17 +86,28 @@ class Firmware:
     integers_as_bytes: bool = False
     home_is_item_0: bool = False
     stands_at_origin: bool = False
+    hold: tuple[int, ...] = ()
     gps_switch: Literal["", "sources", "fusion"] = ""
     examined: tuple[str, ...] = ()
     aid_remedy: str = ""
     camera_remedy: str = 'use = "odometer"'
 
-    def suitable(self, version: Version | None) -> tuple[str, str]:
-        """The message that `auto` chooses, and why; "" while the version is not known, or takes no position."""
+    def suitable(self, version: Version | None, parameters: Parameters, *, all_came: bool) -> tuple[str, str]:
+        """The message that `auto` chooses, and why; "" while that is not known, or it takes no position.
+
+        all_came: no further parameter will.
+        """
         if version is None:
             return "", f"{self.name} has not reported its version"
-        message = next((message for first, message in self.takes if version >= first), "")
-        return message, f"{self.name} {version[0]}.{version[1]} takes {message or 'no position'}"
+        fits = [message for first, message in self.takes if version >= first]
+        for message in fits:
+            asked = self.asks.get(message, ())
+            unknown = [one.parameter for one in asked if one.parameter not in parameters]
+            if unknown and not all_came:
+                return "", f"{self.name} has not reported {unknown[0]}"
+            if not unknown and all(one.is_met(parameters[one.parameter]) for one in asked):
+                return message, f"{self.name} {version[0]}.{version[1]} takes {message}"
+        return "", f"{self.name} {version[0]}.{version[1]} takes no position"
 
     def unused_because(self, parameters: Parameters, message: str, sensor_id: int) -> str:
         """Why it will use no position that comes in that message; "" where nothing is known against it."""
@@ -132,11 +147,17 @@ EKF3 = (
     Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
     Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
 )
+FUSES_POSES = (
+    Requirement("VISO_TYPE", "else it reads no VISION_POSITION_ESTIMATE", "load firmware_config/*_fused.param", (1,)),
+    Requirement("EK3_SRC2_POSXY", "else set 2 of its sources takes no position", "set it to 6", (6,)),
+)
 FIRMWARES = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Firmware(
         "ArduPilot",
-        takes=(((4, 5), "external_position"),),
+        takes=(((4, 5), "vision_position"), ((4, 5), "external_position")),
+        asks={"vision_position": FUSES_POSES},
         needs={
+            "vision_position": (*EKF3, *FUSES_POSES),
             "external_position": EKF3,
             "global_position_sensor": (*EKF3, Requirement("EK3_OPTIONS", FUSION, "set its option SetLatLngFusion")),
         },
@@ -146,6 +167,7 @@ FIRMWARES = {
         gps_glitch=1 << 15,  # EKF_GPS_GLITCHING, in EKF_STATUS_REPORT
         rates_follow_gps=True,
         home_is_item_0=True,
+        hold=(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 4),  # Rover's HOLD
         gps_switch="sources",
         examined=("EK3_SRC1_POSXY", *WHEEL_PARAMETERS),
         aid_remedy="fit wheel encoders (EK3_SRC1_VELXY 7) or optical flow (5), see firmware_config/, or set [motion]",
@@ -167,6 +189,7 @@ FIRMWARES = {
         gps_glitch=mavlink.ESTIMATOR_GPS_GLITCH,
         integers_as_bytes=True,
         stands_at_origin=True,
+        hold=(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, 4, 3),  # AUTO, LOITER
         gps_switch="fusion",
         examined=(GPS_MODE, NO_AID_TIMEOUT),
         aid_remedy=("fit optical flow, or send ODOMETRY, see firmware_config/px4_velocity_aid.params, or set [motion]"),

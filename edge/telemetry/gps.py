@@ -2,7 +2,7 @@
 
 healthy      a receiver has reported a 3-D fix of good accuracy for RETURN_NS, and the filter uses it
 not healthy  no receiver has reported one for LOST_NS, after a short return for RETURN_NS, and all that were heard
-             still report
+             still report; or the filter is set to use none
 unknown      anything else: a silent receiver, a fix that has just come back, a fix that the filter does not use
 
 Only "not healthy" permits positions. GPS that comes and goes within RETURN_NS is unknown throughout: the filter follows
@@ -137,7 +137,7 @@ class Gps:
 
     def __init__(self) -> None:
         self.receivers = (Receiver("GPS_RAW_INT"), Receiver("GPS2_RAW"))
-        self.is_fusion_on: bool | None = None  # whether PX4 is set to fuse them; None where it does not report it
+        self.is_fusion_on: bool | None = None  # whether the filter is set to fuse them; None where that is not known
         self._flags_ns: int | None = None
         self._unused_ns: int | None = None  # since when the filter has not used it
         self._absent: tuple[int, int] | None = None  # since when SYS_STATUS says so, and when it did last
@@ -149,7 +149,7 @@ class Gps:
     def read_filter(self, flags: int, glitch: int, now_ns: int) -> None:
         """The flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS; glitch: that of a GPS which it rejects."""
         is_absolute = flags & mavlink.ESTIMATOR_POS_HORIZ_ABS and not flags & glitch
-        is_used = is_absolute and self.is_fusion_on is not False  # PX4's position is absolute by ours as well
+        is_used = is_absolute and self.is_fusion_on is not False  # its position is absolute by ours as well
         self._flags_ns = now_ns
         self._unused_ns = None if is_used else self._unused_ns or now_ns
 
@@ -172,7 +172,9 @@ class Gps:
         return "unknown" if "unknown" in (first, second) else "not healthy"
 
     def state(self, now_ns: int) -> GpsState:
-        """By the receivers and the filter."""
+        """By the receivers and the filter: one that does not fuse them has none."""
+        if self.is_fusion_on is False:
+            return "not healthy"
         state = self.receiver_state(now_ns)
         is_unused = self._hears_filter(now_ns) and self._unused_ns and now_ns - self._unused_ns >= UNUSED_NS
         return "unknown" if state == "healthy" and is_unused else state

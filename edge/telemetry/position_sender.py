@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig, TelemetryConfig
-from edge.journal.records import FixConfirmed, FixSent, FixWithheld, PositionMessageChosen
+from edge.geodesy import moved
+from edge.journal.records import FixSent, FixWithheld, PositionMessageChosen, VehicleMisled
 from edge.localization import (
     CORRELATION_M,
+    HOLE_S,
     NO_PLACES,
     Fix,
     FixFeedback,
@@ -32,15 +33,19 @@ from edge.telemetry import encoders
 from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, FixTransmission, PositionUse
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import MessageContext
-from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
+from edge.telemetry.firmware import GPS_SET, ON_THE_GROUND, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
+KEEP_UP_NS = 200_000_000  # ArduPilot calls a visual odometry unhealthy after 0.3 s (AP_VISUALODOM_TIMEOUT_MS)
+SENT_S = 10.0  # so long after a position, nobody asks why there is none
 SAID_NS = 10_000_000_000  # after which the pilot reads the figures of why none is sent anew
-IMPROVING_S = 10.0  # resets that improve on the autopilot come up to so far apart
+DOUBTED = ("suspect", "inconsistent", "faulty")  # verdicts on GPS
+MISLED, STOP_NS = ("inconsistent", "faulty"), 3_000_000_000
+"""Verdicts on GPS by which no vehicle may steer itself for longer; the pilot is asked, or it is stopped, as often."""
 
 
 class PositionSender:
@@ -67,7 +72,10 @@ class PositionSender:
         self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
-        self._confirmed: tuple[int, Fix] | None = None  # when a position confirmed the autopilot's own last
+        self._misled_ns = self._stopped_ns = 0  # since when it is not, and when it was stopped last
+        self._asked_ns = 0
+        self._judged_ns: int | None = None  # the moment of the newest position that was sent, or withheld
+        self._kept_up_ns = 0  # when a sensor was last kept healthy without a pose
         self._refused = NoFix(NO_PLACES)
         self._said = ("", 0, "")  # why, since when, and what people read of it
 
@@ -77,17 +85,18 @@ class PositionSender:
         self.sources.new_session()
         self._choose()
 
-    def _choose(self) -> None:
-        """Choose the message; recorded when the choice changes."""
-        emit = self._telemetry.emit
+    def _choose(self, *, all_came: bool = False) -> None:
+        """Choose the message; recorded when the choice changes. all_came: no further parameter will."""
+        emit, session = self._telemetry.emit, self._vehicle.session
         name, why = str(emit), f"[telemetry] emit = {emit}"
         if emit == "auto":
-            name, why = self._vehicle.session.firmware.suitable(self._vehicle.session.version)
+            name, why = session.firmware.suitable(session.version, session.parameters, all_came=all_came)
         message = POSITION_MESSAGES.get(name)
+        self._vehicle.fuses_poses = message is not None and not message.acknowledged
         if (message, why) != (self.message, self.why):
             self.message, self.why = message, why
             self._publisher.record(PositionMessageChosen(message.name if message else "report", why))
-            if emit == "auto" and self._vehicle.session.version is not None:
+            if message is not None and emit == "auto":
                 self._publisher.warn(f"Lookback: {why}")
 
     @property
@@ -105,10 +114,15 @@ class PositionSender:
         message, use = self.message, self.use
         if message is None:
             return None
-        limits = FixRequest(message.time_base, message.max_age_s, message.acknowledged)
+        limits = FixRequest(message.moment, message.max_age_s, message.acknowledged)
         overdue = use.overdue(now_ns)
         if overdue is not None:
             return replace(limits, again=overdue.fix)
+        if message.moment == "pose":
+            # Each pose is judged when it is new, and every second what keeps them away.
+            if self._drive.pose_ns == self._judged_ns and now_ns - self._asked_ns < STEADY_RECORD_NS:
+                return None
+            self._asked_ns = now_ns
         return limits if use.command.is_due(now_ns) and self._since_s(now_ns) >= self._period_s(message) else None
 
     def send(self, answer: Fix | NoFix, now_ns: int) -> list[Message]:
@@ -118,14 +132,21 @@ class PositionSender:
         is_again = overdue is not None and place is overdue.place
         if newest and place is not None and place.stamp_ns == newest.place.stamp_ns and not is_again:
             return []  # the last exposure was sent already
+        if place is not None and self.message is not None and self.message.moment != "exposure":
+            if place.stamp_ns == self._judged_ns:
+                return []  # a pose is judged once, and grows old until the next one
+            self._judged_ns = place.stamp_ns
         messages: list[Message] = []
         if isinstance(answer, Fix) and self.message is not None:
             self._withheld, self._refused = None, NoFix(NO_PLACES)
-            messages = self._encode(answer, now_ns, self.message, again=is_again)
+            # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
+            if self.message.moment == "pose" and not self.sources.is_without_gps:
+                self._select(SET_WITHOUT_GPS, "lost")
+                return []
+            is_wide = (answer.pose_sigma_m or 0.0) > self.message.widest_m and self._since_s(now_ns) < HOLE_S
+            messages = [] if is_wide else self._encode(answer, now_ns, self.message, again=is_again)
         elif isinstance(answer, NoFix) and overdue is None:
             self._withhold(answer)
-            if answer.confirms is not None:
-                self._confirm(answer.confirms, answer.distance_m or 0.0, now_ns)
         if overdue is not None and not messages:
             self.use.give_up()
         return messages
@@ -134,15 +155,9 @@ class PositionSender:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
 
     def _since_s(self, now_ns: int) -> float:
-        """Seconds since the newest position was sent, or confirmed the autopilot's own; endless before the first."""
-        newest = self.newest
-        return math.inf if newest is None else (now_ns - newest[0]) / 1e9
-
-    @property
-    def newest(self) -> tuple[int, Fix] | None:
-        """The newest position that was sent, or confirmed the autopilot's own, and when; None before the first."""
-        sent = None if self.use.newest is None else (self.use.newest.at_ns, self.use.newest.fix)
-        return max((one for one in (sent, self._confirmed) if one is not None), key=lambda one: one[0], default=None)
+        """Seconds since the newest position was sent; endless before the first."""
+        newest = self.use.newest
+        return math.inf if newest is None else (now_ns - newest.at_ns) / 1e9
 
     def why_none(self, now_ns: int) -> str:
         """Why no position has been sent for a while, for people; "" where one has been."""
@@ -150,7 +165,7 @@ class PositionSender:
             return self.why
         if self.use.command.is_refused:
             return "the autopilot refuses positions"
-        if self._since_s(now_ns) < IMPROVING_S:
+        if self._since_s(now_ns) < SENT_S:
             return ""
         why, at_ns, words = self._said
         if why != str(self._refused) or now_ns - at_ns >= SAID_NS:
@@ -165,33 +180,13 @@ class PositionSender:
             self._withheld = FixWithheld(fix.place, str(refused), refused.distance_m, fix.map)
             self._publisher.record(self._withheld)
 
-    def _confirm(self, fix: Fix, distance_m: float, now_ns: int) -> None:
-        """The autopilot's own position agrees with one that might be sent, which aids it as one that it used."""
-        place, self._confirmed = fix.place, (now_ns, fix)
-        self._drive.update(now_ns, FixFeedback(fix, distance_m))
-        self._publisher.record(
-            FixConfirmed(
-                place.place,
-                place.stamp_ns,
-                place.lat_deg or 0.0,
-                place.lon_deg or 0.0,
-                place.sigma_m,
-                distance_m,
-                place.map,
-                *level_m(fix.level),
-                place.points,
-                place.sigma_along_m,
-                held_axes(fix),
-            )
-        )
-
     def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
-        vehicle, place = self._vehicle, fix.place
-        boot_s = vehicle.boot_time_s(now_ns)
-        if boot_s is None:
+        vehicle, place = self._vehicle, self._moved_on(fix, now_ns)
+        boot_s, own, newest = vehicle.boot_time_s(now_ns), vehicle.position(now_ns), self.use.newest
+        origin = vehicle.session.origin
+        if place is None or boot_s is None or (message.moment == "pose" and (own is None or origin is None)):
             return []
-        own, newest = vehicle.position(now_ns), self.use.newest
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
         sent = FixTransmission(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
@@ -200,15 +195,31 @@ class PositionSender:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
         self._drive.update(now_ns, FixFeedback(fix))
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
-        sending = MessageContext(vehicle.target_id, boot_s, age_s=(now_ns - place.stamp_ns) / 1e9, sensor_id=sensor_id)
+        age_s, alt_m = (now_ns - place.stamp_ns) / 1e9, 0.0 if own is None else own.alt_m
+        sending = MessageContext(vehicle.target_id, boot_s, age_s, sensor_id, origin, alt_m)
         values: list[Message] = []
         if is_recorded:
             self._record(sent, message, sending)
             values = encoders.protection_values(fix.level, round(1000 * boot_s))
-        if not (message.acknowledged or vehicle.velocity.aid.is_any):
+        if not (message.acknowledged or vehicle.velocity.aid.is_any or fix.pose_sigma_m):
             place = self._one_of_many(place, now_ns, self._period_s(message))
         resets = [] if message.acknowledged else self._reset_from_gps(sent, sending)
         return [*resets, message.encode(place, sending), *values]
+
+    def _moved_on(self, fix: Fix, now_ns: int) -> PlaceFix | None:
+        """A keypoint pose as a measurement of now, by the vehicle's motion since; None where that is not known.
+
+        Without the error of the map, which is alike for all of them: the autopilot follows the map.
+        """
+        place, then, now = fix.place, fix.motion, self._vehicle.motion.displacement(now_ns)
+        if fix.pose_sigma_m is None:
+            return place
+        if then is None or now is None or now.odometry_epoch != then.odometry_epoch:
+            return None
+        assert place.lat_deg is not None and place.lon_deg is not None
+        lat_deg, lon_deg = moved(place.lat_deg, place.lon_deg, *now.since(then))
+        each_m = fix.pose_sigma_m / math.sqrt(2)
+        return replace(place, lat_deg=lat_deg, lon_deg=lon_deg, sigma_along_m=each_m, sigma_cross_track_m=each_m)
 
     def _reset_from_gps(self, sent: FixTransmission, sending: MessageContext) -> list[Message]:
         """A reset beside a stream once GPS is taken away, and again while the autopilot is far from the stream.
@@ -247,7 +258,7 @@ class PositionSender:
                 *level_m(sent.fix.level),
                 fix.points,
                 fix.sigma_along_m,
-                held_axes(sent.fix),
+                UNSET if sent.fix.pose_sigma_m is None else sent.fix.pose_sigma_m,
             )
         )
 
@@ -266,32 +277,62 @@ class PositionSender:
         elif command == encoders.EXTERNAL_POSITION_ESTIMATE:
             self.use.read_acknowledgement(result, now_ns)
 
-    def follow_up(self, now_ns: int) -> list[Message]:
-        """To be called often: select sources, check what was accepted."""
-        if self._telemetry.emit == "auto" and self.message is None:
-            self._choose()
+    def follow_up(self, now_ns: int, *, all_came: bool) -> list[Message]:
+        """To be called often: select sources, check what was accepted. all_came: no further parameter will."""
+        if self._telemetry.emit == "auto":
+            self._choose(all_came=all_came)
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
         messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
         self.use.check(now_ns)
-        return messages
+        return [*messages, *self._keep_up(now_ns), *self._stop_if_misled(now_ns)]
+
+    def _stop_if_misled(self, now_ns: int) -> list[Message]:
+        """Stop a vehicle that steers itself while GPS is wrong and no place says where it is; or have the pilot do so.
+
+        By [gates] misled, and only one on the ground: others cannot just stop.
+        """
+        vehicle, state = self._vehicle, self._drive.state.gps.state
+        is_misled = state in MISLED and bool(vehicle.drives_itself) and self._since_s(now_ns) > SENT_S
+        if not is_misled:
+            self._misled_ns = now_ns
+            return []
+        if now_ns - max(self._misled_ns, self._stopped_ns) < STOP_NS:
+            return []
+        self._stopped_ns, session = now_ns, vehicle.session
+        may_stop = self._gates.misled == "hold" and self.enabled and session.kind in ON_THE_GROUND
+        stops = may_stop and bool(session.firmware.hold)
+        self._publisher.record(VehicleMisled(state, stops))
+        self._publisher.warn(f"Lookback: GPS {state}, no place: {'stopping' if stops else 'stop now'}")
+        return [encoders.set_mode(vehicle.target_id, session.firmware.hold)] if stops else []
+
+    def _keep_up(self, now_ns: int) -> list[Message]:
+        """What keeps an autopilot that fuses poses from calling their sensor unhealthy where none come."""
+        boot_s = self._vehicle.boot_time_s(now_ns)
+        is_due = self.message is not None and self.message.moment == "pose" and now_ns - self._kept_up_ns >= KEEP_UP_NS
+        if boot_s is None or not is_due:
+            return []
+        self._kept_up_ns = now_ns
+        return [encoders.no_vision_position(boot_s)]
 
     def _choose_sources(self, *, works: bool) -> None:
         """Without GPS where it is ignored and positions are sent in its place; with it once it is consistent again.
 
-        Only then: of a GPS that was not judged since a crash of this program, nobody knows whether it is wrong.
+        One that was only lost counts again once it works, and nothing speaks against it. Of one that was taken away
+        before a crash of this program, nobody knows why.
         """
-        known = self._drive.state
+        known, sources = self._drive.state, self.sources
         if known.ignores_gps:
+            sources.is_doubted = True
             if self.selects_sources and self._vehicle.session.firmware.gps_switch:
-                self.sources.wanted = SET_WITHOUT_GPS
-        elif works and known.gps.state == "consistent":
-            self.sources.wanted = GPS_SET
+                self._select(SET_WITHOUT_GPS, known.gps.state)
+        elif works and (known.gps.state == "consistent" or not (sources.is_doubted or known.gps.state in DOUBTED)):
+            sources.is_doubted = False
+            self._select(GPS_SET, "works")
 
-
-def held_axes(fix: Fix) -> Literal["along-track", "cross-track"] | UnsetType:
-    """The axis on which a position is the autopilot's own, for the journal."""
-    along, cross = fix.held_axes
-    return "along-track" if along else "cross-track" if cross else UNSET
+    def _select(self, number: int, why: str) -> None:
+        """Want a set of sources; why: what is said of GPS with it."""
+        if self.sources.wanted != number:
+            self.sources.wanted, self.sources.why = number, f"GPS {why}"
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:

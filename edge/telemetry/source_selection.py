@@ -1,8 +1,10 @@
 """Whether the autopilot's filter uses GPS, selected by command until that is known to be done. No I/O.
 
 With `doubted_gps = "switch"` GPS is taken away when it is declared faulty, and given back when it is consistent again:
-only where this program has taken it away before, which a file remembers over a crash. What the pilot has selected
-stays. A command is sent again while it is not done, and in every session: the autopilot may have rebooted.
+only where this program has taken it away before, which a file remembers over a crash. ArduPilot that fuses keypoint
+poses takes them in set 2 alone, which is selected with the first one after GPS was lost, until that works again. What
+the pilot has selected stays. A command is sent again while it is not done, and in every session: the autopilot may have
+rebooted.
 
 ArduPilot  42007 selects set 2 of its sources, or set 1; done when acknowledged, since it reports nothing of it
 PX4        43006 sets GPS off or on, which it keeps when it reboots; done when FusionStatus (514) says so
@@ -24,7 +26,9 @@ from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
 AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
-DONE, NOT_READ_BACK = "ACCEPTED", "NOT_READ_BACK"
+DONE, NOT_READ_BACK, PILOTS = "ACCEPTED", "NOT_READ_BACK", "BY_THE_PILOT"
+SWITCHED = "Using EKF Source Set "
+"""What ArduPilot writes when the pilot's switch (RCx_OPTION 90) selects a set, and not when a command does."""
 
 
 class SourceSelection:
@@ -37,6 +41,10 @@ class SourceSelection:
         """The set to select; None until there is a reason for one, and the pilot's choice stays."""
         self.in_use = SET_WITHOUT_GPS if remembered is not None and remembered.exists() else GPS_SET
         """Set 2 while it may be selected by us, else the first one."""
+        self.is_doubted = self.in_use == SET_WITHOUT_GPS
+        """Whether GPS was taken away for what it says, or nobody knows why."""
+        self.why = "GPS"
+        """What is said of GPS with the set that is selected for it."""
         self.new_session()
 
     def new_session(self) -> None:
@@ -46,11 +54,31 @@ class SourceSelection:
         self._selected: int | None = None
         self._is_accepted = False  # but not reported yet
         self._published = ""
+        self._is_pilots = False  # by a switch
 
     @property
     def _is_reported(self) -> bool:
         """Whether GPS itself is switched, which the autopilot reports."""
         return self._vehicle.session.firmware.gps_switch == "fusion"
+
+    @property
+    def is_without_gps(self) -> bool:
+        """Whether set 2 is known to be selected."""
+        return self._selected == SET_WITHOUT_GPS
+
+    def read_text(self, text: str) -> None:
+        """STATUSTEXT of the autopilot: where the pilot has selected another set by a switch, that stays."""
+        if not text.startswith(SWITCHED) or not text[len(SWITCHED) :].isdigit():
+            return
+        number = int(text[len(SWITCHED) :])
+        if number == (self._selected or self.in_use):  # as at boot
+            return
+        self._is_pilots, self._selected = True, number
+        self._command.answered()
+        self._remember(GPS_SET)
+        self._vehicle.session.gps.is_fusion_on = number == GPS_SET
+        self._publisher.record(SourceSetAnswered(number, PILOTS))
+        self._publisher.warn(f"Lookback: source set {number} by the pilot, stays")
 
     @property
     def is_gps_off(self) -> bool:
@@ -64,7 +92,7 @@ class SourceSelection:
             self._command.pause.failed(now_ns)
             self._publish(NO_ANSWER)
         wanted = self.wanted
-        if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
+        if self._is_pilots or wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
             return []
         if self._is_reported and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
             self._command.answered()
@@ -77,7 +105,8 @@ class SourceSelection:
 
     def restore(self, now_ns: int) -> list[Message]:
         """The command for set 1 at the end, where GPS is consistent and set 2 may still be selected by us."""
-        return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET != self.in_use else []
+        is_ours = self.wanted == GPS_SET != self.in_use and not self._is_pilots
+        return self._select(GPS_SET, now_ns) if is_ours else []
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The COMMAND_ACK of the command that was addressed to us."""
@@ -112,6 +141,7 @@ class SourceSelection:
     def _done(self, number: int) -> None:
         """It is selected: by us, or by somebody else, whose choice set 2 then is."""
         self._selected, self._is_accepted = number, False
+        self._vehicle.session.gps.is_fusion_on = number == GPS_SET
         self._remember(min(self.in_use, number))
         if self._asked == number:
             self._publish(DONE)
@@ -130,7 +160,8 @@ class SourceSelection:
         self._published = f"{number} {result}"
         self._publisher.record(SourceSetAnswered(number, result))
         what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_reported else f"source set {number}"
-        self._publisher.warn(f"Lookback: {what} {result}")
+        by = "by GPS" if number == GPS_SET else "by places"
+        self._publisher.warn(f"Lookback: {self.why}: {by}, {what}" if result == DONE else f"Lookback: {what} {result}")
         if number == SET_WITHOUT_GPS and result != DONE:
             self.warn_that_gps_stays()
 

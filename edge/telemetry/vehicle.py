@@ -59,6 +59,8 @@ class Vehicle:
         self.is_doubled = False
         """Whether another autopilot sends with the same ids, by its clock: what has its stamps is ignored. Nor is any
         position sent, which both would take."""
+        self.fuses_poses = False
+        """Whether it gets keypoint poses as measurements."""
         self._has_warned = False
         self._turns_ns: deque[int] = deque(maxlen=TURNS)
         self._heard_ns = self._read_ns = 0
@@ -165,6 +167,7 @@ class Vehicle:
             is_aided=self.velocity.aid.is_any,
             runs_away=self.velocity.aid.runs_away,
             drives_itself=self.drives_itself,
+            fuses_poses=self.fuses_poses,
             is_doubled=self.is_doubled,
             is_clock_known=self.session.clock.is_known and self._read_ns - self._heard_ns <= LINK_SILENT_NS,
             system_id=self.system_id,

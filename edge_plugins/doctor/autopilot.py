@@ -47,8 +47,10 @@ MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param
 
 def requirements(config: TelemetryConfig, vehicle: Vehicle) -> tuple[Requirement, ...]:
     """The parameters that the configured position message needs on that firmware."""
-    firmware, name = vehicle.session.firmware, str(config.emit)
-    return firmware.needs.get(firmware.suitable(vehicle.session.version)[0] if name == "auto" else name, ())
+    session, name = vehicle.session, str(config.emit)
+    if name == "auto":
+        name, _ = session.firmware.suitable(session.version, session.parameters, all_came=True)
+    return session.firmware.needs.get(name, ())
 
 
 def _judged(one: Requirement, vehicle: Vehicle, sensor_id: int = 0) -> Found:
@@ -116,7 +118,7 @@ def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
         " Planner and MAVProxy, not by QGroundControl"
     )
     if config.emit == "auto":
-        suitable, why = firmware.suitable(vehicle.session.version)
+        suitable, why = firmware.suitable(vehicle.session.version, vehicle.session.parameters, all_came=True)
         yield good(f"emit = auto: {suitable}, {why}") if suitable else note(f"emit = auto: report, {why}")
     if status.speed_mps is None:
         yield note("it reports no speed", "without one no place is recognized on a map with distances")

@@ -32,10 +32,10 @@ class TruthTrack:
 
 @dataclass(frozen=True)
 class FixErrors:
-    """Positions as they arrived, or confirmed the autopilot's own: when, and of each its error and its sigma.
+    """Positions as they arrived: when, and of each its error and its sigma.
 
     sigma_m: what is known of the position, or what its message says if that is less. off_m: (N, 2), how far off along
-    the way and across it. of_s: (N,) the moments. confirms: (N,) which were not sent, since the autopilot agreed.
+    the way and across it. of_s: (N,) the moments.
     """
 
     time_s: Array
@@ -43,7 +43,6 @@ class FixErrors:
     sigma_m: Array
     off_m: Array = field(default_factory=lambda: np.zeros((0, 2)))
     of_s: Array = field(default_factory=lambda: np.zeros(0))
-    confirms: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def sigmas(self) -> Array:

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import CameraConfig, Config, DescriptorConfig, MapConfig, RigConfig, TelemetryConfig
 from edge.daemon import Daemon
-from edge.journal.records import FixConfirmed, PluginFailed
+from edge.journal.records import PluginFailed
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
@@ -149,12 +149,12 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
     known_s, known_m = _known_sigmas(journal, simulation)
     found = []
 
-    def add(arrived_s: float, east_m: float, north_m: float, sigma_m: float, at_s: float, confirms: bool) -> None:
+    def add(arrived_s: float, east_m: float, north_m: float, sigma_m: float, at_s: float) -> None:
         way_m, *true_m = (float(np.interp(at_s, rows[:, 0], rows[:, column])) for column in (1, 3, 4))
         off_m, heading_rad = (east_m - true_m[0], north_m - true_m[1]), draft.way.at(way_m)[2]
         sin, cos = math.sin(heading_rad), math.cos(heading_rad)
         along_m, cross_track_m = off_m[0] * sin + off_m[1] * cos, off_m[0] * cos - off_m[1] * sin
-        found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s, confirms))
+        found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s))
 
     for item in simulation.autopilot.received:
         position = read_position(item.message, draft.lon_shift_deg)
@@ -164,15 +164,9 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
             last = int(np.searchsorted(known_s, arrived_s + STEP_S, side="right")) - 1
             if last >= 0 and arrived_s - known_s[last] <= RECORDED_EVERY_S:
                 sigma_m = min(sigma_m, known_m[last])
-            add(arrived_s, east_m, north_m, sigma_m, arrived_s - age_s, confirms=False)
-    for one in records_of(journal, FixConfirmed):
-        at_s, here_m = (
-            simulation.time_s(one.stamp_ns / 1e9),
-            east_north_m(one.lat_deg, one.lon_deg, draft.lon_shift_deg),
-        )
-        add(at_s, *here_m, one.sigma_m, at_s, confirms=True)
-    columns: Array = np.array(sorted(found)).reshape(-1, 7).T
-    return FixErrors(columns[0], columns[1], columns[2], columns[3:5].T, columns[5], columns[6] != 0)
+            add(arrived_s, east_m, north_m, sigma_m, arrived_s - age_s)
+    columns: Array = np.array(sorted(found)).reshape(-1, 6).T
+    return FixErrors(columns[0], columns[1], columns[2], columns[3:5].T, columns[5])
 
 
 def _known_sigmas(journal: Path, simulation: Simulation) -> Array:

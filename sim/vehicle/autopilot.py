@@ -223,6 +223,8 @@ class SimulatedAutopilot:
             self.send(mavlink.MAVLink_timesync_message(self._timesync_ns, message.ts1))
         elif kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
             self.inputs.sensor(message, self._moment())
+        elif kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE:
+            self.inputs.vision(message, self._moment())
         elif kind in (mavlink.MAVLINK_MSG_ID_ODOMETRY, mavlink.MAVLINK_MSG_ID_VISION_POSITION_DELTA):
             self.inputs.velocity(message, self._moment())
         elif kind == mavlink.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:

@@ -53,6 +53,7 @@ class SimulatedFirmware:
     needs_origin: bool = False
     reports_accuracy: bool = False
     resets_softly: bool = False
+    fuses_poses: bool = False
     noise: FilterNoise = EKF3
 
     @property
@@ -81,6 +82,8 @@ FIRMWARES: dict[str, SimulatedFirmware] = {
         ARDUPILOT,
         # A plain rover: stops aiding after 15 s, and falls back to DCM after 7.
         replace(ARDUPILOT, name="ardupilot-plain", aids_for_s=15.0, uses_filter_for_s=7.0),
+        # As firmware_config/ardupilot_rover_fused.param has it: EK3_WENC_VERR 1 lets a pose move it more.
+        replace(ARDUPILOT, name="ardupilot-fused", fuses_poses=True, noise=FilterNoise(position=0.1)),
         PX4,
         # EKF2_AGP0_ID and EKF2_AGP0_CTRL as they are shipped: positions are not used.
         replace(PX4, name="px4-without-agp", fuses_sensor=False),
@@ -101,4 +104,6 @@ def parameters_of(firmware: SimulatedFirmware, source: VelocitySource) -> dict[s
             ID: (float(firmware.fuses_sensor), kind),
         }
     wheels = 6.0 if source == "camera" else 7.0 * is_aided
-    return {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}
+    velocity = {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}
+    poses = {"VISO_TYPE": 1.0, "EK3_SRC2_POSXY": 6.0}
+    return velocity | {name: (value * firmware.fuses_poses, kind) for name, value in poses.items()}

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.geodesy import east_north_of
+from edge.geodesy import east_north_of, moved
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE, SENSOR_GPS
+from edge.telemetry.encoders import ARDUPILOT_M_PER_DEG, EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE, SENSOR_GPS
 from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
 from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import SimulatedFirmware
 
+POSE_SIGMA_M = 0.5  # EK3_POSNE_M_NSE, as shipped
 LAG_S = 0.5  # ArduPilot's guess for a send time that is not on its boot clock
 OTHER_POSITION_S = 1.0
 SET_WITHOUT_GPS = 2
@@ -48,7 +49,7 @@ class PositionInputs:
     """Handles positions as one firmware does."""
 
     def __init__(self, firmware: SimulatedFirmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
-        self._lon_shift_deg = lon_shift_deg
+        self._lon_shift_deg, self._zero = lon_shift_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg)
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
@@ -104,6 +105,19 @@ class PositionInputs:
         if self._firmware.fuses_sensor and not message.flags & mavlink.GLOBAL_POSITION_UNHEALTHY:
             east_m, north_m = east_north_m(message.lat / 1e7, message.lon / 1e7, self._lon_shift_deg)
             self._fuse(east_m, north_m, moment, message.eph)
+
+    def vision(self, message: Message, moment: InputContext) -> None:
+        """VISION_POSITION_ESTIMATE: fused where set 2 of the sources is selected, by ArduPilot's flat formula.
+
+        Its sigma is not used once a GPS with an accuracy has had a fix (Rover-4.6.3, `NavEKF3_core::FuseVelPosNED`).
+        """
+        if not self._firmware.fuses_poses or self.source_set != SET_WITHOUT_GPS or moment.origin_m is None:
+            return
+        lat_deg, lon_deg = moved(*self._zero, *moment.origin_m, ORIGIN_ALT_M)
+        here_deg = lat_deg + message.x / ARDUPILOT_M_PER_DEG
+        to_east = math.cos(math.radians((lat_deg + here_deg) / 2))
+        here = here_deg, lon_deg + message.y / ARDUPILOT_M_PER_DEG / to_east
+        self._fuse(*east_north_of(*here, self._zero, ORIGIN_ALT_M), moment, POSE_SIGMA_M)
 
     def velocity(self, message: Message, moment: InputContext) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.

@@ -136,7 +136,7 @@ def test_no_position_is_sent_after_the_state_says_off_the_map(folder: Path) -> N
     state, sent = "", 0
     for line in map(json.loads, (folder / JOURNAL).read_text().splitlines()):
         state = line["state"] if line["event"] == "state" else state
-        if line["event"] in ("fix_sent", "fix_confirmed"):
+        if line["event"] == "fix_sent":
             sent += 1
             assert state == "on the map"
     assert sent

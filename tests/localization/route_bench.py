@@ -26,7 +26,6 @@ from edge.localization import (
     GPS_SIGMA_M,
     DeadReckoning,
     Fix,
-    FixFeedback,
     FixRequest,
     GpsFix,
     OdometerCalibration,
@@ -35,6 +34,7 @@ from edge.localization import (
     ProtectionLevel,
 )
 from edge.localization.events import ImageProcessed
+from edge.localization.fix_rules import NOT_NEEDED
 from edge.localization.position_estimator import Entry
 from edge.sequence import KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import probability
@@ -85,7 +85,7 @@ class Bounded(NamedTuple):
 
 @dataclass
 class Result:
-    """What was sent, or confirmed the autopilot: error over sigma of each, and the meters driven until then.
+    """What was sent, or was not needed: error over sigma of each, and the meters driven until then.
 
     off_m: their errors. own_m, alone_m: the autopilot's own error each second, with and without what was sent.
     bounded: see `Bounded`.
@@ -145,7 +145,7 @@ class Bench(StandIn):
         self.truths: dict[int, Points] = {}  # at each exposure
         self.sent: FixTransmission | None = None
         self.followed_at = 0  # the step at which the autopilot has moved by it
-        self.bounded_ns = self.confirmed_ns = 0
+        self.bounded_ns = self.judged_ns = 0
         self.alias_now = False
         self.unlooked = 0
 
@@ -368,7 +368,7 @@ class Bench(StandIn):
 
     def _is_due(self) -> bool:
         period_s = STREAM_S if self.is_stream else self.config.gates.min_interval_s
-        last_ns = max(self.confirmed_ns, 0 if self.sent is None else self.sent.at_ns)
+        last_ns = max(self.judged_ns, 0 if self.sent is None else self.sent.at_ns)
         return self.t_ns - last_ns >= round(period_s * 1e9)
 
     def _ask(self) -> None:
@@ -384,10 +384,9 @@ class Bench(StandIn):
             self._bound(place, off_m, answer.level)
         if isinstance(answer, Fix):
             self._send(answer, float(np.hypot(*off_m)))
-        elif answer.confirms is not None:
-            self.confirmed_ns = self.t_ns
+        elif answer.reason == NOT_NEEDED:
+            self.judged_ns = self.t_ns
             self._score(place, float(np.hypot(*off_m)))
-            self.drive.update(self.t_ns, FixFeedback(answer.confirms, answer.distance_m))
 
     def _bound(self, place: PlaceFix, off_m: Points, level: ProtectionLevel) -> None:
         (east_m, north_m), heading_rad = off_m, math.radians(place.heading_deg or 0.0)

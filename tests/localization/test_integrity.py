@@ -17,17 +17,17 @@ import pytest
 from msgspec.structs import replace
 
 from edge.config import Config, GatesConfig, RigConfig
-from edge.geodesy import VehiclePosition
+from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
-from edge.localization import Discontinuity, Fix, FixRequest, NoFix
-from edge.localization.fix_rules import AGREES, RULES
-from edge.localization.integrity import distance_from, wrong_probability
+from edge.localization import AGREE_SIGMAS, AutopilotState, Discontinuity, Fix, FixRequest, NoFix
+from edge.localization.fix_rules import NOT_NEEDED, RULES
+from edge.localization.integrity import distance_from, is_off, wrong_probability
 from edge.localization.protection_level import UNNOTICED_M
 from edge.sequence import KeyframeMatch, PlaceMatch
 from tests.common import S
 from tests.docs.refusals_list import as_list
 from tests.localization.events_of import Road, Vehicle, gps_at, north_m, nothing, settings
-from tests.localization.route_course import SPACING_M, Stretch
+from tests.localization.route_course import HOME, SPACING_M, Stretch
 
 MakeRoad = Callable[..., Road]
 UNCONFIRMED, ALERT = "not confirmed by another place yet", "its protection level is above the alert limit"
@@ -99,16 +99,6 @@ def far_off(one: Vehicle) -> Fix | NoFix:
     return one.answers(2)[-1]
 
 
-def just_after_gps(one: Vehicle) -> Fix | NoFix:
-    """Its matches are less certain than GPS."""
-    other = Vehicle(one.road, settings())
-    other.reports = {"gps_sigma_m": 0.5}
-    other.go(80, gps=True)
-    other.reports = {}
-    other.go(2)
-    return other.ask(is_reset=True)
-
-
 def never_bounded(one: Vehicle) -> Fix | NoFix:
     return since_boot(one.road).answers(2)[-1]
 
@@ -147,8 +137,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | NoFix], ...]] = {
         sent_again(True, sigma_along_m=math.inf),
     ),
     ALERT: (lambda one: since_gps(one.road, 200.0, alert_limit_m=40.0).ask(),),
-    "less accurate than the autopilot": (just_after_gps,),
-    AGREES: (asked(is_reset=True),),
+    NOT_NEEDED: (asked(is_reset=True),),
 }
 
 
@@ -166,18 +155,28 @@ def test_a_good_position_is_published(long_road: Road) -> None:
 
 
 @pytest.mark.parametrize(("off_m", "is_needed"), [(2.0, False), (8.0, True)])
-def test_an_autopilot_that_agrees_with_the_places_is_not_reset(off_m: float, is_needed: bool, long_road: Road) -> None:
+def test_an_autopilot_is_reset_where_it_is_beyond_doubt_off(off_m: float, is_needed: bool, long_road: Road) -> None:
     """One that weighs what it gets, and everybody else, gets the position all the same."""
     one = since_gps(long_road, 100.0)
     one.off_m = off_m
     one.own()
-    reset = one.ask(is_reset=True)
-    assert isinstance(reset, Fix) is is_needed
-    assert isinstance(one.ask(), Fix)
-    if isinstance(reset, NoFix):
-        assert reset.reason == AGREES and reset.confirms is not None
-        assert reset.confirms.place.stamp_ns == one.t_ns
-        assert isinstance(one.ask(is_reset=True, again=reset.confirms), Fix), "an answer that is awaited is not new"
+    reset, other = one.ask(is_reset=True), one.ask()
+    assert isinstance(reset, Fix) is is_needed and isinstance(other, Fix)
+    assert reason(reset) in (None, NOT_NEEDED)
+    assert isinstance(one.ask(is_reset=True, again=other), Fix), "an answer that is awaited is not new"
+
+
+@pytest.mark.parametrize("far_m", [0.99, 1.01])
+@pytest.mark.parametrize("sigma_m", [0.5, 4.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_doubt_is_three_standard_deviations_on_one_axis(far_m: float, sigma_m: float, axis: int) -> None:
+    """The road leads east; on the other axis the position is far less certain."""
+    sigmas_m = (sigma_m, 9.0) if axis == 0 else (9.0, sigma_m)
+    place = PlaceFix(S, 1, *HOME, 90.0, *sigmas_m, "forward", "same", 1.2)
+    off_m = far_m * max(3.0, AGREE_SIGMAS * sigma_m)
+    lat_deg, lon_deg = moved(*HOME, *((off_m, 2.0) if axis == 0 else (2.0, off_m)))
+    own = AutopilotState(position=VehiclePosition(S, lat_deg, lon_deg, 0.0, None, 0.0, 0.0, 0.0))
+    assert is_off(own, place, 3.0) is (far_m > 1)
 
 
 @pytest.mark.parametrize("why", SITUATIONS)
@@ -199,11 +198,10 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
 
 
 def test_people_read_what_is_missing(long_road: Road) -> None:
-    """How accurate the position is and must be, and how far it is from an autopilot that contradicts it."""
-    worse, contradicted, one = just_after_gps(since_gps(long_road)), Vehicle(long_road, exact()), since_gps(long_road)
-    assert isinstance(worse, NoFix)
-    found = re.fullmatch(r"less accurate than the autopilot, ([\d.]+) m, ([\d.]+) m needed", worse.in_words)
-    assert found is not None and float(found[1]) > float(found[2]) >= 0.5
+    """How far the position is from an autopilot that contradicts it, or that it need not reset."""
+    contradicted, one = Vehicle(long_road, exact()), since_gps(long_road)
+    near = one.ask(is_reset=True)
+    assert isinstance(near, NoFix) and re.fullmatch(NOT_NEEDED + r", [\d.]+ m apart", near.in_words)
     contradicted.go(80, gps=True)
     contradicted.off_m = 60.0
     answer = contradicted.answers(2)[-1]

@@ -13,6 +13,7 @@ from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
 from edge.localization import FixRequest, GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.localization.dead_reckoning import Odometry
+from edge.localization.position_estimator import FixCandidate
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
@@ -36,6 +37,8 @@ class ToldEstimator(PositionEstimator):
     def __init__(self, config: Config) -> None:
         super().__init__(config)
         self.offered: tuple[PlaceFix, Odometry | None] | None = None
+        self.pose_sigma_m: float | None = None
+        """Of what is offered, where it is a keypoint pose."""
 
     def offer(self, t_ns: int, fix: PlaceFix, motion: Odometry | None) -> None:
         """A place that is recognized now."""
@@ -49,10 +52,17 @@ class ToldEstimator(PositionEstimator):
         self._judge_gps()
         self._known = None
 
-    def _asked(self, t_ns: int, limits: FixRequest) -> tuple[PlaceFix | None, Odometry | None]:
-        if limits.unable or self._own.is_doubled or self.offered is None:
-            return None, None
-        return self.offered if limits.again is None else (limits.again.place, limits.again.motion)
+    @property
+    def pose_ns(self) -> int | None:
+        return self.offered[0].stamp_ns if self.offered is not None and self.pose_sigma_m is not None else None
+
+    def _asked(self, t_ns: int, limits: FixRequest) -> FixCandidate:
+        again, is_pose = limits.again, self.pose_sigma_m is not None
+        if limits.unable or self._own.is_doubled or self.offered is None or (limits.at == "pose" and not is_pose):
+            return FixCandidate()
+        if again is not None:
+            return FixCandidate(again.place, again.motion, again.pose_sigma_m)
+        return FixCandidate(*self.offered, self.pose_sigma_m)
 
 
 class LossyLink:

@@ -113,6 +113,6 @@ def test_messages_that_the_dialect_does_not_know_are_left_out() -> None:
 
 def test_lines_about_the_message_of_a_firmware_are_one_status_text() -> None:
     for autopilot in (3, 12, 8):
-        for version in (None, (1, 14), (1, 18), (4, 4), (4, 10)):
-            _, why = firmware_of(autopilot).suitable(version)
+        for version, all_came in ((None, True), ((1, 14), True), ((1, 18), True), ((4, 4), True), ((4, 10), False)):
+            _, why = firmware_of(autopilot).suitable(version, {"VISO_TYPE": 1.0}, all_came=all_came)
             assert len(encoders.status_text(f"Lookback: {why}", mavlink.MAV_SEVERITY_WARNING)) == 1, why

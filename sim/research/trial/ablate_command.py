@@ -17,7 +17,7 @@ import numpy as np
 from edge import __version__
 from edge.config import Config
 from edge.errors import FeedError
-from edge.localization import NO_PLACES, Fix, PositionEstimator, position_of
+from edge.localization import NO_PLACES, Fix, PositionEstimator
 from edge.localization.drive_file import read_drive
 from edge.localization.events import ImageProcessed
 from edge.localization.fix_rules import RULES, NoFix, Rule
@@ -197,7 +197,7 @@ class _Stream:
 
     def add(self, t_ns: int, answer: Fix | NoFix | None, truth: RecordedDrive) -> None:
         """What was asked for then."""
-        fix = None if answer is None else position_of(answer)
+        fix = answer if isinstance(answer, Fix) else None
         if fix is not None and fix.place.stamp_ns != self._stamp_ns:
             self._answered_ns, self._stamp_ns = t_ns, fix.place.stamp_ns
             self._positions.append(_off(fix, truth))

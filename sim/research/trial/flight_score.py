@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from edge.journal.records import FixConfirmed, FixSent, FrameUsed
+from edge.journal.records import FixSent, FrameUsed
 from edge.telemetry.codec import Message
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.trial.records import Array
@@ -28,10 +28,10 @@ RESET_M = 0.15
 
 
 class SentPosition(msgspec.Struct, frozen=True):
-    """A position that was sent, or that confirmed the autopilot's own: how far from the truth, ahead and to the right.
+    """A position that was sent: how far from the truth, ahead and to the right.
 
     message: the number of the command or message, 0 of one that was not sent. time_s: since GPS was lost, driven_m:
-    since then. sigma_m, levels, sigma_along_m, held_axes: as in the journal, None where it has none for this one (of a
+    since then. sigma_m, levels, sigma_along_m: as in the journal, None where it has none for this one (of a
     stream it has one a second). own_m, moves_m: how far the autopilot was from the truth at the moment of a reset, and
     from the reset; None of a stream. by_pose: whether a keypoint pose says it.
     Errors are NaN where nothing says where the vehicle was.
@@ -47,7 +47,6 @@ class SentPosition(msgspec.Struct, frozen=True):
     level_along_m: float | None = None
     level_cross_track_m: float | None = None
     sigma_along_m: float | None = None
-    held_axes: str | None = None
     own_m: float | None = None
     moves_m: float | None = None
     by_pose: bool = False
@@ -61,14 +60,10 @@ class SentPosition(msgspec.Struct, frozen=True):
 
     @property
     def sigmas(self) -> float:
-        """Error over standard deviation, where the position is not the autopilot's own; NaN where that is not known."""
+        """Error over standard deviation; NaN where that is not known."""
         if not self.sigma_m:
             return math.nan
-        if self.held_axes is None or self.sigma_along_m is None:
-            return self.error_m / self.sigma_m
-        if self.held_axes == "cross-track":
-            return abs(self.along_m) / self.sigma_along_m
-        return abs(self.cross_track_m) / math.sqrt(self.sigma_m**2 - self.sigma_along_m**2)
+        return self.error_m / self.sigma_m
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -130,13 +125,11 @@ def score(
     messages: Sequence[tuple[float, Message]],
     sent: Sequence[FixSent],
     used: Sequence[FrameUsed],
-    confirmed: Sequence[FixConfirmed] = (),
 ) -> Score:
-    """Score what the daemon sent; sent, used, confirmed: by its journal."""
+    """Score what the daemon sent; sent, used: by its journal."""
     lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
     known = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
     positions = [one for at_s, message in messages if (one := _position(drive, at_s, message, known)) is not None]
-    positions = sorted([*positions, *(_confirmed(drive, one) for one in confirmed)], key=lambda one: one.time_s)
     moments_s = [0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s]
     texts = [
         Text(round(at_s - lost_s, 2), message.text) for at_s, message in messages if message.get_type() == "STATUSTEXT"
@@ -176,18 +169,12 @@ def _position(
     return _judged(drive, here_m, of_s, sent_s, number, said)
 
 
-def _confirmed(drive: RecordedDrive, one: FixConfirmed) -> SentPosition:
-    at_s = one.stamp_ns / 1e9
-    return _judged(drive, east_north_m(one.lat_deg, one.lon_deg), at_s, at_s, 0, _said(one))
-
-
-def _said(fix: FixSent | FixConfirmed) -> dict[str, Any]:
+def _said(fix: FixSent) -> dict[str, Any]:
     """What the journal says of a position."""
     levels = {"level_along_m": fix.level_along_m, "level_cross_track_m": fix.level_cross_track_m}
     return {
         "sigma_m": fix.sigma_m,
         "sigma_along_m": fix.sigma_along_m or None,
-        "held_axes": fix.held_axes or None,
         **levels,
     }
 

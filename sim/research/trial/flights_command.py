@@ -16,7 +16,7 @@ import numpy as np
 from edge import __version__
 from edge.descriptor.network import Network
 from edge.errors import ConfigError, FeedError, LookbackError, SetupError
-from edge.journal.records import FixConfirmed, FixSent, FrameUsed
+from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import MOVES_M, Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
 from sim.research.trial.listed_drive import ListedDrive
@@ -247,7 +247,6 @@ def _replay(
             sent,
             list(records_of(journal, FixSent)),
             list(records_of(journal, FrameUsed)),
-            list(records_of(journal, FixConfirmed)),
         ),
         _three(dead_reckoning_errors(drive)),
         _three(autopilot_errors(drive)),

@@ -16,14 +16,14 @@ import numpy as np
 from edge.config import Config
 from edge.geodesy import east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization import AutopilotState, Fix, MapUpdate, position_of
+from edge.localization import AutopilotState, Fix, MapUpdate
 from edge.localization.drive_file import read_drive, replay
 from edge.localization.events import ImageProcessed
 from edge.localization.place_fix import untracked_fix
 from edge.localization.position_estimator import Entry, FixResult
 from edge.reference_map import Route
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
-from edge.telemetry.position_sender import held_axes, level_m
+from edge.telemetry.position_sender import level_m
 from edge.telemetry.shadow import Shadow
 from sim.bundle import drive_list
 from sim.research.trial.flight_score import Score, SentPosition, scored
@@ -52,7 +52,7 @@ class ListedDrive:
         self.lost_m = float(np.ptp(self._driven_m[:, 1])) if known_m else 0.0
         asked = [one for _, one in entries if isinstance(one, FixResult)]
         frames = _frames(self.config, entries)
-        self.then = self._score([fix for one in asked if (fix := position_of(one.answer))], frames)
+        self.then = self._score([one.answer for one in asked if isinstance(one.answer, Fix)], frames)
         self.now = self._score(_fixes(self.config, entries, was_asked=bool(asked)), frames)
 
     def _score(self, fixes: Sequence[Fix], frames: Sequence[PlaceFix | None]) -> Score:
@@ -71,9 +71,8 @@ class ListedDrive:
         driven_m = float(np.interp(at_s, *self._driven_m.T) - self._driven_m[0, 1]) if len(self._driven_m) else 0.0
         error_m, along_m, cross_track_m = (round(one, 3) for one in self._off_m(fix.place))
         of_place = error_m, along_m, cross_track_m, fix.place.sigma_m
-        held = held_axes(fix) or None
         at = round(since_s, 3), driven_m, EXTERNAL_POSITION_ESTIMATE
-        return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m, held)
+        return SentPosition(*at, *of_place, *level_m(fix.level), fix.place.sigma_along_m)
 
     def _off_m(self, place: PlaceFix) -> tuple[float, float, float]:
         """From where GPS had the vehicle then: in all, ahead, and to the right; NaN where it did not."""
@@ -105,7 +104,7 @@ def _frames(config: Config, entries: Entries) -> list[PlaceFix | None]:
 def _fixes(config: Config, entries: Entries, *, was_asked: bool) -> list[Fix]:
     """The positions of today's estimator: when it was asked, or after each frame without GPS where it never was."""
     if was_asked:
-        return [fix for _, _, now in replay(config, list(entries)) if (fix := position_of(now))]
+        return [now for _, _, now in replay(config, list(entries)) if isinstance(now, Fix)]
     found, shadow = [], Shadow(config, lambda record: None)
     for t_ns, one in entries:
         shadow.update(t_ns, one)

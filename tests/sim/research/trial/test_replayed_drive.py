@@ -101,12 +101,6 @@ def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counte
     )
 
 
-@pytest.mark.parametrize(("held", "sigmas"), [(None, math.sqrt(1.25)), ("cross-track", 2.0), ("along-track", 0.75)])
-def test_where_a_position_is_the_autopilots_own_its_error_is_not_ours(held: str | None, sigmas: float) -> None:
-    one = SentPosition(1.0, 5.0, 0, 5.0, -4.0, 3.0, math.hypot(2.0, 4.0), sigma_along_m=2.0, held_axes=held)
-    assert one.sigmas == pytest.approx(sigmas)
-
-
 def test_a_drive_without_positions_is_silent_to_its_end(drive: RecordedDrive) -> None:
     row = score(drive, [], [], drive.used).row()
     assert row["sent"] == 0 and np.isnan([row["median_m"], row["first_m"]]).all()
