@@ -42,7 +42,7 @@ NO_NETWORK = (
     "check that a program sends MAVLink 2 to this address (mavlink-router, or MAVProxy with --out), that its computer"
     " is running, and that no firewall is between; with signing, both ends need the same key"
 )
-MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover.param"
+MEASURED = "measure it on the vehicle, see firmware_config/ardupilot_rover_fused.param"
 
 
 def requirements(config: TelemetryConfig, vehicle: Vehicle) -> tuple[Requirement, ...]:
@@ -195,7 +195,7 @@ def check_parameters(examined: DoctorContext) -> Iterator[Found]:
     position = values.get("EK3_SRC1_POSXY")
     if position == 0 and examined.has_receiver:
         words = "EK3_SRC1_POSXY = 0: the autopilot ignores its GPS, which works, and drifts from it"
-        yield bad(words, "set it to 3, as firmware_config/ardupilot_rover_gps.param or ardupilot_copter_gps.param does")
+        yield bad(words, "set it to 3, as firmware_config/ardupilot_rover_fused.param does")
     elif position is not None:
         meaning = {0: ", no GPS", 3: ", GPS"}.get(round(position), "")
         yield good(f"EK3_SRC1_POSXY = {position:g}{meaning}")

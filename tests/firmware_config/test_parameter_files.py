@@ -14,18 +14,12 @@ import pytest
 from pymavlink.mavparm import MAVParmDict
 
 from edge.config import Config, TelemetryConfig
+from edge.telemetry.firmware import GPS_SET, SET_WITHOUT_GPS
 
 FILES = Path(__file__).parents[2] / "firmware_config"
 ARDUPILOT = sorted(FILES.glob("*.param"))
 PX4 = sorted(FILES.glob("*.params"))
-LISTS = {
-    "ardupilot_rover_gps": ["ardupilot_rover"],
-    "ardupilot_copter_gps": ["ardupilot_copter"],
-    "ardupilot_camera_velocity": ["ardupilot_rover"],
-    "px4_global_position_sensor": ["px4"],
-    "px4_velocity_aid": ["px4"],
-    "px4_camera_velocity": ["px4"],
-}  # of each file that is for another firmware than its name says
+SOURCES = ("POSXY", "VELXY", "VELZ", "POSZ", "YAW")
 BAUD = int(TelemetryConfig().connection.rpartition(":")[2])
 
 
@@ -53,13 +47,11 @@ class Listing(msgspec.Struct, forbid_unknown_fields=True):
     parameters: dict[str, Listed]
 
 
-def listings_of(file: Path) -> list[Listing]:
-    """The lists of the firmwares that a file is for."""
-    return [read_listing(name) for name in LISTS.get(file.stem, [file.stem])]
-
-
-def read_listing(name: str) -> Listing:
-    return msgspec.json.decode(Path(__file__).with_name(f"{name}.json").read_bytes(), type=Listing)
+def listing_of(file: Path) -> Listing:
+    """The list of the firmware that a file is for, whose name its own begins with."""
+    lists = [one for one in Path(__file__).parent.glob("*.json") if file.stem.startswith(one.stem)]
+    (listed,) = lists or [Path(__file__).with_name("ardupilot_rover.json")]
+    return msgspec.json.decode(listed.read_bytes(), type=Listing)
 
 
 def rows(file: Path) -> list[tuple[str, float, int | None]]:
@@ -86,12 +78,11 @@ all_files = pytest.mark.parametrize("file", ARDUPILOT + PX4, ids=lambda path: pa
 
 @all_files
 def test_parameters_exist_and_take_their_values(file: Path) -> None:
-    for listing in listings_of(file):
-        known = listing.parameters
-        for name, value, kind in rows(file):
-            assert name in known, f"{file.name}: no parameter {name}"
-            assert known[name].takes(value), f"{file.name}: {name} does not take {value:g}"
-            assert kind == known[name].type, f"{file.name}: {name} is of another type"
+    known = listing_of(file).parameters
+    for name, value, kind in rows(file):
+        assert name in known, f"{file.name}: no parameter {name}"
+        assert known[name].takes(value), f"{file.name}: {name} does not take {value:g}"
+        assert kind == known[name].type, f"{file.name}: {name} is of another type"
 
 
 @all_files
@@ -145,12 +136,14 @@ def test_no_gps_set_ups_have_a_speed_and_no_position_source() -> None:
     assert rover["AHRS_OPTIONS"] == 3
 
 
-@pytest.mark.parametrize(("kind", "velocity", "others"), [("rover", 7, set()), ("copter", 5, {"EK3_SRC1_VELZ"})])
-def test_a_vehicle_with_gps_uses_it_and_has_a_speed_without_it(kind: str, velocity: int, others: set[str]) -> None:
-    with_gps, without = (by_name(FILES / f"ardupilot_{kind}{which}.param") for which in ("_gps", ""))
-    assert with_gps["EK3_SRC1_POSXY"] == 3
-    assert with_gps["EK3_SRC1_VELXY"] == velocity
-    assert {name for name in with_gps if with_gps[name] != without.get(name)} == {"EK3_SRC1_POSXY", *others}
+@pytest.mark.parametrize(("kind", "velocity"), [("rover", 7), ("copter", 5), ("plane", 0)])
+def test_the_set_that_lookback_selects_has_poses_and_nothing_of_gps(kind: str, velocity: int) -> None:
+    """And beside them the speed of the first set, but for GPS; set 2 is the one that is selected."""
+    values = by_name(FILES / f"ardupilot_{kind}_fused.param")
+    first, second = ([values[f"EK3_SRC{number}_{of}"] for of in SOURCES] for number in (GPS_SET, SET_WITHOUT_GPS))
+    assert second == [6, velocity, 0, 1, 1]
+    assert (first[0], first[1]) == (3, velocity or 3)
+    assert values["VISO_TYPE"] == 1
 
 
 def test_px4_does_not_trust_an_external_velocity_too_much() -> None:
