@@ -3,6 +3,6 @@
 camera     a recorded drive: its field of view and k1, by successive pictures
 samples    a recorded drive with positions through the recognizer: for each match, how far ahead the place lies
 offset     from samples: the rig's along-track offset for each direction and region order, and the error that remains
-threshold  from samples, or from the map alone: the confidence from which a place is believed
+threshold  from samples: the confidence from which a place is believed
 command    prints the lines for the config, and writes them into it
 """

@@ -35,7 +35,7 @@ from sim.calibration.offset import (
     sigma_key,
 )
 from sim.calibration.offset_samples import OffsetSample, samples_of
-from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive, curve_of_map
+from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
@@ -47,17 +47,17 @@ CAMERA = [Path("camera")]
 """The first word, in place of a FEED, without --map."""
 
 WHY_DEFAULT = (
-    "lower ones may reach this precision here, but a drive that never leaves the map, and the map itself, show too"
-    " little of what is believed elsewhere"
+    "lower ones may reach this precision here, but a drive that never leaves the map shows too little of what is"
+    " believed elsewhere"
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback calibrate`."""
     parser.description = (
-        "Measure the camera's along-track offset from recorded drives with GPS, and the acceptance"
-        " threshold for a precision. Without a FEED, the threshold is estimated from the map alone. `lookback calibrate"
-        " camera FEED` measures the camera's field of view and lens from a drive with bends, without a map."
+        "Measure the camera's along-track offset from recorded drives with GPS, and the acceptance threshold for a"
+        " precision. `lookback calibrate camera FEED` measures the camera's field of view and lens from a drive with"
+        " bends, without a map."
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, help="the map's folder")
@@ -93,6 +93,8 @@ def _run(args: argparse.Namespace) -> int:
     # Measuring takes minutes, so it is found out first whether the result can be written.
     if args.write:
         check_writable(args.write)
+    if not args.feeds:
+        args.error("name a FEED: a drive along the map, recorded with GPS")
     if args.map is None:
         if args.feeds[:1] != CAMERA or len(args.feeds) != 2:
             args.error("--map is required, except as `lookback calibrate camera FEED`, of one FEED")
@@ -101,30 +103,20 @@ def _run(args: argparse.Namespace) -> int:
     settings = args.config or args.write
     made = reference_map.header
     config = load_config_for_map(settings, made) if settings else config_as_mapped(made)
-    lines: dict[tuple[str, str], float | tuple[float, ...]] = {}
-    off_map: list[float] = []
-    if args.feeds:
-        offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
-        off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
-        _print_offsets(offsets, seen)
-        lines |= rig_lines(offsets)
-        curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence_frames)
-        print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
-    else:
-        curve = curve_of_map(reference_map, config)
-        print(f"threshold, from the map alone: {curve.answers} of its frames, each matched without its surroundings")
-        print("(the share of matches off the map that a threshold rejects; it does not show how many right matches")
-        print("remain accepted in other light: that needs a drive):")
+    offsets, seen = measure_rig(reference_map, [read_feed(path) for path in args.feeds], config)
+    off_map = [one.confidence for one in seen if np.isnan(one.ahead_m)]
+    _print_offsets(offsets, seen)
+    lines = dict(rig_lines(offsets))
+    curve = curve_of_drive(seen, _with_known(config.rig, offsets), args.tolerance_m, config.sequence_frames)
+    print(f"threshold, from {curve.answers} matches ({curve.stretches} without a shared frame):")
     if not curve.answers:
         raise LookbackError(f"{args.map}: no whole sequence of {config.sequence_frames} places, so nothing is measured")
     chosen = choose(curve, off_map, args.precision)
     threshold = min(float(np.ceil(chosen * 1e6) / 1e6), 1 - 1e-6)
     lines["acceptance", "confidence_from"] = threshold
-    _print_curve(curve, threshold, drive=bool(args.feeds))
+    _print_curve(curve, threshold)
     if chosen == DEFAULT:
         print(f"the default is kept: {WHY_DEFAULT}")
-    if args.feeds:
-        _print_off_map(curve_of_map(reference_map, config), threshold, args.precision)
     if args.curve:
         args.curve.write_text(_curve_as_csv(curve), encoding="utf-8")
     _put(lines, args.write)
@@ -185,27 +177,14 @@ def _print_offsets(offsets: Sequence[Offset], seen: Sequence[OffsetSample]) -> N
             print(f"    by keypoint poses the camera is {offset.pose_m:.1f} ± {offset.pose_sigma_m:.1f} m ahead of it")
 
 
-def _print_curve(curve: Curve, threshold: float, *, drive: bool) -> None:
+def _print_curve(curve: Curve, threshold: float) -> None:
     """About 13 points of the curve, and the chosen one."""
-    print(f"  confidence_from  accepted  {'precision' if drive else 'rejected'}")
+    print("  confidence_from  accepted  precision")
     rows = np.unique(np.linspace(0, len(curve.thresholds) - 1, 12).round().astype(int))
     for row in rows:
         print(f"  {curve.thresholds[row]:13.6f}  {curve.accepted[row]:8d}  {curve.precision[row]:9.3f}")
     last = int(np.flatnonzero(curve.thresholds >= threshold)[-1]) if (curve.thresholds >= threshold).any() else 0
     print(f"  {threshold:13.6f}  {curve.accepted[last]:8d}  {curve.precision[last]:9.3f}  chosen")
-
-
-def _print_off_map(strangers: Curve, threshold: float, share: float) -> None:
-    """The share of matches off the map that the threshold rejects; most drives never leave the map."""
-    if not strangers.answers:
-        return
-    rejected, needed = float(np.mean(strangers.thresholds < threshold)), strangers.lowest_for(share)
-    line = f"off the map, estimated from the map alone, {threshold:.6f} rejects {100 * rejected:.1f} % of the matches"
-    if rejected < share:
-        line += (
-            f", and {needed:.6f} rejects {100 * share:.1f} %: if the vehicle may leave the map, choose between the two"
-        )
-    print(line)
 
 
 def _curve_as_csv(curve: Curve) -> str:

@@ -151,7 +151,7 @@ def test_no_command_says_a_secret(
         ["record", str(config), *to, "--duration", "1"],
         ["replay", feed, *of_map, "--config", str(config)],
         ["eval", feed, *of_map, "--config", str(config)],
-        ["calibrate", *of_map, "--config", str(config)],
+        ["calibrate", feed, *of_map, "--config", str(config)],
         ["map", "build", feed, "--config", str(config), "--no-keypoints", *to],
     ):
         status = main(words)

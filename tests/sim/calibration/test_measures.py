@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.config import Config, RigConfig, SequenceConfig, load_config
+from edge.config import RigConfig, load_config
 from edge.errors import ConfigError, LookbackError
 from edge.feed import Feed, FeedHeader, FeedRow
 from edge.reference_map.store import ReferenceMap
@@ -18,7 +18,7 @@ from sim import Pose
 from sim.calibration.command import write_lines
 from sim.calibration.offset import measure_offsets, rig_config
 from sim.calibration.offset_samples import MapDrives, OffsetSample
-from sim.calibration.threshold import DEFAULT, choose, curve_of_drive, curve_of_map
+from sim.calibration.threshold import DEFAULT, choose, curve_of_drive
 from tests.map_of import map_of
 
 
@@ -148,31 +148,6 @@ def test_the_vehicle_is_on_the_passing_of_the_road_that_was_matched(
 
 def test_a_vehicle_on_another_road_has_no_place(out_and_back: ReferenceMap) -> None:
     assert np.isnan(MapDrives(out_and_back, feed_at(-60.0, 101.0)).further_m(0, 50))
-
-
-def test_the_map_against_itself_has_an_answer_for_each_place(out_and_back: ReferenceMap) -> None:
-    """The first is that of the tenth place; a place is not compared with the way back beside it either."""
-    curve = curve_of_map(out_and_back, Config(sequence=SequenceConfig(length=10)))
-    assert curve.answers == 400 - 9
-    assert curve.thresholds.max() < DEFAULT
-
-
-def smooth_street(seed: int) -> NDArray[np.float32]:
-    """Descriptors (N, 2, D) of places that look like their neighbors, as on a street."""
-    noise = np.random.default_rng(seed).normal(size=(400, 2, 64))
-    return np.asarray(sum(np.roll(noise, shift, axis=0) for shift in range(12)), dtype=np.float32)
-
-
-@pytest.mark.parametrize(("second", "low", "high"), [(2, 0.0, DEFAULT), (1, DEFAULT, 1.0)])
-def test_a_map_that_passes_two_stretches_that_look_alike_needs_a_higher_threshold(
-    tmp_path: Path, second: int, low: float, high: float
-) -> None:
-    """Two streets apart from each other; with equal seeds they show the same."""
-    raw = np.concatenate([smooth_street(seed)[:200] for seed in (1, second)])
-    places = [place(row, east_m, 2.0 * row, 2.0 * row) for east_m in (0.0, 5000.0) for row in range(200)]
-    streets = map_of(tmp_path / "map", raw, places, starts=(0, 200), view="rear")
-    curve = curve_of_map(streets, Config(sequence=SequenceConfig(length=20)))
-    assert low <= curve.lowest_for(0.9) < high
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])

@@ -177,7 +177,6 @@ def test_the_command_prints_the_lines_and_writes_them(
     assert "forward, same     the place lies" in printed
     assert "[rig]\nahead_forward_same_m = " in printed
     assert "\nsigma_along_m = " in printed
-    assert "off the map, estimated from the map alone, " in printed
     loaded = load_config(config)
     assert loaded.rig.ahead_forward_same_m == pytest.approx(8.0, abs=2.0)
     assert 0.5 <= loaded.rig.sigma_m("forward", "same") == loaded.rig.sigma_along_m
@@ -201,7 +200,7 @@ def test_a_config_that_cannot_be_written_is_named_before_anything_is_measured(
 ) -> None:
     if text is not None:
         (tmp_path / name).write_text(text)
-    argv = ["calibrate", "--map", str(tmp_path / "no_map"), "--write", str(tmp_path / name)]
+    argv = ["calibrate", "feed", "--map", str(tmp_path / "no_map"), "--write", str(tmp_path / name)]
     args = build_parser(argv).parse_args(argv)
     with pytest.raises(ConfigError, match=says):
         args.run(args)
