@@ -37,7 +37,8 @@ function(host)
   arming = object("arming", "is_armed")
   rc = object("rc", "get_aux_cached has_valid_input")
   gcs = object("gcs", "send_text")
-  ahrs = object("ahrs", "set_posvelyaw_source_set")
+  ahrs = object("ahrs", "set_posvelyaw_source_set get_posvelyaw_source_set")
+  gps = object("gps", "primary_sensor status horizontal_accuracy")
   FWVersion = object("FWVersion", "type")
   io, os, package, require, dofile, loadfile = nil, nil, nil, nil, nil, nil
 end
@@ -63,7 +64,10 @@ class Scripting:
         self.items = 0
         self.modes: list[int] = []
         self.sets: list[int] = []
-        """Of sources, which were selected."""
+        """Of sources, which the script selected."""
+        self.source_set = 0
+        """The one in use, from 0 on."""
+        self.gps_fix_type, self.gps_accuracy_m = 0, 0.7
         self.texts: list[str] = []
         self.sent: list[Any] = []
         self.arrived: deque[bytes] = deque()
@@ -169,6 +173,19 @@ class Scripting:
 
     def _ahrs_set_posvelyaw_source_set(self, number: int) -> None:
         self.sets.append(number)
+        self.source_set = number
+
+    def _ahrs_get_posvelyaw_source_set(self) -> int:
+        return self.source_set
+
+    def _gps_primary_sensor(self) -> int:
+        return 0
+
+    def _gps_status(self, receiver: int) -> int:
+        return self.gps_fix_type
+
+    def _gps_horizontal_accuracy(self, receiver: int) -> float:
+        return self.gps_accuracy_m
 
     def _FWVersion_type(self) -> int:  # noqa: N802
         return COPTER

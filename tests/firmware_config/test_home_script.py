@@ -27,9 +27,10 @@ def opened(switch: int | None = LOW, **parameters: float) -> Scripting:
     return Scripting("lookback_home.lua", 100, switch, **parameters)
 
 
-def start(**parameters: Any) -> Scripting:
+def start(*, has_long_ids: bool = False, **parameters: Any) -> Scripting:
     """The script, enabled, with Lookback connected and the switch low."""
     scripting = opened(LKH_ENABLE=1, **parameters)
+    scripting.has_long_ids = has_long_ids
     scripting.heartbeat()
     scripting.step(SETTLED)
     return scripting
@@ -43,8 +44,9 @@ def requested(**parameters: float) -> Scripting:
     return scripting
 
 
-def test_the_switch_requests_the_mission_and_changes_no_mode() -> None:
-    scripting = requested()
+@pytest.mark.parametrize("has_long_ids", [False, True])
+def test_the_switch_requests_the_mission_and_changes_no_mode(has_long_ids: bool) -> None:
+    scripting = requested(has_long_ids=has_long_ids)
     command = scripting.sent[0]
     assert (command.command, command.target_system, command.target_component) == (31014, 1, 191)
     assert (command.param1, command.param2, command.confirmation) == (1.0, 5665.0, 0)
@@ -69,67 +71,22 @@ def test_the_mode_is_changed_where_the_parameter_asks_for_it() -> None:
     assert scripting.texts[-1] == "Home: on the way"
 
 
-def test_messages_with_long_system_ids_are_read_as_well() -> None:
-    scripting = opened(LKH_ENABLE=1)
-    scripting.has_long_ids = True
-    scripting.heartbeat()
-    scripting.step(SETTLED)
-    scripting.switch = HIGH
-    scripting.step()
-    scripting.items = 17
-    scripting.answer(0, 17)
-    scripting.step()
-    assert scripting.texts == ["Home: mission requested", "Home: the mission is ready"]
-
-
-def low_again(scripting: Scripting) -> None:
-    scripting.switch = LOW
-
-
-def disarmed(scripting: Scripting) -> None:
-    scripting.armed = False
-
-
-def other_mission(scripting: Scripting) -> None:
-    scripting.items = 18
-
-
-def refusing(scripting: Scripting) -> None:
-    scripting.refuses_mode = True
-
-
-def receiver_lost(scripting: Scripting) -> None:
-    scripting.is_received = False
-
-
-def held_by_a_failsafe(scripting: Scripting) -> None:
-    scripting.mode = HOLD
-
-
-def battery_empty(scripting: Scripting) -> None:
-    scripting.failsafe = "battery"
-
-
-def filter_failed(scripting: Scripting) -> None:
-    scripting.failsafe = "ekf"
-
-
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("name", "value", "text"),
     [
-        (low_again, "Home: the mission is ready, switch is not high"),
-        (disarmed, "Home: the mission is ready, not armed"),
-        (other_mission, "Home: the mission has changed"),
-        (refusing, "Home: the mode was refused"),
-        (receiver_lost, "Home: the mission is ready, switch is not high"),
-        (held_by_a_failsafe, "Home: the mission is ready, mode has changed"),
-        (battery_empty, "Home: the mission is ready, failsafe"),
-        (filter_failed, "Home: the mission is ready, failsafe"),
+        ("switch", LOW, "Home: the mission is ready, switch is not high"),
+        ("armed", False, "Home: the mission is ready, not armed"),
+        ("items", 18, "Home: the mission has changed"),
+        ("refuses_mode", True, "Home: the mode was refused"),
+        ("is_received", False, "Home: the mission is ready, switch is not high"),
+        ("mode", HOLD, "Home: the mission is ready, mode has changed"),
+        ("failsafe", "battery", "Home: the mission is ready, failsafe"),
+        ("failsafe", "ekf", "Home: the mission is ready, failsafe"),
     ],
 )
 @pytest.mark.parametrize("is_announced", [False, True])
 def test_the_mode_stays_where_anything_speaks_against_it(
-    change: Callable[[Scripting], None], text: str, is_announced: bool
+    name: str, value: object, text: str, is_announced: bool
 ) -> None:
     """Before the mission is there, and after the change of mode was announced."""
     scripting = requested(LKH_MODE=AUTO)
@@ -137,9 +94,9 @@ def test_the_mode_stays_where_anything_speaks_against_it(
     if is_announced:
         scripting.answer(0, 17)
         scripting.step(20)
-        change(scripting)
+        setattr(scripting, name, value)
     else:
-        change(scripting)
+        setattr(scripting, name, value)
         scripting.step(3)
         scripting.answer(0, 17)
     scripting.step(70)

@@ -73,6 +73,40 @@ def test_a_lookback_that_falls_silent_is_named_and_changes_nothing() -> None:
     hear(autopilot, 1.0, 5)
     silence(autopilot, 50)
     assert autopilot.sets == [1], "GPS was wrong"
-    assert autopilot.texts[1:] == ["Lookback is silent, GPS was wrong"] * 2
+    assert autopilot.texts[1:] == ["Lookback is silent, GPS was doubted"] * 2
     hear(autopilot, 0.0, 5)
     assert autopilot.sets == [1, 0], "it is back, and GPS agrees"
+
+
+@pytest.mark.parametrize(
+    ("by_lookback", "doubt", "accuracy_m", "pilots_set", "sets"),
+    [
+        (True, None, 0.7, 1, [0]),
+        (True, None, 25.0, 1, []),
+        (True, 0.6, 0.7, 1, []),
+        (True, None, 0.7, 2, []),
+        (False, None, 0.7, 1, []),
+    ],
+    ids=["ended", "a bad GPS", "a doubted GPS", "the pilot's third set", "the pilot's second set"],
+)
+def test_a_lookback_that_has_ended_leaves_nothing_in_its_set(
+    by_lookback: bool, doubt: float | None, accuracy_m: float, pilots_set: int, sets: list[int]
+) -> None:
+    """Which it selected while GPS was lost: 10 s after its last heartbeat and 10 s after GPS is back."""
+    autopilot = opened(action=0)
+    autopilot.source_set, autopilot.gps_fix_type = 1, 3
+    autopilot.receive(encoders.source_set(1, 2), component_id=191 if by_lookback else 190)
+    hear(autopilot, doubt, 5)
+    for _ in range(30):
+        autopilot.heartbeat()
+        autopilot.step(5)
+    autopilot.source_set, autopilot.gps_fix_type = pilots_set, 0
+    silence(autopilot, 15)
+    autopilot.gps_fix_type, autopilot.gps_accuracy_m = 3, accuracy_m
+    silence(autopilot, 9)
+    assert autopilot.sets == [], "GPS is not back for long"
+    silence(autopilot, 2)
+    assert autopilot.sets == sets
+    assert ("Lookback ended: GPS, source set 1" in autopilot.texts) == bool(sets)
+    silence(autopilot, 60)
+    assert autopilot.sets == sets, "the pilot may select the second set again"
