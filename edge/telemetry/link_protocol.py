@@ -23,6 +23,7 @@ from edge.telemetry.position_messages import POSITION_MESSAGES
 from edge.telemetry.session import Origin, Session
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import Aid
+from edge.telemetry.wheel_store import WHEEL_RADIUS
 
 TIMESYNC_NS = 500_000_000
 AGAIN_NS = 5_000_000_000
@@ -133,6 +134,7 @@ class Requests:
         sent = [name for name in firmware.needs if name in may_be and not POSITION_MESSAGES[name].acknowledged]
         names = *firmware.aid_parameters, *(one.parameter for name in sent for one in firmware.needs[name])
         self.parameters = ParameterRequests(vehicle.session, names if config.emit != "report" else ())
+        self.parameters.add({WHEEL_RADIUS} if "WENC_TYPE" in firmware.aid_parameters else ())
         self._origin = Origin(*config.origin) if config.origin else None
         self.needs_place = self._origin is not None and firmware.stands_at_origin
         """Whether no origin is set before a place is believed."""

@@ -29,7 +29,7 @@ from edge.telemetry.firmware import (
 from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import NO_SPEED
-from edge.telemetry.wheel_store import in_percent, kept_drives
+from edge.telemetry.wheel_store import drives_of, in_percent
 from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
@@ -135,7 +135,7 @@ def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
 
 def _judge_wheels(config: TelemetryConfig, vehicle: Vehicle) -> Iterator[Found]:
     """What earlier drives have found of the wheels, where there are any."""
-    drives = kept_drives(config.journal).get(vehicle.system_id or 0, [])
+    drives = drives_of(config.journal, vehicle)
     scale = learned(drives)
     if scale is not None:
         yield good(f"wheels: {in_percent(scale)}, by {len(drives)} drives")

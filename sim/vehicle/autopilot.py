@@ -231,6 +231,9 @@ class SimulatedAutopilot:
             self.set_origin(*east_north_m(message.latitude / 1e7, message.longitude / 1e7, self._lon_shift_deg))
         elif kind == mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ and message.param_id in self.parameters:
             self._say_parameter(message.param_id)
+        elif kind == mavlink.MAVLINK_MSG_ID_PARAM_SET and message.param_id in self.parameters:
+            self.parameters[message.param_id] = message.param_value, self.parameters[message.param_id][1]
+            self._say_parameter(message.param_id)
         elif kind == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and self.has_script:
             if message.name == GPS_DOUBT_NAME.decode() and message.value >= 1.0:
                 self.inputs.source_set = SET_WITHOUT_GPS

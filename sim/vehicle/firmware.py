@@ -104,6 +104,6 @@ def parameters_of(firmware: SimulatedFirmware, source: VelocitySource) -> dict[s
             ID: (float(firmware.fuses_sensor), kind),
         }
     wheels = 6.0 if source == "camera" else 7.0 * is_aided
-    velocity = {"EK3_SRC1_VELXY": (wheels, kind), "EK3_SRC2_VELXY": (wheels, kind), "WENC_TYPE": (1.0, kind)}
-    poses = {"VISO_TYPE": 1.0, "EK3_SRC2_POSXY": 6.0}
-    return velocity | {name: (value * firmware.fuses_poses, kind) for name, value in poses.items()}
+    values = {"EK3_SRC1_VELXY": wheels, "EK3_SRC2_VELXY": wheels, "WENC_TYPE": 1.0, "WENC_RADIUS": 0.1}
+    poses = {name: value * firmware.fuses_poses for name, value in (("VISO_TYPE", 1.0), ("EK3_SRC2_POSXY", 6.0))}
+    return {name: (value, kind) for name, value in (values | poses).items()}

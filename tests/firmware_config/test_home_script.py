@@ -36,7 +36,7 @@ def start(*, has_long_ids: bool = False, **parameters: Any) -> Scripting:
     return scripting
 
 
-def requested(**parameters: float) -> Scripting:
+def requested(**parameters: Any) -> Scripting:
     scripting = start(**parameters)
     scripting.switch = HIGH
     scripting.step()

@@ -231,10 +231,11 @@ def test_recorded_autopilots_played_into_the_port(
     assert rig.connection.state == "up"
     assert len(errors_s) >= 7
     assert max(map(abs, errors_s)) < 0.020
-    values = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT"}
-    assert {message.get_type() for message in sent} == {"HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT", *values}
+    # Which sensors PX4 fuses, and the radius of ArduPilot's wheels.
+    fusion, radius = ({514}, set()) if recording.startswith("px4") else (set(), {"PARAM_REQUEST_READ"})
+    values = {"NAMED_VALUE_FLOAT", "NAMED_VALUE_INT", "HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "STATUSTEXT"}
+    assert {message.get_type() for message in sent} == values | radius
     commands = [message for message in sent if message.get_type() == "COMMAND_LONG"]
-    fusion = {514} if recording.startswith("px4") else set()  # which sensors PX4 fuses
     assert {message.param1 for message in commands if message.command == 511} == STREAMS | fusion
     assert {message.command for message in commands} == {511, 512}
     assert any(message.tc1 for message in sent if message.get_type() == "TIMESYNC")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.localization import GpsVerdict
 from sim.vehicle.estimator import OdometryErrors
@@ -37,6 +38,26 @@ def test_two_drives_beside_a_receiver_show_what_the_wheels_are_worth_in_the_next
     assert scale.mean == pytest.approx(SHORT, abs=0.01)
     assert scale.later < 0.025
     assert rig.connection.status().wheels == f"{100 * scale.mean:+.1f} % +- {100 * scale.later:.1f}"
+
+
+def test_a_radius_that_was_corrected_by_what_drives_found_is_right(rig: Rig, open_rig: OpenRig) -> None:
+    """Nothing is applied twice: neither in the next run, nor where the radius is set while this one runs."""
+    drive(rig)
+    drive(rig)
+    corrected = open_rig(errors=OdometryErrors(scale=1.0))
+    corrected.autopilot.handle(mavlink.MAVLink_param_set_message(1, 1, b"WENC_RADIUS", 0.1 / 1.03, 9))
+    corrected.run(6.0)
+    scale = corrected.connection.vehicle.velocity.shown.learned
+    assert scale is not None
+    assert scale.mean == pytest.approx(0.0, abs=0.01)
+    assert scale.later < 0.025
+    corrected.run(26.0)
+    corrected.autopilot.handle(mavlink.MAVLink_param_set_message(1, 1, b"WENC_RADIUS", 0.1, 9))
+    corrected.run(10.0)
+    shown = corrected.connection.vehicle.velocity.shown
+    assert shown.learned is not None
+    assert shown.learned.mean == pytest.approx(SHORT, abs=0.01)
+    assert shown.found is None, "it began anew"
 
 
 def test_a_drive_whose_gps_is_doubted_teaches_nothing(rig: Rig) -> None:

@@ -147,8 +147,8 @@ def test_all_is_well(diagnose: Diagnose) -> None:
 @pytest.mark.parametrize(
     ("drives", "level", "words"),
     [
-        ("[-0.029,0.004],[-0.028,0.004]", "good", "wheels: -2.9 % +- 1.8, by 2 drives"),
-        ("[-0.029,0.004]", "note", "known only when two drives agree -> drive another 100 m"),
+        ("[-0.029,0.004,0.1],[-0.028,0.004,0.1]", "good", "wheels: -2.9 % +- 1.8, by 2 drives"),
+        ("[-0.029,0.004],[-0.029,0.004,0.1]", "note", "known only when two drives agree -> drive another 100 m"),
     ],
 )
 def test_what_earlier_drives_found_of_the_wheels(
