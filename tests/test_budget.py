@@ -24,7 +24,7 @@ ROOMS = {
     "edge/telemetry": 2900,
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
-    "edge_plugins/doctor": 650,
+    "edge_plugins/doctor": 700,
     "edge_plugins/home": 900,
     "edge_plugins/layers": 200,
     "edge_plugins/mapping": 1600,

@@ -6,7 +6,7 @@ Sets nothing: it sends heartbeats, asks for streams as the daemon would, and rea
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 
 from msgspec.structs import replace
@@ -30,10 +30,12 @@ from edge.telemetry.link_protocol import velocity_aid
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import NO_SPEED
 from edge.telemetry.wheel_store import drives_of, in_percent
+from edge_plugins.doctor import fused
 from edge_plugins.doctor.findings import DoctorContext, Found, bad, good, note
 from edge_plugins.motion import MotionConfig
 
 TURN_S = 0.01
+FUSES = ("auto", "vision_position")
 NO_SERIAL = (
     "check the wires, the baud rate, and that the port speaks MAVLink 2 (ArduPilot: SERIALn_PROTOCOL 2); with signing,"
     " both ends need the same key"
@@ -69,35 +71,56 @@ def _wanted_parameters(config: TelemetryConfig, vehicle: Vehicle) -> set[str]:
     if config.emit == "report" or vehicle.session.version is None:
         return set()
     firmware, needed = vehicle.session.firmware, requirements(config, vehicle)
-    return {*(one.parameter for one in needed), *firmware.examined, *firmware.aid_parameters}
+    of_poses = fused.wanted(vehicle.session.parameters) if _may_fuse(config, vehicle) else set()
+    return {*(one.parameter for one in needed), *firmware.examined, *firmware.aid_parameters, *of_poses}
+
+
+def _may_fuse(config: TelemetryConfig, vehicle: Vehicle) -> bool:
+    """Whether each pose is fused where the autopilot's parameters allow it."""
+    return config.emit in FUSES and "EK3_SRC2_VELXY" in vehicle.session.firmware.aid_parameters
+
+
+def ground_station(config: TelemetryConfig) -> AutopilotConnection:
+    """The link as a ground station's: nothing that moves a vehicle or selects anything is sent. LookbackError.
+
+    Not as a companion computer either, which a PX4 would miss afterwards.
+    """
+    alone = replace(config, emit="report", origin=(), links=(), journal="")
+    link = AutopilotConnection(replace(alone, component_id=mavlink.MAV_COMP_ID_MISSIONPLANNER))
+    link.set_system_status(mavlink.MAV_STATE_STANDBY)
+    link.speak_as(mavlink.MAV_TYPE_GCS)
+    return link
+
+
+def poll_until(link: AutopilotConnection, is_done: Callable[[], bool], seconds: float) -> None:
+    """Poll until something is done, or at most so long."""
+    until_s = time.monotonic() + seconds
+    link.poll()
+    while not is_done() and time.monotonic() < until_s:
+        time.sleep(TURN_S)
+        link.poll()
 
 
 def check_autopilot(examined: DoctorContext) -> Iterator[Found]:
     """Listen to the autopilot until all is known, at most `seconds`, and judge what it reports."""
-    config = examined.settings.telemetry
+    config, doubts = examined.settings.telemetry, examined.settings.gates.doubted_gps
     try:
-        # "report": nothing is sent that moves a vehicle or selects anything.
-        # Not as a companion computer either, which a PX4 would miss afterwards.
-        alone = replace(config, emit="report", origin=(), links=(), journal="")
-        link = AutopilotConnection(replace(alone, component_id=mavlink.MAV_COMP_ID_MISSIONPLANNER))
+        link = ground_station(config)
     except LookbackError:
         return  # the links have a finding of their own
-    doubts = examined.settings.gates.doubted_gps
-    vehicle, until_s = link.vehicle, time.monotonic() + examined.seconds
+    vehicle = link.vehicle
+
+    def is_complete() -> bool:
+        status, wanted = link.status(), _wanted_parameters(config, vehicle)
+        link.requests.parameters.add(wanted)
+        is_known = vehicle.session.version is not None and None not in (status.speed_mps, status.lat_deg)
+        is_known &= status.gps == "healthy" and wanted <= set(vehicle.session.parameters)
+        is_known &= vehicle.session.gps.is_fusion_on is not None or not _takes_gps_from_px4(examined, vehicle)
+        return is_known and (doubts == "report" or not vehicle.velocity.witness(time.monotonic_ns())[1])
+
     with closing(link):
-        link.set_system_status(mavlink.MAV_STATE_STANDBY)
-        link.speak_as(mavlink.MAV_TYPE_GCS)
-        while True:
-            link.poll()
-            status, wanted = link.status(), _wanted_parameters(config, vehicle)
-            link.requests.parameters.add(wanted)
-            is_known = vehicle.session.version is not None and None not in (status.speed_mps, status.lat_deg)
-            is_complete = is_known and status.gps == "healthy" and wanted <= set(vehicle.session.parameters)
-            is_complete &= vehicle.session.gps.is_fusion_on is not None or not _takes_gps_from_px4(examined, vehicle)
-            is_complete &= doubts == "report" or not vehicle.velocity.witness(time.monotonic_ns())[1]
-            if is_complete or time.monotonic() >= until_s:
-                break
-            time.sleep(TURN_S)
+        poll_until(link, is_complete, examined.seconds)
+        status = link.status()
         witness, missing = vehicle.velocity.witness(time.monotonic_ns())
         examined.has_receiver = vehicle.session.gps.receiver_state(time.monotonic_ns()) == "healthy"
     if vehicle.is_doubled:
@@ -202,6 +225,8 @@ def check_parameters(examined: DoctorContext) -> Iterator[Found]:
     if 7 in (values.get("EK3_SRC1_VELXY"), values.get("EK3_SRC2_VELXY")):
         for name in WHEEL_PARAMETERS:
             yield _judged(Requirement(name, "wheel encoders give no speed with 0", MEASURED), vehicle)
+    if _may_fuse(config, vehicle):
+        yield from fused.judge(values, velocity_aid(vehicle, GPS_SET))
     if vehicle.session.firmware.gps_switch == "fusion":
         yield from _judge_gps_of_px4(examined, vehicle)
         if vehicle.session.kind == mavlink.MAV_TYPE_GROUND_ROVER:

@@ -21,14 +21,18 @@ from edge.feed import read_feed
 from edge.journal.journal import Journal
 from edge.journal.records import CameraDiffers, StateChanged
 from edge.reference_map import open_map
+from edge.telemetry.firmware import AIRSPEED, FLOW
+from edge.telemetry.firmware import WHEELS as WHEEL_ENCODERS
 from edge_plugins.doctor.command import examine
 from edge_plugins.doctor.findings import Finding
+from edge_plugins.doctor.fused import judge, wanted
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.adding_keypoints import add_keypoints
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.command import straight_line
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.pty_link import PtyLink, open_pty
+from tests.firmware_config.test_parameter_files import FILES, by_name
 
 ARDUPILOT = {
     "AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0, "ARMING_CHECK": 1.0, "FLOW_TYPE": 0.0, "VISO_TYPE": 0.0,
@@ -190,6 +194,38 @@ def test_what_earlier_drives_found_of_the_wheels(
 def test_parameters_that_do_not_fit_are_named(diagnose: Diagnose, emit: str, values: Any, words: str) -> None:
     found = diagnose(values, emit=emit)
     assert words in f"{found('parameter', 'bad')} | {found('autopilot', 'bad')}"
+
+
+FUSED = by_name(FILES / "ardupilot_rover_fused.param")
+
+
+@pytest.mark.parametrize(
+    ("changed", "level", "words"),
+    [
+        ({}, "good", "keypoint poses are fused while GPS is lost or faulty"),
+        ({"VISO_TYPE": 0.0}, "note", "VISO_TYPE = 0: each pose resets its position: with wheels 3 % wrong 2.2 m off"),
+        ({"EK3_SRC2_POSXY": 0.0}, "note", "-> set it to 6, as firmware_config/ardupilot_rover_fused.param does"),
+        ({"EK3_SRC2_VELXY": 0.0}, "bad", "EK3_SRC2_VELXY = 0: between poses nothing measures its velocity"),
+        ({"EK3_SRC2_YAW": 0.0}, "bad", "EK3_SRC2_YAW = 0: without the compass, each degree"),
+        ({"EK3_WENC_VERR": 0.1}, "bad", "6.7 at most; with 1, 0.5 and 2.1 -> set it to 1, as"),
+        ({"VISO_DELAY_MS": 10.0}, "note", "VISO_DELAY_MS = 10: each 100 ms away from it are 0.5 m along-track"),
+    ],
+)
+def test_what_each_value_for_fused_poses_costs(
+    diagnose: Diagnose, changed: dict[str, float], level: str, words: str
+) -> None:
+    found = diagnose({**FUSED, **changed})
+    assert words in found("parameter", level)
+    named = f"{found('parameter', 'bad')} | {found('parameter', 'note')}".count("_fused.param")
+    assert named == len(changed), "nothing else is to be changed"
+
+
+@pytest.mark.parametrize(("kind", "aid"), [("rover", WHEEL_ENCODERS), ("copter", FLOW), ("plane", AIRSPEED)])
+def test_the_values_for_fused_poses_are_those_of_the_files(kind: str, aid: str) -> None:
+    values = by_name(FILES / f"ardupilot_{kind}_fused.param")
+    assert [level for level, *_ in judge(values, aid)] == ["good"]
+    names = {name for name in values if name.startswith(("VISO_", "EK3_SRC2_", "EK3_WENC_"))}
+    assert names == wanted(values) - ({"EK3_WENC_VERR"} if kind != "rover" else set())
 
 
 def test_the_mode_that_a_px4_rover_falls_back_to_is_named(diagnose: Diagnose) -> None:
