@@ -11,7 +11,7 @@ evaluation   `lookback replay` a recording; `lookback eval`: its precision and r
 compare      `lookback compare`: methods side by side, the paper's and others'
 coverage     `lookback map coverage`: before departure, where a map will be recognized, and where it will not
 shadow       `lookback shadow`: after drives beside GPS, how far off positions would have been, and where it is ready
-calibration  `lookback calibrate`: the rig's offset and the acceptance threshold
+calibration  `lookback calibrate`: camera, rig, acceptance threshold, and the autopilot's wheels
 model_tools  `lookback model`: import, quantize, verify
 bench        `lookback dev bench`: this board, and each stage beside its rivals
 research     what was measured to build Lookback: its belief, its network; not in the wheel

@@ -36,7 +36,7 @@ ROOMS = {
     "lookback": 500,
     "sim": 550,
     "sim/bench": 800,
-    "sim/calibration": 600,
+    "sim/calibration": 650,
     "sim/compare": 1600,
     "sim/coverage": 800,
     "sim/datasets": 2450,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35_450,
+    "tests": 35_550,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -1,4 +1,4 @@
-"""What is known of one autopilot in one session; and whether the vehicle drives itself, which no message alone changes.
+"""What is known of one autopilot in one session; and whether it is armed, and drives itself, by more than one message.
 
 On an unsigned link a stranger can send a message in the autopilot's name, but cannot keep the autopilot's own messages
 from coming. So that changes only when nothing contradicts it for a while; and so does which boot the clock is of, see
@@ -33,23 +33,22 @@ class Origin:
 
 
 class Modes:
-    """Whether the vehicle drives itself, by the heartbeats of one connection."""
+    """Whether the vehicle is armed and drives itself, by the heartbeats of one connection."""
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
-        self._heard: deque[tuple[int, bool]] = deque()
+        self._heard: deque[tuple[int, int]] = deque()
 
     def add(self, base_mode: int, now_ns: int) -> None:
         """MAV_MODE_FLAG of a heartbeat."""
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
-        self._heard.append((now_ns, bool(base_mode & ARMED) and bool(base_mode & FINDS_ITS_WAY)))
+        self._heard.append((now_ns, base_mode))
         while now_ns - self._heard[0][0] > MODE_NS:
             self._heard.popleft()
 
-    @property
-    def drives_itself(self) -> bool | None:
-        """Whether one of the newest heartbeats says so: armed, in such a mode. None where too few have come."""
-        if any(drives for _, drives in self._heard):
+    def are(self, *flags: int) -> bool | None:
+        """Whether one of the newest heartbeats has any of each of these flags; None where too few have come."""
+        if any(all(mode & one for one in flags) for _, mode in self._heard):
             return True
         is_known = self._first_ns is not None and self._heard[-1][0] - self._first_ns >= MODE_NS
         return False if is_known else None

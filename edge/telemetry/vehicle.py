@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.geodesy import VehiclePosition
 from edge.localization import AutopilotState, DeadReckoning, GpsFix
 from edge.telemetry.codec import FusionStatus, Message
-from edge.telemetry.session import Modes, Origin, Session
+from edge.telemetry.session import ARMED, FINDS_ITS_WAY, Modes, Origin, Session
 from edge.telemetry.vehicle_velocity import LOCAL, POSITIONS_APART_S, VehicleVelocity, signed_speed
 
 LINK_TIMEOUT_NS = 5_000_000_000
@@ -107,7 +107,12 @@ class Vehicle:
     @property
     def drives_itself(self) -> bool | None:
         """Whether it is armed, in a mode in which it finds its own way; None where the mode is not known."""
-        return self._modes.drives_itself
+        return self._modes.are(ARMED, FINDS_ITS_WAY)
+
+    @property
+    def is_armed(self) -> bool | None:
+        """Whether its motors are; None where that is not known."""
+        return self._modes.are(ARMED)
 
     def expire(self, now_ns: int) -> None:
         """All that has come was read. The link is down when nothing has come for five seconds.

@@ -98,7 +98,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.offline and args.config is None:
         args.error("name a config file")
     findings = []
-    with _without_log():
+    with without_log():
         for finding in examine(args.config, args.seconds, offline=args.offline):
             findings.append(finding)
             if not args.json:
@@ -120,8 +120,8 @@ def _print(finding: Finding) -> None:
 
 
 @contextlib.contextmanager
-def _without_log() -> Iterator[None]:
-    """What the daemon's parts log while they try again is a finding here."""
+def without_log() -> Iterator[None]:
+    """What the daemon's parts log while they try again is said otherwise."""
     log = logging.getLogger("edge")
     level = log.level
     log.setLevel(logging.CRITICAL)

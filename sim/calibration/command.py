@@ -1,4 +1,4 @@
-"""`lookback calibrate`: measure the camera, its offset and the acceptance threshold; writes them into a config."""
+"""`lookback calibrate`: measure the camera, its offset, the acceptance threshold and the autopilot's wheels."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from edge.feed import Feed, read_feed
 from edge.files import replacing
 from edge.reference_map.store import ReferenceMap, open_map
 from edge.toml_file import read_text
+from edge_plugins.doctor.command import without_log
 from sim.calibration.camera import measure_camera
 from sim.calibration.offset import (
     FEWEST,
@@ -36,6 +37,7 @@ from sim.calibration.offset import (
 )
 from sim.calibration.offset_samples import OffsetSample, samples_of
 from sim.calibration.threshold import DEFAULT, Curve, choose, curve_of_drive
+from sim.calibration.wheels import calibrate_wheels
 from sim.evaluation.command import add_tolerance_option
 from sim.evaluation.replay import load_config_for_map
 from sim.output import refusing
@@ -43,7 +45,7 @@ from sim.traverse import config_as_mapped
 
 Lines = Mapping[tuple[str, str], float | tuple[float, ...]]
 """Values for the config, by section and key."""
-CAMERA = [Path("camera")]
+CAMERA, WHEELS = [Path("camera")], [Path("wheels")]
 """The first word, in place of a FEED, without --map."""
 
 WHY_DEFAULT = (
@@ -57,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measure the camera's along-track offset from recorded drives with GPS, and the acceptance threshold for a"
         " precision. `lookback calibrate camera FEED` measures the camera's field of view and lens from a drive with"
-        " bends, without a map."
+        " bends, without a map. `lookback calibrate wheels CONFIG` says how large the autopilot's wheels are by the"
+        " drives of `lookback run` beside GPS, and sets it: stop the service first."
     )
     parser.add_argument("feeds", nargs="*", type=Path, metavar="FEED", help="drives along the map, recorded with GPS")
     parser.add_argument("--map", type=Path, help="the map's folder")
@@ -66,6 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_tolerance_option(parser)
     parser.add_argument("--curve", type=Path, metavar="CSV", help="write precision over threshold to this file")
     parser.add_argument("--write", type=Path, metavar="CONFIG", help="write the result into it; comments are kept")
+    parser.add_argument("--upload", action="store_true", help="of wheels: set their radius on the autopilot")
+    parser.add_argument("--yes", action="store_true", help="without asking")
     parser.set_defaults(run=_run, error=parser.error)
 
 
@@ -96,9 +101,9 @@ def _run(args: argparse.Namespace) -> int:
     if not args.feeds:
         args.error("name a FEED: a drive along the map, recorded with GPS")
     if args.map is None:
-        if args.feeds[:1] != CAMERA or len(args.feeds) != 2:
-            args.error("--map is required, except as `lookback calibrate camera FEED`, of one FEED")
-        return _run_camera(args)
+        if args.feeds[:1] not in (CAMERA, WHEELS) or len(args.feeds) != 2:
+            args.error("--map is required, except as `lookback calibrate camera FEED`, or `wheels CONFIG`")
+        return _run_camera(args) if args.feeds[:1] == CAMERA else _run_wheels(args)
     reference_map = open_map(args.map)
     settings = args.config or args.write
     made = reference_map.header
@@ -132,6 +137,13 @@ def _run_camera(args: argparse.Namespace) -> int:
     spelled = f"{found.fov_deg:.1f} ± {found.fov_sigma_deg:.1f} degrees, k1 {found.k1:+.3f} ± {found.k1_sigma:.3f}"
     print(f"camera of {feed.path}: {spelled}")
     _put({("camera", "fov_deg"): round(found.fov_deg, 1), ("camera", "distortion"): found.distortion}, args.write)
+    return 0
+
+
+def _run_wheels(args: argparse.Namespace) -> int:
+    """Of `lookback calibrate wheels CONFIG`."""
+    with without_log():
+        calibrate_wheels(load_config(args.feeds[1]).telemetry, uploads=args.upload, is_sure=args.yes)
     return 0
 
 
