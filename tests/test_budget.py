@@ -16,7 +16,7 @@ ROOMS = {
     "edge/feed": 500,
     "edge/health": 300,
     "edge/journal": 400,
-    "edge/keypoints": 700,
+    "edge/keypoints": 750,
     "edge/localization": 3000,
     "edge/recognition": 900,
     "edge/reference_map": 1500,

@@ -53,7 +53,7 @@ def points_of_drive(
             first, second = matched(min(row, other), max(row, other)).T
             mine, theirs = (first, second) if row < other else (second, first)
             found[at, mine] = camera.directions(kept(other).xy[theirs])
-        seen_by = _seen_by(row, near, east_m, north_m, heading)
+        seen_by = _beside(row, near, east_m, north_m, heading)
         points, of_row = points_of(camera.directions(kept(row).xy), found, seen_by, camera, mount)
         mount = mount_of_drive([of_row], mount)
         yield points, of_row
@@ -80,14 +80,23 @@ def _reckoned(
     return east_m, north_m
 
 
-def _seen_by(
+def cameras_beside(
+    rows: Sequence[int], route_m: NDArray[np.float64], heading: NDArray[np.float64], facing: int
+) -> NDArray[np.float64]:
+    """Rows of a drive as cameras (V, 3) in the frame of the first: meters right and ahead, turned clockwise.
+
+    route_m, heading: as `points_of_drive`. facing: 1 for a front camera, -1 for a rear one.
+    """
+    return _beside(rows[0], list(rows), *_reckoned(route_m, heading), heading + np.pi * (facing < 0))
+
+
+def _beside(
     row: int,
     others: list[int],
     east_m: NDArray[np.float64],
     north_m: NDArray[np.float64],
     heading: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Rows as cameras (V, 3) in the frame of one: meters right and ahead, turned clockwise."""
     east, north = east_m[others] - east_m[row], north_m[others] - north_m[row]
     cos, sin = np.cos(heading[row]), np.sin(heading[row])
     turn = (heading[others] - heading[row] + np.pi) % (2 * np.pi) - np.pi

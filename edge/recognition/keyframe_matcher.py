@@ -16,7 +16,7 @@ from edge.keypoints.intrinsics import CameraDifference
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
-from edge.sequence import LEAST_SHARPNESS, Correspondences, KeyframeMatch, PlaceMatch
+from edge.sequence import Correspondences, KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.keyframe_consensus import (
     AGREE_M,
@@ -31,10 +31,10 @@ from edge.sequence.keyframe_consensus import (
 )
 from edge.sequence.place_search import NearestOf
 
-EVERY, SELDOM, PATIENCE = 2, 4, 10
-"""One in so many frames is verified; one in SELDOM while a sharp sequence match leads to the place, and after so many
-verifications in vain. With 5 pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a
-second without keypoints, 51 so, and 75 where every second frame was verified."""
+EVERY, IN_VAIN_EVERY, PATIENCE = 2, 4, 10
+"""One in so many frames is verified where the vehicle is not reckoned, and after so many verifications in vain. With 5
+pictures of 320 x 240 a second, front on a front camera's map, the daemon took 32 ms a second without keypoints, and 75
+where every second frame was verified against all candidates."""
 NEAREST_PLACES, PLACES_APART = 30, 2
 """Places by the newest frame alone that are tried where nothing is believed, and how far they are apart: on the way
 home on a rear camera's map (two roads, 240 frames) one within 8 m of the right one was among 10 of them in .93, among
@@ -43,8 +43,20 @@ AMONG = 200
 """Places by the newest frame alone that these are chosen from: others are neighbors, or were seen another way."""
 LIKELY = 0.5
 """Confidence of keyframe matches from which their pose goes with a sequence match: on an unmapped road it was less."""
-BY_KEYFRAMES_M = 4.0
-"""Around a place that keyframe matches believe, others within so many meters are tried."""
+CENTERED_M, RECKONED_M = 4.0, 10.0
+"""Sigma of the place that is reckoned: from where on a pose is sought in WINDOWS_M as well, and where no longer."""
+WINDOWS_M = 0.0, -10.0, 10.0
+"""Along the drive, from that place to the middles of local maps."""
+ELSEWHERE_EVERY = 4
+"""Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere."""
+
+
+class Reckoned(NamedTuple):
+    """A place that keyframe matches believed, after so many meters were driven, to that sigma of the odometer."""
+
+    place: PlaceBelief
+    at_m: float
+    uncertain_m: float
 
 
 class JointBelief(NamedTuple):
@@ -84,11 +96,9 @@ class KeyframeMatcher:
         self._kept = KeyframeConsensus()
         self._alike = deque[list[KeyframeVote]](maxlen=KEPT_VOTES)
         """By each of the newest verifications, two places that it could not tell apart; none by one that could."""
-        self._unverified, self._in_vain = SELDOM, 0  # frames since a verification, verifications since a match
-        self._has_sequence = False
-        self._around: tuple[PlaceBelief, float, float] | None = None
-        self._is_seen_there = False  # by keyframe matches, so that no other place is tried
-        self._is_lost = False
+        self._unverified, self._in_vain = IN_VAIN_EVERY, 0  # frames since a verification, verifications since a match
+        self._reckoned: Reckoned | None = None
+        self._is_opposed = False  # to the views at the place that is believed
         self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was verified
 
     @property
@@ -110,8 +120,9 @@ class KeyframeMatcher:
         """Whether this frame is to be verified."""
         self._unverified += 1
         self._newest = None
-        every = SELDOM if self._has_sequence or self._in_vain >= PATIENCE else EVERY
-        return self.is_possible and self._unverified >= every
+        every = IN_VAIN_EVERY if self._in_vain >= PATIENCE else EVERY
+        is_due = self._reckoned is not None or self._unverified >= every
+        return is_due and self.is_possible and not self._is_opposed
 
     def verify(
         self,
@@ -121,17 +132,21 @@ class KeyframeMatcher:
         driven_m: float,
         uncertain_m: float,
     ) -> None:
-        """Verify a picture by its nearest places. driven_m, uncertain_m: odometer, its sigma. MapError as `costs`."""
-        places = self._candidates(nearest, course_rad, driven_m)
+        """Verify a picture by the local map where the vehicle is reckoned to be, or else by its nearest places.
+
+        driven_m, uncertain_m: odometer, its sigma. MapError as `costs`.
+        """
+        middles = self._middles(course_rad, driven_m, uncertain_m)
+        places = middles or self._verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
         if not places:
+            self._in_vain += 1
             return
         self._unverified = 0
-        seen = self._verification.verify(image, places)
+        seen = (self._verification.follow if middles else self._verification.verify)(image, places)
         self._newest = None if seen is None else (seen, self._vote_of(seen, driven_m, uncertain_m))
         self._kept.add(self._newest[1] if self._newest else None)
         self._alike.append([self._vote_of(one, driven_m, uncertain_m) for one in self._verification.alike])
         self._in_vain = self._in_vain + 1 if seen is None else 0
-        self._is_lost = seen is None and self._around is not None
 
     def answer(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
@@ -151,19 +166,19 @@ class KeyframeMatcher:
             return JointBelief(by_votes, seen=seen)
         return JointBelief(by_votes, self._match_of(by_keyframes, seen) if by_keyframes.is_believed else None)
 
-    def follow(self, match: PlaceMatch | None, driven_m: float, slack_m: float) -> None:
-        """Verify places around the believed one from the next frame on; None: anywhere."""
-        self._around, self._is_seen_there = None, False
-        self._has_sequence = match is not None and match.has_line and match.sharpness >= LEAST_SHARPNESS
-        if match is None:
+    def follow(self, match: PlaceMatch | None, driven_m: float, uncertain_m: float, slack_m: float) -> None:
+        """Reckon from the next frame on by the place that is believed, where keyframe matches show it; None: as before.
+
+        driven_m, uncertain_m: odometer, its sigma.
+        """
+        self._is_opposed = match is not None and self._verification.direction(match.place_index) != match.direction
+        keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m)
+        if match is None or keyframes is None or keyframes.confidence < LIKELY:
             return
         drive, along_m = self._drives.drive_of(match.place_index), self._drives.along_m(match.place_index)
         place = PlaceBelief(drive, along_m, match.direction, match.confidence, is_believed=True)
-        keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m)
-        if keyframes is not None and keyframes.confidence >= LIKELY and self._is_one_place(place, keyframes, slack_m):
-            self._around, self._is_seen_there = (keyframes, driven_m, BY_KEYFRAMES_M), True
-        else:
-            self._around = place, driven_m, slack_m
+        if self._is_one_place(place, keyframes, slack_m):
+            self._reckoned = Reckoned(keyframes, driven_m, uncertain_m)
 
     def _doubted(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
@@ -221,30 +236,25 @@ class KeyframeMatcher:
         drives, along_m = np.array([one.drive, other.drive]), np.array([one.along_m, other.along_m])
         return bool(np.hypot(*np.diff(self._drives.positions_m(drives, along_m), axis=0)[0]) <= slack_m)
 
-    def _candidates(self, nearest: NearestOf, course_rad: float | None, driven_m: float) -> list[int]:
-        """Places to try, the likeliest first: anywhere, until one is believed, and after a verification in vain.
-
-        Where sequence matches alone lead to a place, others are tried as well.
-        """
-        if self._around is None or self._is_lost:
-            self._is_lost = False
-            return self._anywhere(nearest, course_rad)
-        belief, then_m, reach_m = self._around
-        along_m = belief.along_m + sign_of(belief.direction) * (driven_m - then_m)
-        places = np.arange(*self._drives.places_within(belief.drive, along_m, reach_m))
-        away_m = np.abs([self._drives.along_m(place) - along_m for place in places.tolist()])
-        places = places[np.argsort(away_m, kind="stable")]
-        if not (places.size and self._verification.direction(int(places[0])) == belief.direction):
-            return []  # the views are opposite
-        there = self._verification.candidates(places, course_rad, NEAREST_PLACES, PLACES_APART)
-        return there if self._is_seen_there else list(dict.fromkeys((*there, *self._anywhere(nearest, course_rad))))
-
-    def _anywhere(self, nearest: NearestOf, course_rad: float | None) -> list[int]:
-        return self._verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
+    def _middles(self, course_rad: float | None, driven_m: float, uncertain_m: float) -> list[int]:
+        """The middles of the local maps to look at; none where the vehicle is not reckoned, or may be elsewhere."""
+        if self._reckoned is None or (self._in_vain + 1) % ELSEWHERE_EVERY == 0:
+            return []
+        belief, at_m, then_m = self._reckoned
+        sigma_m = abs(uncertain_m - then_m)
+        if sigma_m > RECKONED_M:
+            self._reckoned = None
+            return []
+        along_m = belief.along_m + sign_of(belief.direction) * (driven_m - at_m)
+        windows_m = WINDOWS_M if sigma_m > CENTERED_M else WINDOWS_M[:1]
+        there = (replace(belief, along_m=along_m + window_m) for window_m in windows_m)
+        places = [self._drives.nearest(one.drive, one.along_m) for one in there if self._is_mapped(one)]
+        return self._verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M), 1)
 
     def _vote_of(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
         """A keyframe match as a vote for a point along the map's drive; the place's camera faces along it, or back."""
         drive, direction = self._drives.drive_of(seen.place_index), self._verification.direction(seen.place_index)
         along_m = self._drives.along_m(seen.place_index) + self._verification.facing(seen.place_index) * seen.ahead_m
         odds = seen.confidence / (1 - seen.confidence)
-        return KeyframeVote(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds)
+        beside = seen.right_m * self._verification.facing(seen.place_index), seen.turn_rad
+        return KeyframeVote(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds, *beside)

@@ -1,16 +1,16 @@
 """Geometric verification: which of some places of the map a picture shows, by keypoints of both, and its pose there.
 
     picture -> keypoints -> matches with each candidate -> poses by the best, and by the best elsewhere
-            -> the same pose by rows around the best
+                         -> one pose by the local map around it, or around where the vehicle is reckoned to be
 
-A candidate has keypoints of the network that ships, and its camera faced as the vehicle's does.
+A local map is a place and some of its drive around it. A candidate has keypoints of the network that ships, and
+its camera faced as the vehicle's does.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from edge.config import Config, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints
+from edge.keypoints.drive_points import cameras_beside
 from edge.keypoints.intrinsics import DOUBTFUL, SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
-from edge.keypoints.pose import STARTS, RelativePose, pose_to_keyframe
-from edge.keypoints.view_geometry import Intrinsics
+from edge.keypoints.pose import STARTS, Keyframe, PointMatches, RelativePose, match_keyframes
 from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
@@ -47,12 +47,10 @@ RIVALS = 6
 """Candidates elsewhere with most matches that a pose is sought by as well: the right place need not be among the first.
 By 3 of them, 6 of 250 frames home at night on that street are believed, 324 m off; by 6 none. A frame that looks for
 its place takes 1.16 times as long, 1.4 times as without any."""
-ROWS_M = -4.0, 4.0, -8.0, 8.0
-"""Along the drive, to the rows that are asked for the same pose."""
-ROWS_APART_M, ROWS_TURNED_RAD = 2.0, math.radians(5)
-"""By which their poses may differ."""
-HOPS, NEAR_M = 2, 1.5
-"""How often a pose that lies further ahead of its place, or behind it, is taken again from the place nearest to it."""
+AROUND_M = 0.0, -4.0, 4.0, -8.0, 8.0
+"""Along the drive, to the places of a local map."""
+WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
+"""Starts by a local map, as `STARTS`."""
 MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD = 8.0, 8.0, math.radians(25)
 """Of a pose on the road of its place: in another lane, between two places, in a bend."""
 
@@ -131,49 +129,66 @@ class PlaceVerification:
 
         MapError for a map that was cut off.
         """
-        query = self.network.extract(image, MOST_OF_FRAME)
-        self.alike, self._newest = (), None
+        query = self._keypoints_of(image)
         found = self._found(query, places)
         if found is None:
             return None
         place, pose = found
-        for _ in range(HOPS):
-            nearer = self._row_at(place, self.facing(place) * pose.ahead_m) if abs(pose.ahead_m) > NEAR_M else place
-            again = None if nearer == place else self._pose(query, nearer, self._from(nearer, place, pose))
-            if again is None or not (_is_on_the_road(again) and _support_of(again) > _support_of(pose)):
-                break
-            place, pose = nearer, again
-        self._newest = query, place, pose
-        return _seen(place, self._by_any_camera(query, place, pose), self._support(query, place, pose))
+        nearer = self._row_at(place, self.facing(place) * pose.ahead_m)
+        return self._seen(query, [nearer], self._from(nearer, place, pose), is_reckoned=False)
 
-    def _by_any_camera(self, query: Keypoints, place: int, pose: RelativePose) -> RelativePose:
+    def follow(self, image: NDArray[np.uint8], middles: Sequence[int]) -> KeyframeMatch | None:
+        """The place that a picture shows, of the local maps around some places where the vehicle is reckoned to be.
+
+        As `verify`; no place elsewhere is tried.
+        """
+        return self._seen(self._keypoints_of(image), middles, WIDE, is_reckoned=True)
+
+    def _keypoints_of(self, image: NDArray[np.uint8]) -> Keypoints:
+        self.alike, self._newest = (), None
+        return self.network.extract(image, MOST_OF_FRAME)
+
+    def _seen(
+        self, query: Keypoints, middles: Sequence[int], starts: NDArray[np.float64], *, is_reckoned: bool
+    ) -> KeyframeMatch | None:
+        """The match by the local map with most support; None where none has any."""
+        matched = ((place, self._matched(query, self._around(place))) for place in middles)
+        tried = [(place, matches, self._pose(matches, place, starts)) for place, matches in matched]
+        place, matches, pose = max(tried, key=lambda one: _support_of(one[2]))
+        if pose is None or _support_of(pose) == 0.0:
+            return None
+        self._newest = query, place, pose
+        confidence = confidence_of(_support_of(pose), is_reckoned=is_reckoned)
+        return _match(place, self._by_any_camera(matches, place, pose), confidence)
+
+    def _by_any_camera(self, matches: PointMatches, place: int, pose: RelativePose) -> RelativePose:
         """A pose that is as wide as its camera is in doubt, by what earlier pictures say and by this one.
 
         Solved for by any camera as well, since points that are off by the one so far would say that it is right.
         """
-        evidence, by_config = self._evidence_at(place), _as_supported(pose)
-        own = self._pose(query, place, pose.start, evidence.open)
+        evidence = self._evidence_at(place)
+        own = matches.pose(pose.start, evidence.open)
         if own is None or own.intrinsics is None:
-            return by_config
+            return pose
         camera = self._camera_at(place)
         self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
         self.camera = after.difference(camera[0]) or self.camera
         doubt = evidence.with_picture(own.intrinsics, share=_share_of(own)).doubt
         if evidence.doubt > WRONG or doubt < DOUBTFUL:
-            return by_config  # or already by the camera that was found
-        other = self._pose(query, place, pose.start, evidence.known)
-        return by_config if other is None else by_config.mixed(_as_supported(other), doubt)
+            return pose  # or already by the camera that was found
+        other = matches.pose(pose.start, evidence.known)
+        return pose if other is None else pose.mixed(other, doubt)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
-        alike = sorted(((self._matches(query, place), place) for place in places), reverse=True)
+        records = ((place, self._record(place)["descriptor"]) for place in places)
+        alike = sorted(((len(mutual_matches(query.descriptors, one)), place) for place, one in records), reverse=True)
         tried: dict[int, RelativePose | None] = {}
 
         def support_at(place: int) -> float:
             if place not in tried:
-                tried[place] = self._pose(query, place)
-            pose = tried[place]
-            return _support_of(pose) if pose and _is_on_the_road(pose) else 0.0
+                tried[place] = self._pose(self._matched(query, [place]), place)
+            return _support_of(tried[place])
 
         for _, place in alike[:VERIFIED]:
             if support_at(place) >= ENOUGH:
@@ -187,7 +202,7 @@ class PlaceVerification:
         rival = max(rivals, key=support_at, default=best)
         if rival != best and support_at(rival) > MOST_ELSEWHERE * support_at(best):
             both = ((place, tried[place]) for place in (best, rival))
-            self.alike = tuple(_seen(place, pose, _support_of(pose)) for place, pose in both if pose)
+            self.alike = tuple(_match(place, pose, confidence_of(_support_of(pose))) for place, pose in both if pose)
             return None
         pose = tried[best]
         return None if pose is None else (best, pose)
@@ -195,43 +210,49 @@ class PlaceVerification:
     def _is_elsewhere(self, place: int, other: int) -> bool:
         return self._drives.apart_m(place, other) > OTHER_PLACE_M
 
-    def _support(self, query: Keypoints, place: int, pose: RelativePose) -> float:
-        """That a pose has by its place and by the rows around it whose own pose is the same one, up to ENOUGH."""
-        support = _support_of(pose)
-        for row in dict.fromkeys(self._row_at(place, along_m) for along_m in ROWS_M):
-            if support >= ENOUGH:
-                break
-            start = self._from(row, place, pose)
-            found = None if row == place else self._pose(query, row, start)
-            if found is not None:
-                right_m, ahead_m, turn = np.array([found.right_m, found.ahead_m, found.turn_rad]) - start[0]
-                if math.hypot(right_m, ahead_m) <= ROWS_APART_M and abs(turn) <= ROWS_TURNED_RAD:
-                    support += _support_of(found)
-        return support
-
     @property
     def correspondences(self) -> Correspondences | None:
-        """Of the newest verification, None without a match; computed when asked for: only people read it."""
+        """Of the newest verification and the place itself, None without a match; computed when people ask for it."""
         if self._newest is None:
             return None
         query, place, pose = self._newest
-        assert pose.pairs is not None  # of `pose_to_keyframe`
-        pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 1))
-        rows = pose.pairs[pose.inlier_mask]
+        assert pose.pairs is not None  # of `PointMatches`
+        pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 2))
+        rows = pose.pairs[pose.inlier_mask & (pose.pairs[:, 1] == 0)]
         return Correspondences(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
-    def _matches(self, query: Keypoints, place: int) -> int:
-        return len(mutual_matches(query.descriptors, self._record(place)["descriptor"]))
-
-    def _pose(
-        self, query: Keypoints, place: int, starts: NDArray[np.float64] = STARTS, known: Intrinsics | None = None
-    ) -> RelativePose | None:
-        key, record = self._key(place), self._record(place)
+    def _matched(self, query: Keypoints, places: Sequence[int]) -> PointMatches:
+        """With places of one drive, in the frame of the first of them."""
+        key = self._key(places[0])
+        records = [self._record(place) for place in places]
+        each = zip(records, self._cameras_beside(places), strict=True)
+        keyframes = [Keyframe(keypoints_of(record, key), points_of(record), at) for record, at in each]
         height = round(key.width * query.size[0] / query.size[1])
-        camera = CameraModel(key.width, height, *self._camera_at(place))
-        if known is None and (evidence := self._evidence_at(place)).doubt > WRONG:
-            known = evidence.known
-        return pose_to_keyframe(query, keypoints_of(record, key), points_of(record), camera, starts, known)
+        return match_keyframes(query, keyframes, CameraModel(key.width, height, *self._camera_at(places[0])))
+
+    def _pose(self, matches: PointMatches, place: int, starts: NDArray[np.float64] = STARTS) -> RelativePose | None:
+        """By the camera as it is known."""
+        evidence = self._evidence_at(place)
+        return matches.pose(starts, evidence.known if evidence.doubt > WRONG else None)
+
+    def _around(self, place: int) -> list[int]:
+        """The places of a local map, that in its middle first."""
+        rows = list(dict.fromkeys(self._row_at(place, along_m) for along_m in AROUND_M))
+        return [row for row, at in zip(rows, self._cameras_beside(rows), strict=True) if np.isfinite(at).all()]
+
+    def _cameras_beside(self, places: Sequence[int]) -> NDArray[np.float64]:
+        """Places of a drive as cameras (n, 3) in the frame of the first of them; NaN where that is not known."""
+        first = min(places)
+        own = [place - first for place in places]
+        rows = self._map_set.places[first : max(places) + 1]
+        at = cameras_beside(own, rows["route_m"], np.radians(rows["heading_deg"]), self.facing(places[0]))
+        at[0] = 0.0
+        return at
+
+    def _from(self, row: int, place: int, pose: RelativePose) -> NDArray[np.float64]:
+        """A pose by a place as another row of its drive has it (1, 3)."""
+        beside = np.nan_to_num(self._cameras_beside([row, place])[1])
+        return np.asarray(pose.turned(-float(beside[2])).start + beside * (1.0, 1.0, 0.0))
 
     def _evidence_at(self, place: int) -> CameraEvidence:
         return self._evidence.get(self._camera_at(place), UNSEEN)
@@ -247,16 +268,6 @@ class PlaceVerification:
         route_m = self._map_set.places["route_m"][first:end]
         return first + int(np.abs(route_m - route_m[place - first] - along_m).argmin())
 
-    def _from(self, row: int, place: int, pose: RelativePose) -> NDArray[np.float64]:
-        """A pose by a place as another row of its drive has it (1, 3): on the chord of an arc between the two."""
-        moved = self._map_set.places[[place, row]]
-        along_m, turned_deg = (float(np.diff(moved[name])[0]) for name in ("route_m", "heading_deg"))
-        turned = 0.0 if math.isnan(turned_deg) else math.remainder(math.radians(turned_deg), 2 * math.pi)
-        along_m *= self.facing(place)
-        right_m, ahead_m = pose.right_m - along_m * math.sin(turned / 2), pose.ahead_m - along_m * math.cos(turned / 2)
-        cos, sin = math.cos(turned), math.sin(turned)
-        return np.array([[cos * right_m - sin * ahead_m, sin * right_m + cos * ahead_m, pose.turn_rad - turned]])
-
     def _record(self, place: int) -> NDArray[np.void]:
         return self._map_set.keypoints_of(place)
 
@@ -266,24 +277,9 @@ class PlaceVerification:
         return key
 
 
-def _seen(place: int, pose: RelativePose, support: float) -> KeyframeMatch:
+def _match(place: int, pose: RelativePose, confidence: float) -> KeyframeMatch:
     where = pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance
-    return KeyframeMatch(place, *where, pose.inliers, confidence_of(support))
-
-
-def _is_on_the_road(pose: RelativePose) -> bool:
-    return (
-        abs(pose.right_m) <= MOST_RIGHT_M and abs(pose.ahead_m) <= MOST_AHEAD_M and abs(pose.turn_rad) <= MOST_TURN_RAD
-    )
-
-
-def _as_supported(pose: RelativePose) -> RelativePose:
-    """The wider the less its own row supports it.
-
-    Other rows show that the place is right, not that the pose is: one recorded drive has 55 positions without that, up
-    to 3.3 sigma off, 124 with it, up to 2.6.
-    """
-    return replace(pose, covariance=pose.covariance / _share_of(pose))
+    return KeyframeMatch(place, *where, pose.inliers, confidence)
 
 
 def _share_of(pose: RelativePose) -> float:
@@ -291,6 +287,8 @@ def _share_of(pose: RelativePose) -> float:
     return float(min(1.0, _support_of(pose) / ENOUGH))
 
 
-def _support_of(pose: RelativePose) -> float:
-    """That a row of the map gives to a pose: its points, each as much as those agree that it is one of."""
+def _support_of(pose: RelativePose | None) -> float:
+    """Of a pose on the road: its points, each as much as those agree that it is one of; else 0."""
+    if pose is None or (np.abs(pose.start) > (MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD)).any():
+        return 0.0
     return pose.inliers * float(pose.inlier_mask.mean()) ** 2

@@ -282,7 +282,8 @@ class SequenceMatcher:
         at = believed if believed is not None and believed.accepted else None
         self.search.follow(at.place_index if at else None)
         if self._keyframes is not None:
-            self._keyframes.follow(at, self._consensus.driven_m, self._consensus.settings.slack_m)
+            driven = self._consensus.driven_m, self._consensus.uncertain_m
+            self._keyframes.follow(at, *driven, self._consensus.settings.slack_m)
 
     def _match_of(self, belief: PlaceBelief | None, *lines: PlaceMatch | None) -> PlaceMatch | None:
         """A match that ends at the place that the recent ones agree on: the first of some, else the best of all.

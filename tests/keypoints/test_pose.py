@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.keypoints import Keypoints
+from edge.keypoints.points import MapPoints
 from edge.keypoints.pose import FEWEST_POINTS, RelativePose, pose_to_keyframe, solve_pnp
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
@@ -68,6 +69,20 @@ def test_too_few_points_and_points_of_another_place_give_none() -> None:
     assert solve_pnp(points[few], seen(world_m, HOME)[few], CAMERA) is None
     known = points.is_known
     assert solve_pnp(points[known], rng.uniform(-0.8, 0.8, (known.sum(), 2)), CAMERA) is None
+
+
+def test_points_of_several_keyframes_each_in_its_own_frame_give_one_pose() -> None:
+    rng = np.random.default_rng(8)
+    world_m, ahead = street(rng, 160), (1.0, 6.0, 0.2)
+    turned = np.array([[np.cos(0.2), 0, -np.sin(0.2)], [0, 1, 0], [np.sin(0.2), 0, np.cos(0.2)]])
+    own_m = np.concatenate([world_m[:80], (world_m[80:] - [1.0, 0, 6.0]) @ turned.T])
+    both = [row_points(rng, own_m[half], pixels=0.5, turned_deg=0.0) for half in (slice(80), slice(80, 160))]
+    points = MapPoints(*(np.concatenate([getattr(one, name) for one in both]) for name in ("places", "sigma")))
+    known, frames = points.is_known, np.repeat([(0.0, 0.0, 0.0), ahead], 80, axis=0)
+    picture = with_noise(rng, seen(world_m, HOME), 0.5)[known]
+    pose = solve_pnp(points[known], picture, CAMERA, frames=frames[known])
+    assert pose is not None and pose.inliers > 0.9 * known.sum()
+    assert pose.start[0] == pytest.approx(HOME[:3], abs=0.2)
 
 
 def test_a_followed_vehicle_needs_one_start() -> None:

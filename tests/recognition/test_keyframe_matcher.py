@@ -142,7 +142,7 @@ def test_a_vehicle_that_stands_knows_its_place_by_further_pictures(maps: Path, g
             assert match.accepted and match.event and recognizer.state == "on the map"
             correspondences, seen = recognizer.matcher.correspondences, match.seen
             assert correspondences is not None and seen is not None
-            assert (correspondences.place_index, len(correspondences.shares)) == (seen.place_index, seen.points)
+            assert correspondences.place_index == seen.place_index and len(correspondences.shares) < seen.points
             assert 0.0 <= correspondences.shares.min() < correspondences.shares.max() <= 1.0
             assert not recognizer.may_verify_again(3 * S, 7.0), "it is known"
     assert len(standing) >= 10
