@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.config import Config
+from edge.geodesy import east_north
 from edge.keypoints.intrinsics import CameraDifference
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
@@ -47,8 +48,13 @@ CENTERED_M, RECKONED_M = 4.0, 10.0
 """Sigma of the place that is reckoned: from where on a pose is sought in WINDOWS_M as well, and where no longer."""
 WINDOWS_M = 0.0, -10.0, 10.0
 """Along the drive, from that place to the middles of local maps."""
+BESIDE_M, DRIVES = 8.0, 3
+"""From the middle of the first of them: of other drives on the road that are looked at, and how many at most."""
 ELSEWHERE_EVERY = 4
 """Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere."""
+
+
+Image = NDArray[np.uint8]
 
 
 class Reckoned(NamedTuple):
@@ -125,12 +131,7 @@ class KeyframeMatcher:
         return is_due and self.is_possible and not self._is_opposed
 
     def verify(
-        self,
-        image: NDArray[np.uint8],
-        nearest: NearestOf,
-        course_rad: float | None,
-        driven_m: float,
-        uncertain_m: float,
+        self, image: Image, nearest: NearestOf, course_rad: float | None, driven_m: float, uncertain_m: float
     ) -> None:
         """Verify a picture by the local map where the vehicle is reckoned to be, or else by its nearest places.
 
@@ -214,20 +215,10 @@ class KeyframeMatcher:
         """The match at a place that keyframe matches alone believe."""
         place_index = self._drives.nearest(belief.drive, belief.along_m) if seen is None else seen.place_index
         name, row = self._map_set.locate(place_index)
-        return PlaceMatch(
-            place_index=place_index,
-            place=row,
-            direction=belief.direction,
-            order="same",
-            slope=0.0,
-            distance=0.0,
-            uniqueness=1.0,
-            confidence=belief.confidence,
-            accepted=True,
-            seen=seen,
-            has_line=False,
-            map=name,
+        match = PlaceMatch(
+            place_index, row, belief.direction, "same", slope=0.0, distance=0.0, uniqueness=1.0, map=name
         )
+        return replace(match, confidence=belief.confidence, accepted=True, seen=seen, has_line=False)
 
     def _is_one_place(self, one: PlaceBelief, other: PlaceBelief, slack_m: float) -> bool:
         """Whether two beliefs differ by no more than two votes may."""
@@ -249,7 +240,19 @@ class KeyframeMatcher:
         windows_m = WINDOWS_M if sigma_m > CENTERED_M else WINDOWS_M[:1]
         there = (replace(belief, along_m=along_m + window_m) for window_m in windows_m)
         places = [self._drives.nearest(one.drive, one.along_m) for one in there if self._is_mapped(one)]
-        return self._verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M), 1)
+        places += self._beside(places[0]) if places else []
+        return self._verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M) + DRIVES, 1)
+
+    def _beside(self, place: int) -> list[int]:
+        """The nearest place of each other drive within BESIDE_M of one, the nearest first, DRIVES at most."""
+        index, here, found = self._map_set.index, self._map_set.places[place], []
+        lat_lon_deg = float(here["lat_deg"]), float(here["lon_deg"])
+        for drive, start, end in index.by_segment(self._map_set.blocks.within(*lat_lon_deg, BESIDE_M)):
+            rows = self._map_set.places[start:end]
+            away_m = np.nan_to_num(np.hypot(*east_north(rows["lat_deg"], rows["lon_deg"], lat_lon_deg).T), nan=np.inf)
+            if drive != index.segment_of(place) and away_m.min() <= BESIDE_M:
+                found.append((float(away_m.min()), start + int(away_m.argmin())))
+        return [one for _, one in sorted(found)[:DRIVES]]
 
     def _vote_of(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
         """A keyframe match as a vote for a point along the map's drive; the place's camera faces along it, or back."""

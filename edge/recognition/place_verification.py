@@ -30,7 +30,7 @@ from edge.reference_map import Drives, MapSet
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.keypoint_records import keypoints_of, points_of
 from edge.sequence import MOST_OFF_COURSE_RAD, Correspondences, Direction, KeyframeMatch
-from edge.sequence.keyframe_consensus import ENOUGH, confidence_of
+from edge.sequence.keyframe_consensus import ENOUGH, FAINT, confidence_of
 
 MOST_OF_FRAME = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
@@ -151,9 +151,13 @@ class PlaceVerification:
     def _seen(
         self, query: Keypoints, middles: Sequence[int], starts: NDArray[np.float64], *, is_reckoned: bool
     ) -> KeyframeMatch | None:
-        """The match by the local map with most support; None where none has any."""
-        matched = ((place, self._matched(query, self._around(place))) for place in middles)
-        tried = [(place, matches, self._pose(matches, place, starts)) for place, matches in matched]
+        """The match by the first local map with enough support, or that with most; None where none has any."""
+        tried = []
+        for middle in middles:
+            found = self._matched(query, self._around(middle))
+            tried.append((middle, found, self._pose(found, middle, starts)))
+            if _support_of(tried[-1][2]) >= ENOUGH * FAINT:
+                break
         place, matches, pose = max(tried, key=lambda one: _support_of(one[2]))
         if pose is None or _support_of(pose) == 0.0:
             return None

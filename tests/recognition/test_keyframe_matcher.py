@@ -251,6 +251,26 @@ def test_what_stands_before_the_camera_at_first_hides_no_place(maps: Path, grid:
     assert known >= 5
 
 
+def test_where_it_is_reckoned_every_frame_is_verified_by_the_drives_beside_as_well(
+    maps: Path, grid: Network, tmp_path: Path
+) -> None:
+    """Two maps of the street, one of which has no keypoints where the way home begins, and the other where it ends."""
+    drive, switch = Film("home_night", 20), 105
+    for others in (True, False):
+        folder, streets = tmp_path / str(others), []
+        for number, lost in enumerate((slice(switch), slice(switch, None))):
+            reference = open_map(shutil.copytree(maps / "street", folder / str(number)))
+            records = np.memmap(reference.path / KEYPOINTS, KEYPOINT, "r+").reshape(len(reference.places), -1)
+            records["descriptor"][lost] = 0
+            streets.append(reference)
+        map_set = MapSet.of(streets if others else streets[:1])
+        recognizer, network = open_recognizer(CONFIG, network=grid, map_set=map_set), _Counted()
+        recognizer.matcher.use_keypoints(network)
+        seen = [one is not None and one.seen is not None for one in driven(recognizer, drive, 60)]
+        assert all(seen[5:]) if others else not any(seen[-20:])
+        assert network.verified >= 55
+
+
 def test_another_road_is_never_believed_by_keyframes(maps: Path, grid: Network) -> None:
     answers = driven(opened(maps / "elsewhere", grid), Film("home_night"), 40)
     assert not [one for one in answers if one is not None and (one.accepted or one.seen is not None)]
