@@ -46,7 +46,7 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 700,
-    "sim/research": 4650,
+    "sim/research": 4750,
     "sim/shadow": 600,
     "sim/trial": 750,
     "sim/vehicle": 1300,
