@@ -118,7 +118,7 @@ class PositionEstimator:
         self._moved: Odometry | None = None
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
-        self._is_recognized = False
+        self._is_recognized, self._velocity_error = False, 0.0
         self._known: EstimatorState | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
@@ -247,9 +247,9 @@ class PositionEstimator:
     def _drift(self, fix: PlaceFix | None) -> float:
         """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
         shown = None if self._tracker is None else self._tracker.velocity_errors
-        if shown is not None:
-            return max(shown)
-        return self._bound.drift if fix is None else max(self._config.gates.drift_percent / 100, fix.velocity_error)
+        if fix is not None:
+            self._velocity_error = fix.velocity_error
+        return max(shown or (self._config.gates.drift_percent / 100, self._velocity_error))
 
     def _observe(self, fix: PlaceFix, motion: Odometry | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
@@ -293,7 +293,8 @@ class PositionEstimator:
         if used.remaining_m is None or used.fix is None:
             self._bound.sent(t_ns)
         elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
-            sigma_m = max(used.fix.place.sigma_m, used.remaining_m)
+            place = used.fix.place
+            sigma_m = max(place.sigma_along_m, place.sigma_cross_track_m, used.remaining_m)
             self._bound.bind(sigma_m, self._own, used.fix.bound_wrong)
             self._claims.contradict_nothing()
             self._gps.bound()

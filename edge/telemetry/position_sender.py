@@ -142,6 +142,7 @@ class PositionSender:
             # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
             if self.message.moment == "pose" and not self.sources.is_without_gps:
                 self._select(SET_WITHOUT_GPS, "lost")
+                self._judged_ns = None  # this one waits for it: there may be none after it
                 return []
             is_wide = (answer.pose_sigma_m or 0.0) > self.message.widest_m and self._since_s(now_ns) < HOLE_S
             messages = [] if is_wide else self._encode(answer, now_ns, self.message, again=is_again)

@@ -19,7 +19,7 @@ REST: Mapping[str, tuple[float, str]] = {
     "EK3_SRC2_POSZ": (1.0, "3 is GPS, which is lost or wrong then; the height of a pose (6) is the filter's own"),
     "EK3_SRC2_YAW": (1.0, "without the compass, each degree of its heading is 1.7 m beside the lane after 100 m"),
     "VISO_POS_M_NSE": (0.1, "a pose, 0.35 m uncertain in the median, counts as this uncertain at least"),
-    "VISO_DELAY_MS": (30.0, "each 100 ms away from it are 0.5 m along-track at 5 m/s"),
+    "VISO_DELAY_MS": (10.0, "each 100 ms away from it are 0.5 m along-track at 5 m/s"),
     "EK3_WENC_VERR": (1.0, "with 0.1, wheels 3 % wrong are 2.2 m off in the median, 6.7 at most; with 1, 0.5 and 2.1"),
 }
 SOURCES = {WHEELS: (7.0, "rover"), FLOW: (5.0, "copter"), AIRSPEED: (0.0, "plane")}

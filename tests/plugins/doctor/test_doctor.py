@@ -208,7 +208,7 @@ FUSED = by_name(FILES / "ardupilot_rover_fused.param")
         ({"EK3_SRC2_VELXY": 0.0}, "bad", "EK3_SRC2_VELXY = 0: between poses nothing measures its velocity"),
         ({"EK3_SRC2_YAW": 0.0}, "bad", "EK3_SRC2_YAW = 0: without the compass, each degree"),
         ({"EK3_WENC_VERR": 0.1}, "bad", "6.7 at most; with 1, 0.5 and 2.1 -> set it to 1, as"),
-        ({"VISO_DELAY_MS": 10.0}, "note", "VISO_DELAY_MS = 10: each 100 ms away from it are 0.5 m along-track"),
+        ({"VISO_DELAY_MS": 110.0}, "note", "VISO_DELAY_MS = 110: each 100 ms away from it are 0.5 m along-track"),
     ],
 )
 def test_what_each_value_for_fused_poses_costs(
