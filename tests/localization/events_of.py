@@ -235,7 +235,7 @@ class Vehicle(StandIn):
     def place_at(self, later_ns: int = 0, ahead_m: float = 0.0, east_m: float = 0.0, **changes: Any) -> PlaceFix | None:
         """The same at another moment, once the vehicle has moved on."""
         self.drive.update(self.t_ns + later_ns, OdometryUpdate(self.moved(ahead_m, east_m, **changes)))
-        answer = self.ask(later_ns, at="now")
+        answer = self.ask(later_ns, at="now", moves_autopilot=False)
         return answer.place if isinstance(answer, Fix) else answer.fix
 
 

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from msgspec import UNSET
 
-from edge.config import CameraConfig, Config, DescriptorConfig, RigConfig, SamplingConfig
+from edge.config import CameraConfig, Config, DescriptorConfig, GatesConfig, RigConfig, SamplingConfig
 from edge.geodesy import east_north_of
 from edge.keypoints.drive_points import points_of_drive
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.pose import pose_to_keyframe
 from edge.keypoints.view_geometry import CameraModel
+from edge.localization import HOLE_S, Fix, NoFix, PlaceFix
 from edge.localization.drive_file import PlaceTable
 from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
@@ -30,6 +31,7 @@ from sim.world.scenario import Scenario, View
 from tests.common import S
 from tests.localization.events_of import (
     LINE_M,
+    SPEED_MPS,
     Direction,
     Road,
     Sees,
@@ -44,6 +46,7 @@ from tests.localization.events_of import (
 from tests.localization.route_course import SPACING_M, Stretch
 
 MEASURED = settings(RigConfig(look_sigma_m=0.01))
+BELIEVED = settings(RigConfig(look_sigma_m=0.01), GatesConfig(risk=1.0))
 SIGMAS = 0.2, 0.2, math.radians(0.5)
 ROAD = Scenario(seed=9801, length_m=200.0)
 CAMERA = CameraModel(ROAD.width, ROAD.height, ROAD.fov_deg)
@@ -263,6 +266,61 @@ def test_a_drive_that_nobody_aligned_may_be_off_as_a_whole(
     assert one.place is not None
     assert north_m(one.place) == pytest.approx(one.north_m - (0.0 if is_followed else 15.0), abs=3.0)
     assert one.place.disputed != is_followed
+
+
+def pose_now(one: Vehicle) -> PlaceFix | None:
+    """What may be sent as a measurement now, whether or not the rules for it hold."""
+    answer = one.ask(at="pose")
+    assert isinstance(answer, NoFix) or answer.pose_sigma_m is not None
+    return answer.place if isinstance(answer, Fix) else answer.fix
+
+
+def test_a_pose_is_handed_on_as_it_was_measured(road: Road) -> None:
+    """The filter weighs what was before; nothing of that is in a pose, nor is the error of the map in its own sigma."""
+    one = homeward(road, BELIEVED)
+    one.go(2, looks(road, 2.0, ahead_m=0.5, turn_deg=1.0, covariance=np.diag([0.04, 0.04, 1e-4])))
+    pose, answer = pose_now(one), one.ask(at="pose")
+    assert (north_m(pose), left_m(pose)) == pytest.approx((one.north_m - 0.5, 2.0), abs=0.02)
+    assert 1.5 < left_m(one.place) < 1.9
+    assert isinstance(answer, Fix) and answer.pose_sigma_m == pytest.approx(0.2, abs=0.02)
+    assert answer.place.sigma_along_m > 0.9 and answer.place.heading_deg == pytest.approx(181.0, abs=0.05)
+    assert answer.motion == one.motion and answer.place.stamp_ns == one.t_ns
+
+
+def test_the_newest_pose_is_handed_on_and_no_prediction_or_sequence_match(road: Road) -> None:
+    """Nor by a message that carries where the vehicle is now."""
+    one = homeward(road, BELIEVED)
+    posed_ns, at_m = one.t_ns, one.north_m
+    one.go(20, lambda at_m: road.match(at_m, "reverse"))
+    assert one.place is not None and one.place.stamp_ns > posed_ns
+    for at in ("pose", "now"):
+        answer = one.ask(at=at)
+        assert isinstance(answer, Fix) and answer.place.stamp_ns == posed_ns == one.drive.pose_ns
+        assert north_m(answer.place) == pytest.approx(at_m, abs=0.05)
+    alone = warm(road, MEASURED, 300.0, "reverse")
+    assert alone.place is not None and pose_now(alone) is None and alone.drive.pose_ns is None
+
+
+@pytest.mark.parametrize("blind_s", [HOLE_S - 0.5, HOLE_S + 0.5])
+def test_after_a_hole_two_poses_must_agree(road: Road, blind_s: float) -> None:
+    """An autopilot without a pose for 10 s takes the next one for its position."""
+    one = homeward(road)
+    one.go(SPEED_MPS * blind_s - SPACING_M, lambda at_m: road.match(at_m, "reverse"))
+    one.go(SPACING_M, looks(road, 1.5))
+    assert (pose_now(one) is not None) is (blind_s < HOLE_S)
+    one.go(SPACING_M, looks(road, 1.5))
+    assert left_m(pose_now(one)) == pytest.approx(1.5, abs=0.05)
+    assert one.drive.pose_ns == one.t_ns
+
+
+@pytest.mark.parametrize(("shift_m", "turn_deg"), [(-1.0, 0.0), (6.5, 5.0)])
+def test_a_pose_that_fails_the_innovation_test_is_not_handed_on(road: Road, shift_m: float, turn_deg: float) -> None:
+    one = homeward(road)
+    before = pose_now(one)
+    one.go(SPACING_M, looks(road, shift_m, turn_deg=turn_deg))
+    assert before is not None and pose_now(one) == before
+    one.go(SPACING_M, looks(road, 1.5))
+    assert one.drive.pose_ns == one.t_ns and left_m(pose_now(one)) == pytest.approx(1.5, abs=0.05)
 
 
 def test_where_a_speed_was_bridged_the_position_along_the_road_is_as_uncertain_as_that(road: Road) -> None:

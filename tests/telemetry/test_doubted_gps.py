@@ -139,7 +139,7 @@ def test_px4_fuses_no_gps_until_it_agrees_and_positions_move_it_back(open_rig: O
     assert offer_for(rig, 12.0) > 40
     assert rig.autopilot.estimate.error_m < 6.0
     gps = rig.connection.vehicle.session.gps
-    assert gps.why(rig.now_ns) == "unused by the autopilot"
+    assert gps.state(rig.now_ns) == "not healthy"
     assert rig.connection.why_no_position == ""
     rig.off_m = 0.0
     rig.judge_gps(AGREES)

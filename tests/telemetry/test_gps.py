@@ -66,7 +66,7 @@ def test_an_absolute_position_of_px4_is_not_by_gps_that_it_is_set_not_to_fuse() 
             gps.receivers[0].read(mavlink.MAVLink_gps_raw_int_message(0, FIX_3D, *fix, 0, 1500), now_ns)
             gps.read_filter(mavlink.ESTIMATOR_POS_HORIZ_ABS, mavlink.ESTIMATOR_GPS_GLITCH, now_ns)
         states[is_on] = gps.state(now_ns)
-    assert states == {None: "healthy", True: "healthy", False: "unknown"}
+    assert states == {None: "healthy", True: "healthy", False: "not healthy"}
 
 
 class Sky:
