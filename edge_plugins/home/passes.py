@@ -19,7 +19,8 @@ ROAD_M, SIGMAS = 8.0, 3.0
 """The vehicle may be on any pass that is no further away than the nearest by the greater of both: two lanes and what
 GPS is wrong by, and so many standard deviations of its position. Two streets are rarely nearer than 12 m."""
 TURN_M = 40.0
-"""Along the drive: so little between two passes is the turn itself."""
+"""Along the drive: so little between two passes is the turn itself, where ROAD_M holds for both, or for the vehicle and
+the earlier: 8 m behind a mapped U-turn of 3 m radius, for the latter alone."""
 BACK = -math.cos(math.radians(30))
 """Cosine of the courses of two passes from which on the later goes back."""
 LEVEL_M, LEVEL_SHARE, LEVEL_MOST_M = 0.5, 0.01, 4.0
@@ -51,18 +52,22 @@ def first_row(
     own = [row for row in rows if not line.driven_m[-1] - line.driven_m[row] > since_m + reach_m] or rows
     first, others = own[-1], list[int]()
     for row in reversed(rows[: rows.index(first)]):
-        if np.hypot(*(at_m[first] - at_m[row])) <= ROAD_M and _goes_back(line, legs_m, row, first):
+        is_turn = line.along_m[first] - line.along_m[row] < TURN_M
+        apart_m = min(np.hypot(*(at_m[first] - at_m[row])), away_m[row] if is_turn else np.inf)
+        if apart_m <= ROAD_M and are_level(line, row, first) and (is_turn or _goes_back(legs_m[[row, first]])):
             first = row
         elif row in own:
             others.insert(0, row)
     return first, [*others, own[-1]] if others else []
 
 
-def _goes_back(line: DriveLine, legs_m: NDArray[np.float64], earlier: int, later: int) -> bool:
-    """Whether a later pass beside an earlier one is the same road, the other way or in the turn between both."""
-    way_m = line.along_m[later] - line.along_m[earlier]
-    before, after = legs_m[[earlier, later]]
-    is_back = before @ after <= BACK * np.hypot(*before) * np.hypot(*after)
-    level_m = min(LEVEL_M + LEVEL_SHARE * way_m, LEVEL_MOST_M)
-    is_level = not abs(line.alt_m[later] - line.alt_m[earlier]) > level_m  # as NaN is
-    return bool(is_level and (is_back or way_m < TURN_M))
+def are_level(line: DriveLine, earlier: NDArray[np.int64] | int, later: int) -> NDArray[np.bool_]:
+    """Whether rows of a line before another one are at its height, as far as the map knows."""
+    level_m = np.minimum(LEVEL_M + LEVEL_SHARE * (line.along_m[later] - line.along_m[earlier]), LEVEL_MOST_M)
+    return np.asarray(~(np.abs(line.alt_m[later] - line.alt_m[earlier]) > level_m))  # as NaN is
+
+
+def _goes_back(legs_m: NDArray[np.float64]) -> bool:
+    """Whether the second of two legs (2, 2) leads back: a later pass beside an earlier one is then the same road."""
+    before, after = legs_m
+    return bool(before @ after <= BACK * np.hypot(*before) * np.hypot(*after))

@@ -14,7 +14,7 @@ from edge.reference_map import MapSet
 from edge_plugins.home import HomeConfig, checks
 from edge_plugins.home.checks import RouteFinding
 from edge_plugins.home.drive_line import DriveLine, along, drive_line, nearest_on, simplified
-from edge_plugins.home.passes import first_row
+from edge_plugins.home.passes import ROAD_M, TURN_M, are_level, first_row
 
 MIN_LEG_M = 0.5
 """A leg to the first place that is shorter has no direction."""
@@ -88,13 +88,16 @@ def plan_way_home(
     sigma_m = np.r_[line.sigma_m[row], line.sigma_m[row::-1]]
     if np.hypot(*(points_m[1] - points_m[0])) < MIN_LEG_M and len(points_m) > 2:
         points_m, sigma_m = np.delete(points_m, 1, axis=0), np.delete(sigma_m, 1)
+    levels = are_level(line, np.arange(row + 1, row + 1 - len(points_m), -1).clip(0, row), row)
+    begin = _joining_row(points_m, levels, left_m, here_m, start.heading_deg, config)
+    points_m, sigma_m = points_m[begin:], sigma_m[begin:]
     way_m = along(points_m)
     kept = simplified(points_m, config.tolerance_m)
     waypoints_m = shifted_left(points_m[kept], left_m)
     turn_rad = _turn_rad(start.heading_deg, waypoints_m)
     findings = (
         *checks.pass_check([float(line.along_m[one]) for one in unsure]),
-        *checks.start_check(float(np.hypot(*(nearest_m - here_m))), start.sigma_m, turn_rad, config),
+        *checks.start_check(float(np.hypot(*(points_m[0] - here_m))), start.sigma_m, turn_rad, config),
         *checks.length_check(way_m, len(kept), config),
         *checks.short_check(line.short_m, float(way_m[-1]), config, is_named=drive is not None),
         *checks.gap_check(way_m, config),
@@ -104,6 +107,30 @@ def plan_way_home(
     )
     positions_deg = tuple(_degrees(line, point) for point in waypoints_m)
     return WayHome(line.name, positions_deg, tuple(way_m[kept].tolist()), len(points_m), findings)
+
+
+def _joining_row(
+    points_m: NDArray[np.float64],
+    is_level: NDArray[np.bool_],
+    left_m: float,
+    here_m: NDArray[np.float64],
+    heading_deg: float | None,
+    config: HomeConfig,
+) -> int:
+    """The row of a way (N, 2) with which it begins: not in the turn that the vehicle has just made, but behind it.
+
+    The nearest from which the way can be driven as the vehicle points now; 0, the nearest of all, where there is none.
+    """
+    way_m, away_m = along(points_m), np.hypot(*(shifted_left(points_m, left_m) - here_m).T)
+    reach_m = min(max(ROAD_M, 2 * config.turning_radius_m), config.max_start_m)
+    found = []
+    for row in np.flatnonzero(is_level[:-1] & (way_m[:-1] <= TURN_M) & (away_m[:-1] <= reach_m)):
+        ahead_m = points_m[row:][way_m[row:] <= way_m[row] + TURN_M]
+        corners_m = shifted_left(ahead_m[simplified(ahead_m, config.tolerance_m)], left_m)
+        is_behind = (_turn_rad(heading_deg, corners_m) or 0.0) >= math.pi / 2
+        if not is_behind and not any(checks.turn_check(corners_m, along(corners_m), config)):
+            found.append(int(row))
+    return min(found, key=lambda row: float(away_m[row]), default=0)
 
 
 def shifted_left(points_m: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:

@@ -131,3 +131,34 @@ def test_a_lap_of_a_block_is_driven_back_as_it_was_driven(map_along: MapAlong) -
     drive = joined(straight(100.0), arc(25.0, 360), straight(20.0))
     way = plan(map_along(drive), (0.0, 120.0), route_m=length_m(drive))
     assert way.length_m == pytest.approx(length_m(drive), abs=3.0)
+
+
+AS_FLOWN = (-220.77, 326.48), (-221.67, 329.87), (-222.76, 333.5), (-223.46, 335.55), (-224.05, 337.2), (-224.7, 339.02)
+AND_TURNED = (-225.33, 341.11), (-225.59, 343.08), (-225.17, 344.85), (-223.58, 345.66), (-222.05, 344.47)
+"""Places of a drive on road 993, whose U-turn was mapped: GPS failed behind it. The other lane is 3.5 m beside."""
+
+
+@pytest.mark.parametrize("left_m", [0.0, 3.5])
+@pytest.mark.parametrize("places", [3, 4, 5])
+def test_a_turn_that_was_mapped_is_not_the_first_leg(map_along: MapAlong, places: int, left_m: float) -> None:
+    """It was refused, since the lane beside the arc turns "by 120 degrees on the spot", or led around it again."""
+    drive = np.array([*AS_FLOWN, *AND_TURNED[:places]]) - AS_FLOWN[0]
+    start = HomeStart(*geodetic(*(np.array((-219.52, 342.22)) - AS_FLOWN[0])), 131.9, 1.5, length_m(drive) + 4.0)
+    config = HomeConfig(turning_radius_m=2.0)
+    way = plan_way_home(open_map_set(map_along(drive)), start, config, left_m)
+    assert not way.findings
+    assert waypoints_m(way)[0][1] < 17.5, "where the lane begins, 2 m before the arc"
+
+
+@pytest.mark.parametrize(("back_m", "rise_m", "way_m"), [(3.0, 0.0, 197.0), (8.0, 0.0, 192.0), (3.0, 0.4, 206.0)])
+@pytest.mark.parametrize("degrees", [150, 170])
+def test_behind_a_turn_the_way_is_the_lane(
+    map_along: MapAlong, back_m: float, rise_m: float, way_m: float, degrees: int
+) -> None:
+    """A road that climbs in its bend is driven as it was: the leg beside may lie below."""
+    drive = joined(straight(200.0), arc(3.25, degrees) * [-1, 1])
+    path = map_along(drive, alt_m=lambda row: max(0, row - 100) * rise_m)
+    start = HomeStart(*geodetic(6.5, 200.0 - back_m), 180.0, 1.5, length_m(drive) + back_m)
+    way = plan_way_home(open_map_set(path), start, HomeConfig(turning_radius_m=3.0))
+    assert not way.refusals
+    assert way.length_m == pytest.approx(way_m, abs=4.0)
