@@ -5,7 +5,7 @@
     layers/     drives over one road: which are searched, and which are deleted
     mapping/    how maps are made; [mapping]: the drive becomes one while it is driven
     recording/  [recording], and `lookback record`
-    home/       [home]: a drive of the map reversed into a mission, on request
+    home/       [home]: any drive of the map as a mission, reversed into the way home or as a route, on request
     ros2/       [ros2]: places, positions and state by DDS; odometry from there
     nmea/       [nmea]: positions as NMEA 0183 for phones, plotters and gpsd
     page/       [page]: the live page, and metrics for Prometheus

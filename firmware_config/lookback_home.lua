@@ -5,6 +5,7 @@
 --   LKH_FUNC   300    auxiliary function of the switch: RCx_OPTION 300 (Scripting1) to 307
 --   LKH_MODE   -1     mode to change to once the mission is verified; -1 (default): none. AUTO is 10 on Rover, 3 on Copter
 --   LKH_COMP   191    MAVLink component ID of Lookback ([telemetry] component_id)
+--   LKH_ROUTE  0      number of the route in [home] routes; 0 (default) is the way home
 --
 -- Switch to high: request the mission. Switch to low before the mode changes: it does not. The script never arms.
 -- Without valid input of the receiver, or after a failsafe, it changes no mode: FS_THR_ENABLE must be 1 on Rover.
@@ -25,11 +26,12 @@ local MESSAGES_PER_TICK = 20
 local LONG_MESSAGE = 299                -- bytes of a received message with system IDs of 32 bits, in later versions
 
 local TABLE_KEY = 141
-assert(param:add_table(TABLE_KEY, "LKH_", 4), "Lookback: parameter table " .. TABLE_KEY .. " is in use")
+assert(param:add_table(TABLE_KEY, "LKH_", 5), "Lookback: parameter table " .. TABLE_KEY .. " is in use")
 assert(param:add_param(TABLE_KEY, 1, "ENABLE", 0), "Lookback: no parameter LKH_ENABLE")
 assert(param:add_param(TABLE_KEY, 2, "FUNC", 300), "Lookback: no parameter LKH_FUNC")
 assert(param:add_param(TABLE_KEY, 3, "MODE", -1), "Lookback: no parameter LKH_MODE")
 assert(param:add_param(TABLE_KEY, 4, "COMP", 191), "Lookback: no parameter LKH_COMP")
+assert(param:add_param(TABLE_KEY, 5, "ROUTE", 0), "Lookback: no parameter LKH_ROUTE")
 
 -- Both numbers alike: the order of the arguments differs between versions of the documentation.
 mavlink:init(10, 10)
@@ -49,7 +51,7 @@ local function say(severity, text)
 end
 
 local function send_command()
-    local fields = string.pack("<fffffffI2BBB", 1, LOOK, 0, 0, 0, 0, 0, MAV_CMD_USER_5,
+    local fields = string.pack("<fffffffI2BBB", 1, LOOK, param:get("LKH_ROUTE"), 0, 0, 0, 0, MAV_CMD_USER_5,
         system_id, param:get("LKH_COMP"), request.sent)
     request.sent, request.last = request.sent + 1, tick
     mavlink:send_chan(channel, COMMAND_LONG, fields)

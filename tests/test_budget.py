@@ -25,7 +25,7 @@ ROOMS = {
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
     "edge_plugins/doctor": 700,
-    "edge_plugins/home": 900,
+    "edge_plugins/home": 1050,
     "edge_plugins/layers": 200,
     "edge_plugins/mapping": 1600,
     "edge_plugins/motion": 650,
@@ -51,7 +51,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 35_550,
+    "tests": 35_600,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -23,6 +23,7 @@ COMMANDS = {
     "map": "sim.maps.command",
     "replay": "sim.evaluation.replay",
     "home": "sim.home.command",
+    "route": "sim.home.route_command",
     "config": "edge.commands.config_file",
     "doctor": "edge_plugins.doctor.command",
     "bundle": "sim.bundle",

@@ -1,10 +1,11 @@
-"""The way home: a drive of a reference map, reversed into a mission that an autopilot can follow, and uploaded.
+"""Any taught road again, as a mission that an autopilot follows, and uploaded: the way home, or a route of the config.
 
-`drive_line`  the positions of one drive of a map, as a line on the ground, and fewer points of it
-`passes`      which pass of that drive the vehicle is on
-`way_home`    from the vehicle back to the start of that drive, checked and simplified: -> WayHome; and that as items
-              of a MAVLink mission, as ArduPilot or PX4 number them
-`checks`      whether a vehicle can drive that way: gaps, jumps, turns, length
+`drive_line`    the positions of one drive of a map, as a line on the ground, and fewer points of it
+`passes`        which pass of that drive the vehicle is on
+`checks`        whether a vehicle can drive a way: gaps, jumps, turns, length
+`route_search`  along drives from place to place, from one onto another where they meet
+`route`         from the vehicle on along them, home by default, checked and simplified: -> RoutePlan; and that as items
+                of a MAVLink mission, as ArduPilot or PX4 number them
 
 These are pure. `home_requests` answers requests, which come by MAVLink;
 `mission_transfer` uploads the mission, and `replaced_mission` keeps the one before. `plugin` is for the daemon.
@@ -20,7 +21,7 @@ from edge.config import Config, Section
 
 
 class HomeConfig(Section, frozen=True):
-    """[home]: the way home, as a mission for the autopilot; off by default."""
+    """[home]: the way home and other routes, as a mission for the autopilot; off by default."""
 
     plugin: ClassVar[str] = "edge_plugins.home.plugin:Home"
     enabled: bool = False
@@ -32,6 +33,7 @@ class HomeConfig(Section, frozen=True):
     max_gap_m: Annotated[float, Meta(gt=0, le=1000)] = 20.0
     max_sigma_m: Annotated[float, Meta(gt=0, le=1000)] = 5.0
     max_length_m: Annotated[float, Meta(gt=0, le=100_000)] = 20_000.0
+    routes: tuple[Annotated[str, Meta(pattern=r"^\S+( +\S+)+$")], ...] = ()
 
     def asks(self, config: Config) -> bool:
         """Where it is enabled."""

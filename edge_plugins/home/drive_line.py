@@ -20,12 +20,13 @@ MOVED_M = 0.01
 class DriveLine:
     """The places of a drive that have a position, in its order.
 
-    name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. along_m: (N,) meters along them.
-    driven_m, heading_deg, alt_m: (N,) by the odometer of the drive, of the vehicle, and above sea level; NaN where the
-    map has none. sigma_m: (N,) one standard deviation of each position, which is assumed where the map has none.
+    number, name: of the drive, for people. points_m: (N, 2) meters east and north of `origin`. along_m: (N,) meters
+    along them. driven_m, heading_deg, alt_m: (N,) by the odometer of the drive, of the vehicle, and above sea level;
+    NaN where the map has none. sigma_m: (N,) one standard deviation of each position, assumed where the map has none.
     short_m: from where its recording began, of which an interruption made several drives, to its own start.
     """
 
+    number: int
     name: str
     origin: Origin
     points_m: NDArray[np.float64]
@@ -37,7 +38,16 @@ class DriveLine:
     short_m: float
 
 
-def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
+def drive_lines(maps: MapSet) -> list[DriveLine]:
+    """All drives that have positions, in meters from one origin; MapError where none has."""
+    origin, lines = first_known(maps.places["lat_deg"], maps.places["lon_deg"]), []
+    for number, (start, end, _) in enumerate(_drives(maps), start=1):
+        if np.count_nonzero(~np.isnan(maps.places["lat_deg"][start:end])) > 1:
+            lines.append(drive_line(maps, number, origin))
+    return lines or [drive_line(maps)]
+
+
+def drive_line(maps: MapSet, number: int | None = None, origin: Origin | None = None) -> DriveLine:
     """A drive by its number, counted from 1 through all maps, or the newest: the last of the map written last.
 
     MapError where there is no such drive, it has fewer than two positions, or their file is damaged.
@@ -50,9 +60,10 @@ def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
     maps.check_places([(start, end)])
     places = maps.places[start:end]
     places = places[~np.isnan(places["lat_deg"])]
-    origin, name = first_known(places["lat_deg"], places["lon_deg"]), f"drive {index + 1} ({source})"
+    origin = origin or first_known(places["lat_deg"], places["lon_deg"])
+    name = f"drive {index + 1} ({source})"
     if origin is None or len(places) < 2:
-        raise MapError(f"{maps.path}: {name} has {len(places)} positions; a way home needs a map made with positions")
+        raise MapError(f"{maps.path}: {name} has {len(places)} positions; a route needs a map made with positions")
     points_m = east_north(places["lat_deg"], places["lon_deg"], origin)
     moves = np.r_[True, np.hypot(*np.diff(points_m, axis=0).T) > MOVED_M]
     places, points_m = places[moves], points_m[moves]
@@ -62,7 +73,7 @@ def drive_line(maps: MapSet, number: int | None = None) -> DriveLine:
     short_m = float(np.hypot(*np.nan_to_num(began_m - points_m[0])))
     driven_m, heading_deg, alt_m = (np.ascontiguousarray(places[key]) for key in ("route_m", "heading_deg", "alt_m"))
     columns = driven_m, heading_deg, alt_m, sigmas_m(places)
-    return DriveLine(name, origin, points_m, along(points_m), *columns, short_m)
+    return DriveLine(index + 1, name, origin, points_m, along(points_m), *columns, short_m)
 
 
 def along(points_m: NDArray[np.float64]) -> NDArray[np.float64]:

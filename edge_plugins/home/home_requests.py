@@ -1,4 +1,4 @@
-"""Requests for the way home: a command addressed to us, until the mission is verified.
+"""Requests for the way home or a route of the config: a command addressed to us, until the mission is verified.
 
 A request only uploads a mission: nothing in here arms a vehicle, starts a mission or changes a mode. It is rejected
 unless the vehicle is known, in a mode in which it does not drive by itself, and its position is known; and unless every
@@ -25,24 +25,25 @@ from edge.telemetry.session import Session
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.mission_transfer import MissionTransfer, Next
 from edge_plugins.home.replaced_mission import ReplacedMission
-from edge_plugins.home.way_home import HomeStart, MissionItem, WayHome, mission_items
+from edge_plugins.home.route import MissionItem, RoutePlan, RouteStart, mission_items
 
 HOME_COMMAND, HOME_PARAMS = mavlink.MAV_CMD_USER_5, (1, 5665)
 """With parameters 1 and 2; 5665 is LOOK on a telephone's keys. Others may use the command, so both must be there:
-ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS."""
+ArduPilot's pull request 33167 has MAV_CMD_USER_1 with 1 stand for a spoofed GPS. Parameter 3 is the number of a route
+of [home] routes, from 1; 0, as whoever leaves it out sends, is the way home."""
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 REPEATED_NS = 10_000_000_000
 """How long after an answer the same command with a confirmation count is a repetition, whose answer was lost."""
 CHECK_AGAIN_NS = 30_000_000_000
 """From a check of a mission that may be cut off to the next, where the first came to no end."""
-Plan = Callable[[HomeStart], WayHome]
+Plan = Callable[[RouteStart, Sequence[str]], RoutePlan]
 Sender = tuple[int, int]
 """System and component of a command."""
 log = logging.getLogger(__name__)
 
 
 class HomeAnswered(Record, frozen=True, tag="home"):
-    """A request for the way home was answered; docs/home.md describes requests."""
+    """A request for the way home or a route was answered; docs/home.md describes requests."""
 
     verified: Annotated[bool, unit("", "whether the autopilot now has the mission, downloaded again and compared")]
     text: Annotated[str, unit("", "what was uploaded, or why nothing was")]
@@ -51,11 +52,15 @@ class HomeAnswered(Record, frozen=True, tag="home"):
 
 @dataclass(frozen=True)
 class HomeReply:
-    """The answer to a request. result: MAV_RESULT; items: of the mission; text: one line for people."""
+    """The answer to a request. result: MAV_RESULT; items: of the mission; text: one line for people.
+
+    brief: what the pilot reads of it, if not all.
+    """
 
     result: int
     text: str
     items: int = 0
+    brief: str = ""
 
     @property
     def is_accepted(self) -> bool:
@@ -70,7 +75,7 @@ class HomeReply:
 
 @dataclass(frozen=True)
 class Upload:
-    """A transfer that is running. items: of the mission. done, failed: words for both of its ends.
+    """A transfer that is running. items: of the mission. done, brief, failed: words for both of its ends.
 
     asker: None where nobody has requested it: a mission that may be cut off is checked.
     """
@@ -78,16 +83,17 @@ class Upload:
     transfer: MissionTransfer
     items: int
     done: str
+    brief: str
     failed: str
     asker: Sender | None = None
 
 
 class HomeRequestError(Exception):
-    """A request that cannot be done now; carries its MAV_RESULT and the reason."""
+    """A request that cannot be done now; carries its MAV_RESULT, the reason, and what a pilot reads of that."""
 
-    def __init__(self, result: int, why: str) -> None:
+    def __init__(self, result: int, why: str, brief: str = "") -> None:
         super().__init__(why)
-        self.result = result
+        self.result, self.brief = result, brief or why
 
 
 class HomeRequests:
@@ -99,7 +105,7 @@ class HomeRequests:
         self._vehicle, self._drive = link.vehicle, link.drive
         self._record, self._send_text = link.record, link.status_text
         self.plan: Plan | None = None
-        """Plans the way home; None while there is no map."""
+        """Plans the way through some places, home for none; None while there is no map."""
         self._upload: Upload | None = None
         journal = link.config.journal
         self._replaced = ReplacedMission(Path(journal).with_suffix(".mission") if journal else None)
@@ -147,16 +153,21 @@ class HomeRequests:
         if (message.param1, message.param2) != HOME_PARAMS:
             denied = HomeReply(mavlink.MAV_RESULT_DENIED, "parameters 1 and 2 of the command are not 1 and 5665")
             return self._reply(sender, denied, now_ns)
-        return self._request(sender, now_ns)
+        return self._request(sender, message.param3, now_ns)
 
-    def _request(self, asker: Sender, now_ns: int) -> list[Message]:
-        """Request the way home: the first answer, and the first of the transfer."""
-        home_first = self._vehicle.session.firmware.home_is_item_0
+    def _request(self, asker: Sender, number: float, now_ns: int) -> list[Message]:
+        """Request a route, 0 being the way home: the first answer, and the first of the transfer."""
+        home_first, config = self._vehicle.session.firmware.home_is_item_0, self._config
+        name = f"route {number:g}" if number else "way home"
         try:
             self._check_request()
-            items, what = self._way_items(now_ns, home_first=home_first)
+            way = self._planned(number, now_ns)
         except HomeRequestError as error:
-            return self._reply(asker, self._answered(HomeReply(error.result, f"no way home: {error}")), now_ns)
+            refused = HomeReply(error.result, f"no {name}: {error}", brief=f"no {name}: {error.brief}")
+            return self._reply(asker, self._answered(refused), now_ns)
+        for warning in way.briefs(refuses=False):
+            self._send_text(f"Lookback: {name}: {warning}", mavlink.MAV_SEVERITY_WARNING)
+        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
         system_id = self._vehicle.target_id
 
         def keep(present: list[MissionItem]) -> Next:
@@ -165,9 +176,10 @@ class HomeRequests:
             return "upload"
 
         transfer = MissionTransfer(items, system_id, first_is_home=home_first, decide=keep)
-        self._upload = Upload(transfer, len(items), f"uploaded and verified: {what}", "no way home", asker)
-        log.info("uploading %s", what)
-        begun = HomeReply(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {what}")
+        brief = f"{name} ready, {way.length_m:.0f} m, {len(way.along_m)} waypoints"
+        self._upload = Upload(transfer, len(items), f"uploaded and verified: {way}", brief, f"no {name}", asker)
+        log.info("uploading %s", way)
+        begun = HomeReply(mavlink.MAV_RESULT_IN_PROGRESS, f"uploading {way}")
         return [*self._reply(asker, begun, now_ns), *transfer.start(now_ns)]
 
     def _check_request(self) -> None:
@@ -179,14 +191,7 @@ class HomeRequests:
             raise HomeRequestError(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, why)
         if self._vehicle.session.autopilot not in FIRMWARES:
             names = " nor ".join(one.name for one in FIRMWARES.values())
-            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, f"the autopilot is neither {names}")
-
-    def _way_items(self, now_ns: int, *, home_first: bool) -> tuple[Sequence[MissionItem], str]:
-        way, config = self._planned(now_ns), self._config
-        for warning in way.briefs:
-            self._send_text(f"Lookback: {warning}", mavlink.MAV_SEVERITY_WARNING)
-        items = mission_items(way, speed_mps=config.speed_mps, altitude_m=config.altitude_m, home_first=home_first)
-        return items, str(way)
+            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, f"neither {names}")
 
     def _check_if_due(self, now_ns: int) -> list[Message]:
         """Look at the mission where an upload of an earlier run was cut off, and clear it if it is a part of that."""
@@ -206,28 +211,33 @@ class HomeRequests:
             return "clear" if self._replaced.is_cut_off(present) else "leave"
 
         transfer = MissionTransfer((), kept.system_id, first_is_home=bool(kept.first), decide=clear_if_cut_off)
-        self._upload = Upload(transfer, 0, "", "mission checked")
+        self._upload = Upload(transfer, 0, "", "", "mission checked")
         return transfer.start(now_ns)
 
-    def _planned(self, now_ns: int) -> WayHome:
-        """The way home from here; Rejected."""
+    def _planned(self, number: float, now_ns: int) -> RoutePlan:
+        """The route of a number from here; Rejected."""
         if self._vehicle.session.kind not in ON_THE_GROUND and not self._config.altitude_m:
-            raise HomeRequestError(
-                mavlink.MAV_RESULT_DENIED, "not a ground vehicle or boat, and [home] altitude_m is 0"
-            )
+            why = "not a ground vehicle or boat, and [home] altitude_m is 0"
+            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, why, "[home] altitude_m is 0")
+        routes = ("", *self._config.routes)
+        if number not in range(len(routes)):
+            why = f"[home] routes has {len(routes) - 1}"
+            raise HomeRequestError(mavlink.MAV_RESULT_DENIED, why)
         position, sigma_m = self._vehicle.position(now_ns), self._drive.state.own_sigma_m
         if position is None or sigma_m is None or self.plan is None:
-            what = "autopilot reports no position" if position is None else "unknown how far off the position is"
+            what = "autopilot has no position" if position is None else "position error not known"
             raise HomeRequestError(
                 mavlink.MAV_RESULT_TEMPORARILY_REJECTED, "there is no map" if self.plan is None else what
             )
+        start = RouteStart(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m)
         try:
-            way = self.plan(HomeStart(position.lat_deg, position.lon_deg, position.heading_deg, sigma_m))
+            way = self.plan(start, routes[int(number)].split())
         except SetupError as error:
-            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, str(error)) from None
+            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, str(error), "see Lookback's log") from None
         if way.refusals:
             more = f" (and {len(way.refusals) - 1} more)" if len(way.refusals) > 1 else ""
-            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, way.refusals[0] + more)
+            why, brief = way.refusals[0] + more, way.briefs(refuses=True)[0]
+            raise HomeRequestError(mavlink.MAV_RESULT_FAILED, why, brief)
         return way
 
     def _why_not_now(self) -> str:
@@ -236,8 +246,9 @@ class HomeRequests:
             return "no autopilot is connected"
         drives = self._vehicle.drives_itself
         if drives is None:
-            return "the autopilot's mode is not known"
-        return "the vehicle is armed and drives by itself; change the mode first" if drives else ""
+            return "the mode is not known yet"
+        # Also of one that has just changed: it must last for a while, see `edge.telemetry.session`.
+        return "select Manual; ask in 3 s" if drives else ""
 
     def _finished(self, now_ns: int) -> list[Message]:
         """The final answer, once the transfer has ended."""
@@ -249,10 +260,11 @@ class HomeRequests:
             self._replaced.settle()
         if outcome.verified:
             done = f"{upload.done}{self._replaced.where}"
-            answer = self._answered(HomeReply(mavlink.MAV_RESULT_ACCEPTED, done, upload.items))
+            answer = self._answered(HomeReply(mavlink.MAV_RESULT_ACCEPTED, done, upload.items, upload.brief))
         else:
             more = self._replaced.where if outcome.is_settled and upload.asker is None else ""
-            answer = self._answered(HomeReply(mavlink.MAV_RESULT_FAILED, f"{upload.failed}: {outcome.why}{more}"))
+            why = f"{upload.failed}: {outcome.why}"
+            answer = self._answered(HomeReply(mavlink.MAV_RESULT_FAILED, why + more, brief=why))
         return [] if upload.asker is None else self._reply(upload.asker, answer, now_ns)
 
     def _answered(self, answer: HomeReply) -> HomeReply:
@@ -260,7 +272,7 @@ class HomeRequests:
         log.info("way home: %s", answer.text)
         self._record(HomeAnswered(answer.is_accepted, answer.text, answer.items))
         severity = mavlink.MAV_SEVERITY_INFO if answer.is_accepted else mavlink.MAV_SEVERITY_WARNING
-        self._send_text(f"Lookback: {answer.text}", severity)
+        self._send_text(f"Lookback: {answer.brief}", severity)
         return answer
 
     def _reply(self, asker: Sender, answer: HomeReply, now_ns: int) -> list[Message]:

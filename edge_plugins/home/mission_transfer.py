@@ -25,7 +25,7 @@ from edge.backoff import Exchange
 from edge.telemetry.acknowledgements import result_name
 from edge.telemetry.codec import Message
 from edge_plugins.home.replaced_mission import MISSION, is_same, item_message, mission_item
-from edge_plugins.home.way_home import MissionItem
+from edge_plugins.home.route import MissionItem
 
 REPLY_NS, ITEM_NS = 1_500_000_000, 250_000_000
 REPETITIONS = 5

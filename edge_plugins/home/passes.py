@@ -52,19 +52,24 @@ def first_row(
     own = [row for row in rows if not line.driven_m[-1] - line.driven_m[row] > since_m + reach_m] or rows
     first, others = own[-1], list[int]()
     for row in reversed(rows[: rows.index(first)]):
-        is_turn = line.along_m[first] - line.along_m[row] < TURN_M
+        way_m = line.along_m[first] - line.along_m[row]
+        is_turn = way_m < TURN_M
         apart_m = min(np.hypot(*(at_m[first] - at_m[row])), away_m[row] if is_turn else np.inf)
-        if apart_m <= ROAD_M and are_level(line, row, first) and (is_turn or _goes_back(legs_m[[row, first]])):
+        if (
+            apart_m <= ROAD_M
+            and are_level(line.alt_m[first] - line.alt_m[row], way_m)
+            and (is_turn or _goes_back(legs_m[[row, first]]))
+        ):
             first = row
         elif row in own:
             others.insert(0, row)
     return first, [*others, own[-1]] if others else []
 
 
-def are_level(line: DriveLine, earlier: NDArray[np.int64] | int, later: int) -> NDArray[np.bool_]:
-    """Whether rows of a line before another one are at its height, as far as the map knows."""
-    level_m = np.minimum(LEVEL_M + LEVEL_SHARE * (line.along_m[later] - line.along_m[earlier]), LEVEL_MOST_M)
-    return np.asarray(~(np.abs(line.alt_m[later] - line.alt_m[earlier]) > level_m))  # as NaN is
+def are_level(rise_m: NDArray[np.float64], way_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether rows so far from each other by the way and in height are at one level, as far as the map knows."""
+    level_m = np.minimum(LEVEL_M + LEVEL_SHARE * way_m, LEVEL_MOST_M)
+    return np.asarray(~(np.abs(rise_m) > level_m))  # as NaN is
 
 
 def _goes_back(legs_m: NDArray[np.float64]) -> bool:

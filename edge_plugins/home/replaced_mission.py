@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.errors import reason
 from edge.files import PersistentFile, replacing
 from edge.telemetry.codec import Message
-from edge_plugins.home.way_home import MissionItem
+from edge_plugins.home.route import MissionItem
 
 SAME_DEG = 2.5e-7  # 2 of MAVLink's 1e-7: PX4 stores degrees as floating-point numbers, and truncates them
 SAME_M = 0.02

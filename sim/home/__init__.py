@@ -1,1 +1,1 @@
-"""`lookback home`: print the way home, or write it to a file."""
+"""`lookback home` and `lookback route`: print a way along drives of a map, or write it to a file."""

@@ -23,7 +23,7 @@ from edge.localization import PlaceFix
 from edge.telemetry.autopilot import AutopilotConnection
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeRequests
-from edge_plugins.home.way_home import WayHome
+from edge_plugins.home.route import RoutePlan
 from sim import Pose
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import PtyLink, open_pty
@@ -33,7 +33,7 @@ from tests.udp_port import free_port
 
 STALL_S = 1.0
 HOME = mavlink.MAVLink_command_long_message(1, 191, 31014, 0, 1, 5665, 0, 0, 0, 0, 0).pack(mavlink.MAVLink(None, 255))
-WAY = WayHome("drive 1", tuple((-27.47 - 1e-4 * row, 153.02) for row in range(40)), (0.0, 440.0), 50, ())
+WAY = RoutePlan("drive 1", tuple((-27.47 - 1e-4 * row, 153.02) for row in range(40)), (0.0, 440.0), 50, ())
 Step: TypeAlias = tuple[str, Any]
 
 
@@ -217,7 +217,7 @@ class Turns:
         self.link = AutopilotConnection(config, self.clock_ns, gates=gates, drive=self.drive)
         self.home = HomeRequests(home, self.link)
         self.link.serve(self.home)
-        self.home.plan = lambda start: WAY
+        self.home.plan = lambda start, places: WAY
         self.autopilot: SimulatedAutopilot | None = None
         if self.stranger.cable is not None:
             pose = Pose(0.0, 0.0, 0.0, 5.0, 0.0)

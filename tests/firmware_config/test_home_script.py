@@ -12,7 +12,7 @@ pytest.importorskip("lupa")
 
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import plan_way_home
+from edge_plugins.home.route import plan_route
 from tests.firmware_config.scripting import HIGH, LOW, MIDDLE, Scripting
 from tests.plugins.home.home_requests import DRIVING_ITSELF
 from tests.plugins.home.test_way_home import straight
@@ -49,7 +49,8 @@ def test_the_switch_requests_the_mission_and_changes_no_mode(has_long_ids: bool)
     scripting = requested(has_long_ids=has_long_ids)
     command = scripting.sent[0]
     assert (command.command, command.target_system, command.target_component) == (31014, 1, 191)
-    assert (command.param1, command.param2, command.confirmation) == (1.0, 5665.0, 0)
+    assert (command.param1, command.param2, command.param3, command.confirmation) == (1.0, 5665.0, 0.0, 0)
+    assert requested(LKH_ROUTE=2).sent[0].param3 == 2.0
     scripting.answer(5)
     scripting.step(20)
     scripting.items = 17
@@ -207,7 +208,7 @@ def test_the_script_and_lookback_understand_each_other(tmp_path: Path, map_along
     """
     rig = Rig(tmp_path, home=HomeConfig(enabled=True))
     maps = open_map_set(map_along(straight(400.0, 60.0)))
-    rig.home.plan = lambda start: plan_way_home(maps, start, HomeConfig())
+    rig.home.plan = lambda start, places: plan_route(maps, start, HomeConfig())
     scripting = opened(LKH_ENABLE=1, LKH_MODE=AUTO)
     read = 0
 

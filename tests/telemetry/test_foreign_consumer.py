@@ -33,7 +33,7 @@ from edge.telemetry.encoders import UNBOUNDED_M
 from edge.telemetry.link import Link
 from edge.telemetry.link_protocol import STREAMS_HZ
 from edge_plugins.home.mission_transfer import MissionTransfer
-from edge_plugins.home.way_home import MissionItem
+from edge_plugins.home.route import MissionItem
 from sim.vehicle.pty_link import open_pty
 from tests.telemetry.rig import ToldEstimator
 from tests.udp_port import free_port

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.reference_map import open_map_set
-from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
+from edge_plugins.home.route import RoutePlan, RouteStart, plan_route
 from tests.plugins.home.home_requests import ENABLED
 from tests.telemetry import conftest
 from tests.telemetry.rig import START_NS, OpenRig, Rig
@@ -30,9 +30,9 @@ def open_home(open_rig: OpenRig, map_along: Callable[..., Path]) -> OpenRig:
         config = options.setdefault("home", ENABLED)
         rig = open_rig(**options)
 
-        def plan(start: HomeStart) -> WayHome:
+        def plan(start: RouteStart, places: Sequence[str]) -> RoutePlan:
             # The simulated vehicle drives away from home, which is only a warning.
-            return plan_way_home(maps, start, config)
+            return plan_route(maps, start, config, places=places)
 
         rig.home.plan = plan
 

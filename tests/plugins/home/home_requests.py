@@ -29,8 +29,9 @@ def command(
     params: tuple[float, float] = (1.0, 5665.0),
     confirmation: int = 0,
     number: int = mavlink.MAV_CMD_USER_5,
+    route: float = 0.0,
 ) -> Any:
-    return mavlink.MAVLink_command_long_message(1, component_id, number, confirmation, *params, 0, 0, 0, 0, 0)
+    return mavlink.MAVLink_command_long_message(1, component_id, number, confirmation, *params, route, 0, 0, 0, 0)
 
 
 def acknowledgements(rig: Rig) -> list[Any]:

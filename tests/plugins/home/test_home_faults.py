@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge_plugins.home.home_requests import HomeAnswered
 from edge_plugins.home.mission_transfer import MissionTransfer
-from edge_plugins.home.way_home import MissionItem
+from edge_plugins.home.route import MissionItem
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     FAILED,

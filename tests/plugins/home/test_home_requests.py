@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from edge.geodesy import east_north_of
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.home_requests import HomeAnswered
-from edge_plugins.home.way_home import WayHome
+from edge_plugins.home.route import RoutePlan
 from tests.plugins.home.home_requests import (
     ACCEPTED,
     DENIED,
@@ -71,8 +73,8 @@ def test_the_way_home_begins_at_its_first_item(home: Rig) -> None:
 
 def test_the_same_way_home_begins_at_its_first_item_again(home: Rig) -> None:
     """PX4 does not look at which item is marked in a mission that it has already."""
-    way = WayHome("drive 1", ((-27.4772, 153.0283), (-27.4762, 153.0283)), (0.0, 110.0), 50, ())
-    home.home.plan = lambda start: way
+    way = RoutePlan("drive 1", ((-27.4772, 153.0283), (-27.4762, 153.0283)), (0.0, 110.0), 50, ())
+    home.home.plan = lambda start, places: way
     for number in (1, 2):
         home.autopilot.send(command())
         assert home.run(10.0, accepted(home, number))
@@ -99,7 +101,7 @@ def test_no_mission_is_uploaded_before_the_mode_is_known(home: Rig) -> None:
     home.connect()
     assert home.run(4.0, lambda: home.connection.state == "up")
     assert asked(home, 1.0) == [REJECTED]
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: the autopilot's mode is not known"
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: the mode is not known yet"
 
 
 def test_a_vehicle_that_begins_to_drive_itself_ends_the_upload(home: Rig) -> None:
@@ -109,7 +111,7 @@ def test_a_vehicle_that_begins_to_drive_itself_ends_the_upload(home: Rig) -> Non
     home.autopilot.base_mode = DRIVING_ITSELF
     assert home.run(20.0, finished(home))
     assert results(home)[-1] == FAILED
-    assert "drives by itself" in home.journalled(HomeAnswered)[-1].text
+    assert "select Manual" in home.journalled(HomeAnswered)[-1].text
     assert home.autopilot.mission.items == []
 
 
@@ -134,7 +136,7 @@ def test_a_position_that_is_lost_is_no_start(home: Rig) -> None:
     home.wire.loses = lambda message: message.get_type() == "GLOBAL_POSITION_INT"
     home.run(3.0)
     assert asked(home, 2.0) == [REJECTED]
-    assert home.journalled(HomeAnswered)[-1].text == "no way home: autopilot reports no position"
+    assert home.journalled(HomeAnswered)[-1].text == "no way home: autopilot has no position"
 
 
 @pytest.mark.parametrize("component_id", [0, 190, 1])
@@ -178,5 +180,28 @@ def test_the_pilot_reads_it(home: Rig) -> None:
     home.run(5.0)
     texts = home.received("STATUSTEXT")
     (warning,) = [one for one in texts if one.severity == mavlink.MAV_SEVERITY_WARNING and "degrees" in one.text]
-    assert re.fullmatch(r"Lookback: home is \d{2,3} degrees off, turn first", warning.text)
-    assert "Lookback: uploaded and verified: " in "".join(message.text for message in texts)
+    assert re.fullmatch(r"Lookback: way home: turn first, \d{2,3} degrees off", warning.text)
+    assert re.fullmatch(r"Lookback: way home ready, \d{3} m, \d+ waypoints", texts[-1].text)
+
+
+@pytest.mark.parametrize("firmware", ["ardupilot", "px4"])
+def test_a_route_of_the_config_is_uploaded_by_its_number(open_home: OpenRig, firmware: str) -> None:
+    routes = ("1:end 1:0", "1:130 1:300")
+    home = open_home(firmware=firmware, home=HomeConfig(enabled=True, routes=routes, max_start_m=60.0))
+    assert asked(home, message=command(route=2.0))[-1] == ACCEPTED
+    vehicle, mission = home.position, home.autopilot.mission
+    ahead_m = [east_north_of(*at_deg, (vehicle.lat_deg, vehicle.lon_deg)) for at_deg in mission.waypoints_deg]
+    assert np.hypot(*np.diff(ahead_m, axis=0).T).sum() == pytest.approx(170.0, abs=10.0)
+    assert ahead_m[-1][0] > 100.0, "on, to the east"
+    home.run(3.0)
+    assert re.fullmatch(r"Lookback: route 2 ready, 1\d\d m, \d+ waypoints", home.received("STATUSTEXT")[-1].text)
+    home.autopilot.send(command(route=1.0))
+    assert home.run(2.0, lambda: results(home)[-1] == FAILED)
+    assert "from where the way begins" in home.journalled(HomeAnswered)[-1].text
+
+
+@pytest.mark.parametrize("number", [3.0, -1.0, 0.5, float("nan")])
+def test_a_route_that_the_config_has_not_is_denied(open_home: OpenRig, number: float) -> None:
+    home = open_home(home=HomeConfig(enabled=True, routes=("1:0 1:end", "1:end 1:0")))
+    assert asked(home, 2.0, command(route=number)) == [DENIED]
+    assert home.journalled(HomeAnswered)[-1].text == f"no route {number:g}: [home] routes has 2"

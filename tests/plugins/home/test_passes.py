@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from edge.config import RigConfig
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import HomeStart, WayHome, plan_way_home
+from edge_plugins.home.route import RoutePlan, RouteStart, plan_route
 from sim import geodetic
 from tests.plugins.home.test_way_home import Points, arc, joined, straight, waypoints_m
 
@@ -45,12 +46,12 @@ def length_m(drive: Points) -> float:
 
 def plan(
     path: Path, at_m: tuple[float, float], sigma_m: float = 1.5, route_m: float | None = None, **config: Any
-) -> WayHome:
-    start = HomeStart(*geodetic(*at_m), sigma_m=sigma_m, route_m=route_m)
-    return plan_way_home(open_map_set(path), start, HomeConfig(turning_radius_m=0.0, **config))
+) -> RoutePlan:
+    start = RouteStart(*geodetic(*at_m), sigma_m=sigma_m, route_m=route_m)
+    return plan_route(open_map_set(path), start, HomeConfig(turning_radius_m=0.0, **config))
 
 
-def undecided(way: WayHome) -> list[str]:
+def undecided(way: RoutePlan) -> list[str]:
     return [text for text in way.refusals if "are not one road" in text]
 
 
@@ -110,8 +111,8 @@ def test_right_after_a_turn_it_goes_home_in_the_lane_that_it_came_on(
     """The lane is 6.5 m away: the way led around the turn again, which is refused where that was on the spot."""
     drive = joined(straight(200.0), arc(3.25, 180) * [-1, 1], straight(driven_m, 180.0))
     at_m = (6.5, 200.0 - driven_m)
-    start = HomeStart(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
-    way = plan_way_home(open_map_set(map_along(drive)), start, HomeConfig(turning_radius_m=2.0))
+    start = RouteStart(*geodetic(*at_m), heading_deg=180.0, sigma_m=1.5, route_m=length_m(drive))
+    way = plan_route(open_map_set(map_along(drive)), start, HomeConfig(turning_radius_m=2.0))
     assert not way.refusals
     assert way.length_m == pytest.approx(at_m[1] + longer_m, abs=1.0)
 
@@ -143,9 +144,9 @@ AND_TURNED = (-225.33, 341.11), (-225.59, 343.08), (-225.17, 344.85), (-223.58, 
 def test_a_turn_that_was_mapped_is_not_the_first_leg(map_along: MapAlong, places: int, left_m: float) -> None:
     """It was refused, since the lane beside the arc turns "by 120 degrees on the spot", or led around it again."""
     drive = np.array([*AS_FLOWN, *AND_TURNED[:places]]) - AS_FLOWN[0]
-    start = HomeStart(*geodetic(*(np.array((-219.52, 342.22)) - AS_FLOWN[0])), 131.9, 1.5, length_m(drive) + 4.0)
+    start = RouteStart(*geodetic(*(np.array((-219.52, 342.22)) - AS_FLOWN[0])), 131.9, 1.5, length_m(drive) + 4.0)
     config = HomeConfig(turning_radius_m=2.0)
-    way = plan_way_home(open_map_set(map_along(drive)), start, config, left_m)
+    way = plan_route(open_map_set(map_along(drive)), start, config, RigConfig(left_reverse_m=left_m))
     assert not way.findings
     assert waypoints_m(way)[0][1] < 17.5, "where the lane begins, 2 m before the arc"
 
@@ -158,7 +159,7 @@ def test_behind_a_turn_the_way_is_the_lane(
     """A road that climbs in its bend is driven as it was: the leg beside may lie below."""
     drive = joined(straight(200.0), arc(3.25, degrees) * [-1, 1])
     path = map_along(drive, alt_m=lambda row: max(0, row - 100) * rise_m)
-    start = HomeStart(*geodetic(6.5, 200.0 - back_m), 180.0, 1.5, length_m(drive) + back_m)
-    way = plan_way_home(open_map_set(path), start, HomeConfig(turning_radius_m=3.0))
+    start = RouteStart(*geodetic(6.5, 200.0 - back_m), 180.0, 1.5, length_m(drive) + back_m)
+    way = plan_route(open_map_set(path), start, HomeConfig(turning_radius_m=3.0))
     assert not way.refusals
     assert way.length_m == pytest.approx(way_m, abs=4.0)

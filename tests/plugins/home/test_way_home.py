@@ -16,12 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from edge.config import RigConfig
 from edge.errors import MapError
 from edge.geodesy import east_north
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
 from edge_plugins.home.drive_line import simplified
-from edge_plugins.home.way_home import HomeStart, WayHome, mission_items, plan_way_home
+from edge_plugins.home.route import RoutePlan, RouteStart, mission_items, plan_route
 from sim import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 
 MapAlong = Callable[..., Path]
@@ -51,12 +52,12 @@ def joined(*lines: Points) -> Points:
 
 def plan(
     path: Path, at_m: tuple[float, float] | None = None, heading_deg: float | None = None, **config: Any
-) -> WayHome:
-    start = None if at_m is None else HomeStart(*geodetic(*at_m), heading_deg, 1.0)
-    return plan_way_home(open_map_set(path), start, HomeConfig(**config))
+) -> RoutePlan:
+    start = None if at_m is None else RouteStart(*geodetic(*at_m), heading_deg, 1.0)
+    return plan_route(open_map_set(path), start, HomeConfig(**config))
 
 
-def waypoints_m(way: WayHome) -> Points:
+def waypoints_m(way: RoutePlan) -> Points:
     lat_deg, lon_deg = np.array(way.positions_deg).T
     return east_north(lat_deg, lon_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG))
 
@@ -104,10 +105,10 @@ def test_it_begins_where_the_vehicle_is(map_along: MapAlong) -> None:
 
 def test_the_newest_drive_is_used_and_another_can_be_named(map_along: MapAlong) -> None:
     maps = open_map_set(map_along(straight(100.0), straight(200.0, 90.0)))
-    assert plan_way_home(maps, None, HomeConfig()).length_m == pytest.approx(200.0, abs=0.01)
-    assert plan_way_home(maps, None, HomeConfig(), drive=1).length_m == pytest.approx(100.0, abs=0.01)
+    assert plan_route(maps, None, HomeConfig()).length_m == pytest.approx(200.0, abs=0.01)
+    assert plan_route(maps, None, HomeConfig(), drive=1).length_m == pytest.approx(100.0, abs=0.01)
     with pytest.raises(MapError, match="no drive 3; it has 2"):
-        plan_way_home(maps, None, HomeConfig(), drive=3)
+        plan_route(maps, None, HomeConfig(), drive=3)
 
 
 def test_an_interrupted_drive_is_one(map_along: MapAlong) -> None:
@@ -129,8 +130,8 @@ def test_a_way_that_ends_where_the_map_was_interrupted_is_no_way_home(map_along:
         path = map_along(first, second, driven_m=driven_m, source="20261120T200000Z", name=f"{length_m:.0f}")
         way = plan(path)
         assert the_finding(way, refuses=refuses).startswith("the way ends 116 m short of where the recording began")
-        assert way.briefs == ([] if refuses else ["way ends 116 m short of home"])
-        assert not plan_way_home(open_map_set(path), None, HomeConfig(), drive=2).refusals
+        assert way.briefs(refuses=refuses) == ["ends 116 m short of home"]
+        assert not plan_route(open_map_set(path), None, HomeConfig(), drive=2).refusals
 
 
 def test_the_newest_map_of_a_folder_has_the_newest_drive(map_along: MapAlong) -> None:
@@ -138,7 +139,7 @@ def test_the_newest_map_of_a_folder_has_the_newest_drive(map_along: MapAlong) ->
         os.utime(map_along(straight(length_m), name=name) / "map.json", (written_s, written_s))
     way = plan(map_along(straight(10.0), name="other").parent / "maps")
     assert way.length_m == pytest.approx(200.0, abs=0.01)
-    assert way.drive == "drive 1 (drive_0)"
+    assert way.words == "back along drive 1 (drive_0)"
 
 
 def test_a_drive_that_came_back_on_its_own_road_is_driven_once(map_along: MapAlong) -> None:
@@ -152,13 +153,13 @@ def test_a_drive_that_came_back_on_its_own_road_is_driven_once(map_along: MapAlo
 def test_another_lane_is_beside_the_drive(map_along: MapAlong) -> None:
     """In left-hand traffic the way home is to the left of the drive, as seen on the way home."""
     drive = joined(straight(60.0), arc(20.0, 90), straight(60.0, -90.0))
-    way = plan_way_home(open_map_set(map_along(drive)), None, HomeConfig(), left_m=3.5)
+    way = plan_route(open_map_set(map_along(drive)), None, HomeConfig(), RigConfig(left_reverse_m=3.5))
     assert away_m(waypoints_m(way), drive) == pytest.approx(3.5, abs=0.1)
     assert waypoints_m(way)[-1] == pytest.approx((3.5, 0.0), abs=0.05)
     assert not way.refusals
 
 
-def the_finding(way: WayHome, refuses: bool = True) -> str:
+def the_finding(way: RoutePlan, refuses: bool = True) -> str:
     (finding,) = way.findings
     assert finding.refuses == refuses
     return finding.text
@@ -228,7 +229,7 @@ def test_a_spike_and_a_turn_on_the_spot_are_refused(map_along: MapAlong) -> None
     assert "degrees on the spot" in plan(map_along(spike)).refusals[0]
     back = np.vstack([straight(200.0), straight(100.0, 180.0, (0.0, 198.0)), straight(100.0, 90.0, (2.0, 98.0))])
     refusals = plan(map_along(back, name="back")).refusals
-    assert refusals[0] == "at 204 m: a turn of 180 degrees on the spot"
+    assert refusals[0].startswith("at 204 m: a turn of 180 degrees on the spot: drive past it")
 
 
 def test_a_vehicle_that_turns_on_the_spot_needs_no_radius(map_along: MapAlong) -> None:
@@ -238,23 +239,25 @@ def test_a_vehicle_that_turns_on_the_spot_needs_no_radius(map_along: MapAlong) -
 
 def test_a_start_too_far_from_the_drive_is_refused(map_along: MapAlong) -> None:
     path = map_along(straight(300.0))
-    assert the_finding(plan(path, at_m=(31.0, 100.0))) == "the vehicle is 31 m from the drive; max_start_m is 20"
+    assert (
+        the_finding(plan(path, at_m=(31.0, 100.0)))
+        == "the vehicle is 31 m from where the way begins; max_start_m is 20"
+    )
     assert not plan(path, at_m=(31.0, 100.0), max_start_m=32.0).findings
 
 
 def test_a_position_that_is_not_known_well_is_refused(map_along: MapAlong) -> None:
-    start = HomeStart(*geodetic(0.0, 100.0), sigma_m=25.0)
-    way = plan_way_home(open_map_set(map_along(straight(300.0))), start, HomeConfig())
+    start = RouteStart(*geodetic(0.0, 100.0), sigma_m=25.0)
+    way = plan_route(open_map_set(map_along(straight(300.0))), start, HomeConfig())
     assert the_finding(way) == "the vehicle's position is only known to 25 m; max_start_m is 20"
 
 
 def test_a_vehicle_that_points_away_is_told_to_turn(map_along: MapAlong) -> None:
     path = map_along(straight(300.0))
     assert the_finding(plan(path, (0.0, 100.0), 10.0), refuses=False).startswith(
-        "the vehicle points 170 degrees away from the way home: it needs 12 m beside it to turn"
+        "the vehicle points 170 degrees away from the way: it needs 12 m beside it to turn"
     )
-    (brief,) = plan(path, (0.0, 100.0), 10.0).briefs
-    assert brief == "home is 170 degrees off, turn first"
+    assert plan(path, (0.0, 100.0), 10.0).briefs(refuses=False) == ["turn first, 170 degrees off"]
     assert plan(path, (0.0, 100.0), 10.0, turning_radius_m=15.0).refusals
     assert not plan(path, (0.0, 100.0), 170.0).findings
 
@@ -267,7 +270,7 @@ def test_a_way_that_is_too_long_is_refused(map_along: MapAlong) -> None:
 def test_a_vehicle_that_is_at_home_stays_there(map_along: MapAlong) -> None:
     path = map_along(straight(300.0))
     for at_m in ((0.0, 0.0), (1.0, -3.0), (0.0, 0.2)):
-        assert plan(path, at_m=at_m).refusals == ["the vehicle is at the start of the drive"]
+        assert plan(path, at_m=at_m).refusals == ["the vehicle is at the end of the way"]
 
 
 def test_more_waypoints_than_an_autopilot_stores_are_refused(map_along: MapAlong) -> None:

@@ -25,7 +25,7 @@ from edge.geodesy import VehiclePosition
 from edge.reference_map import MapSet, ModelKey, RegionsKey, open_map, open_map_set
 from edge.reference_map.map_folder import KEEP, RETIRED
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import plan_way_home
+from edge_plugins.home.route import plan_route
 from edge_plugins.layers.stored import delete_oldest, stored_maps
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.builder import MapBuilder, Place
@@ -232,7 +232,7 @@ def test_the_way_home_begins_where_the_vehicle_is(tmp_path: Path) -> None:
     drive(mapped, range(36, 60))
     assert mapped.newly_searchable(118.0) is not None
     maps = MapSet.of([mapped.searched.so_far()], tmp_path).with_newest(mapped.store.whole())
-    positions_deg = plan_way_home(maps, None, HomeConfig()).positions_deg
+    positions_deg = plan_route(maps, None, HomeConfig()).positions_deg
     assert positions_deg[0] == pytest.approx((47.0 + 59 * 2 / 110_800, 8.0), abs=1e-8)
     assert positions_deg[-1] == pytest.approx((47.0, 8.0), abs=1e-8)
     mapped.store.close()

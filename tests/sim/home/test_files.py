@@ -14,24 +14,24 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.errors import ConfigError
 from edge.reference_map import open_map_set
 from edge_plugins.home import HomeConfig
-from edge_plugins.home.way_home import WayHome, plan_way_home
-from sim.home.files import write_way_home
+from edge_plugins.home.route import RoutePlan, plan_route
+from sim.home.files import write_route
 from tests.plugins.home.test_way_home import arc, joined, straight
 from tests.udp_port import free_port
 
 
 @pytest.fixture
-def way(map_along: Callable[..., Path]) -> WayHome:
+def way(map_along: Callable[..., Path]) -> RoutePlan:
     drive = joined(straight(60.0), arc(30.0, 90), straight(60.0, -90.0))
-    return plan_way_home(open_map_set(map_along(drive)), None, HomeConfig())
+    return plan_route(open_map_set(map_along(drive)), None, HomeConfig())
 
 
 @pytest.mark.parametrize("config", [HomeConfig(), HomeConfig(speed_mps=3.5, altitude_m=12.0)])
-def test_waypoints_are_read_by_pymavlinks_loader(way: WayHome, tmp_path: Path, config: HomeConfig) -> None:
+def test_waypoints_are_read_by_pymavlinks_loader(way: RoutePlan, tmp_path: Path, config: HomeConfig) -> None:
     from pymavlink.mavwp import MAVWPLoader
 
     path = tmp_path / "home.waypoints"
-    write_way_home(path, way, config)
+    write_route(path, way, config, "way home")
     loader = MAVWPLoader()
     assert loader.load(str(path)) == loader.count()
     items = [loader.wp(number) for number in range(loader.count())]
@@ -78,10 +78,10 @@ def importer() -> Iterator[Callable[[str], list[Any]]]:
 
 @pytest.mark.parametrize("config", [HomeConfig(), HomeConfig(speed_mps=3.5)])
 def test_the_plan_is_read_by_mavsdk(
-    way: WayHome, tmp_path: Path, config: HomeConfig, importer: Callable[[str], list[Any]]
+    way: RoutePlan, tmp_path: Path, config: HomeConfig, importer: Callable[[str], list[Any]]
 ) -> None:
     path = tmp_path / "home.plan"
-    write_way_home(path, way, config)
+    write_route(path, way, config, "way home")
     home, *items = importer(str(path))  # for ArduPilot, item 0 is the home position
     points = [item for item in items if item.command == mavlink.MAV_CMD_NAV_WAYPOINT]
     found_e7 = np.array([(item.x, item.y) for item in points])
@@ -90,9 +90,9 @@ def test_the_plan_is_read_by_mavsdk(
     assert [item.param2 for item in items if item.command == 178] == ([3.5] if config.speed_mps else [])
 
 
-def test_geojson_has_the_line_its_waypoints_and_the_findings(way: WayHome, tmp_path: Path) -> None:
+def test_geojson_has_the_line_its_waypoints_and_the_findings(way: RoutePlan, tmp_path: Path) -> None:
     path = tmp_path / "home.geojson"
-    write_way_home(path, way, HomeConfig())
+    write_route(path, way, HomeConfig(), "way home")
     collection = json.loads(path.read_text())
     *points, line = collection["features"]
     assert line["geometry"]["type"] == "LineString"
@@ -102,8 +102,8 @@ def test_geojson_has_the_line_its_waypoints_and_the_findings(way: WayHome, tmp_p
     assert points[-1]["properties"]["along_m"] == pytest.approx(way.length_m, abs=0.1)
 
 
-def test_another_suffix_or_folder_is_one_clear_error(way: WayHome, tmp_path: Path) -> None:
+def test_another_suffix_or_folder_is_one_clear_error(way: RoutePlan, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"home\.kml: not a name that ends in \.waypoints, \.plan, \.geojson"):
-        write_way_home(tmp_path / "home.kml", way, HomeConfig())
+        write_route(tmp_path / "home.kml", way, HomeConfig(), "way home")
     with pytest.raises(ConfigError, match=r"cannot write it: No such file"):
-        write_way_home(tmp_path / "none/home.plan", way, HomeConfig())
+        write_route(tmp_path / "none/home.plan", way, HomeConfig(), "way home")
