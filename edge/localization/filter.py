@@ -30,8 +30,9 @@ Matrix = NDArray[np.float64]
 
 POSITION, HEADING, SCALE, DOUBT, GYRO, COMPASS, GPS, DRAG = slice(0, 2), 2, 3, 4, 5, 6, slice(7, 9), slice(9, 11)
 """Where the states are that do not belong to a drive of the map."""
-DRIVES, OF_DRIVE = 3, 7
-"""Drives of the map whose errors are kept, and states of each."""
+DRIVES, OF_DRIVE = 8, 7
+"""Drives of the map whose errors are kept, twice as many as `map learn` keeps of a road, and states of each. The error
+of one that made room and comes back counts as new evidence: with ten in turn, it is 1.5 times what the filter says."""
 OF_ALL = DRAG.stop
 """States that do not belong to a drive of the map, and come first."""
 CORRELATION_M = 60.0
