@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from edge.camera.picture_check import PictureFaultDetector
 from edge.config import Config, DescriptorConfig, SamplingConfig
 from edge.descriptor.model_file import network_of_map
 from edge.errors import FeedError, FrameError
@@ -39,7 +40,8 @@ class TraverseFrame:
     """One chosen frame, its row of the feed, meters driven since the first row (None where unknown).
 
     missed: places passed before it without a frame of the feed. course_rad: of the newest frames, None where that is
-    not known. has_turned: whether it now drives back where it came from, see `TurnAround`.
+    not known. has_turned: whether it now drives back where it came from, see `TurnAround`. was_blind: whether the
+    camera showed nothing before it for so long that the daemon begins anew.
     """
 
     frame: Frame
@@ -48,9 +50,12 @@ class TraverseFrame:
     missed: int = 0
     course_rad: float | None = None
     has_turned: bool = False
+    was_blind: bool = False
 
     def match(self, recognizer: PlaceRecognizer) -> PlaceMatch | None:
         """What the daemon would recognize; frames come in order."""
+        if self.was_blind:
+            recognizer.reset()
         if self.has_turned:
             recognizer.begin_way_back()
         travel = MotionPrior(self.distance_m, self.missed, course_rad=self.course_rad)
@@ -64,7 +69,9 @@ def config_as_mapped(header: MapHeader) -> Config:
 
 
 def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool = False) -> Iterator[TraverseFrame]:
-    """The chosen frames in order; unreadable images are skipped, each with a line in the log.
+    """The chosen frames in order, without those whose images show nothing or do not move while the vehicle does.
+
+    Unreadable images are skipped, each with a line in the log.
 
     FeedError if `must_have_distance` and neither distance_m nor positions are in every row.
     """
@@ -75,6 +82,7 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             " distance; use --spacing-frames or --interval-s"
         )
     sampler, turn_around, ground_m = Sampler(sampling), TurnAround(), _ground_m(feed)
+    detector, was_blind, speeds_mps = PictureFaultDetector(Config().gates.min_speed_mps), False, _speeds_mps(feed)
     with closing(FeedImages(feed)) as images:
         for index, row in enumerate(feed.rows):
             try:
@@ -82,13 +90,27 @@ def traverse(feed: Feed, sampling: SamplingConfig, *, must_have_distance: bool =
             except FrameError as error:
                 log.warning("%s; skipped", error)
                 continue
+            fault = detector.check(image, row.stamp_ns, speeds_mps[index])
+            if fault is not None:
+                was_blind |= fault.sure
+                continue
             distance_m = distances_m[index] if distances_m else None
             if sampler.is_place(row.stamp_ns, distance_m):
                 east_m, north_m = ground_m[index]
                 where = None if math.isnan(east_m) else Odometry(0, east_m, north_m)
                 turned = turn_around.add(where)
                 frame = Frame(image, row.stamp_ns, index)
-                yield TraverseFrame(frame, row, distance_m, sampler.missed, turn_around.course_rad, turned)
+                yield TraverseFrame(frame, row, distance_m, sampler.missed, turn_around.course_rad, turned, was_blind)
+                was_blind = False
+
+
+def _speeds_mps(feed: Feed) -> list[float]:
+    """At each row since the one before; 0 where nothing says that the vehicle moves."""
+    stamps_s, driven = [row.stamp_ns / 1e9 for row in feed.rows], driven_m(feed)
+    if driven is None or len(driven) < 2:
+        return [0.0] * len(feed.rows)
+    speeds: list[float] = (np.diff(driven) / np.maximum(np.diff(stamps_s), 1e-3)).tolist()
+    return [0.0, *speeds]
 
 
 def _ground_m(feed: Feed) -> list[list[float]]:

@@ -22,7 +22,7 @@ from serial.tools.list_ports import comports
 
 import edge
 from edge.camera import open_camera
-from edge.camera.picture_check import FrozenPictureDetector
+from edge.camera.picture_check import PictureFaultDetector
 from edge.config import change_paths
 from edge.errors import LookbackError
 from edge.extras import install_command
@@ -162,9 +162,9 @@ def check_camera(examined: DoctorContext) -> Iterator[Found]:
         return
     height, width = frame.image.shape[:2]
     yield good(f"{where}: {width} x {height} pixels")
-    fault = FrozenPictureDetector().check(frame.image, frame.stamp_ns, None)
+    fault = PictureFaultDetector().check(frame.image, frame.stamp_ns, None)
     if fault is not None:
-        yield note(f"{where}: {fault.what}", "take the lens cap off, or give it light")
+        yield note(f"{where}: {fault.what}", "clean the lens, give it light, or turn it away from the sun")
     for difference in camera.differences:
         yield note(difference, "set [camera] to what the device gives")
 

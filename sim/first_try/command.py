@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from edge.camera.picture_check import FrozenPictureDetector
+from edge.camera.picture_check import PictureFaultDetector
 from edge.camera.preprocessing import preprocessed_feed
 from edge.config import FIRST_NETWORK, CameraConfig, Config, DescriptorConfig, SamplingConfig
 from edge.errors import ConfigError, FeedError, MapError
@@ -233,7 +233,7 @@ class _ImageTap:
 
     images: FeedImages
     watch: _Watch
-    detector: FrozenPictureDetector = field(default_factory=FrozenPictureDetector)
+    detector: PictureFaultDetector = field(default_factory=PictureFaultDetector)
 
     def read(self, index: int) -> NDArray[np.uint8]:
         image = self.images.read(index)

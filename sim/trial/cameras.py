@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+import cv2
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
@@ -107,8 +108,9 @@ class TrialCamera(SimulatedCamera):
             return None
         self._delivered += 1
         self.network.seen = arrived[2]
-        # Only so that it is not blank, and frozen only where the view is.
-        picture = np.random.default_rng(arrived[3]).integers(0, 255, (32, 32, 3), np.uint8)
+        # Only so that it shows something, and is frozen only where the view is.
+        coarse = np.random.default_rng(arrived[3]).integers(0, 255, (4, 4, 3), np.uint8)
+        picture = np.asarray(cv2.resize(coarse, (64, 64), interpolation=cv2.INTER_LINEAR), np.uint8)
         if self._shown_m is not None:
             scenario, route_m, *offset = arrived[2]
             picture = self.network.library[scenario].picture(self._shown_m(route_m), *offset)

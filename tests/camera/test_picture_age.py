@@ -82,7 +82,7 @@ def test_a_camera_whose_driver_stamps_its_pictures_is_believed(kind: str) -> Non
     check = open_picture_check(None, kind, 0.3)
     for frame, own in late_frames(3.0, 45.0):
         assert check.dated(frame, 8.0, own) is frame
-        assert check.is_usable(frame, 8.0)
+        assert check.is_usable(frame, None)
     assert (check.why_no_position, check.stamp_sigma_s) == ("", 0.0)
 
 

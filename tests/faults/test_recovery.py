@@ -133,8 +133,8 @@ def lost(bench: Any, image: Image, last: Image) -> Image | None:
     return None
 
 
-def black(bench: Any, image: Image, last: Image) -> Image | None:
-    return np.zeros_like(image)
+def covered(bench: Any, image: Image, last: Image) -> Image | None:
+    return np.random.default_rng(int(image.sum())).normal(90, 6, image.shape).clip(0, 255).astype(np.uint8)
 
 
 def frozen(bench: Any, image: Image, last: Image) -> Image | None:
@@ -145,7 +145,7 @@ def frozen(bench: Any, image: Image, last: Image) -> Image | None:
     ("fault", "words", "told_after"),
     [
         (lost, "not recognized: camera: /dev/video0: unplugged", 1),
-        (black, "not recognized: camera: the image is blank; is the lens covered, or the exposure wrong?", 4),
+        (covered, "not recognized: camera: the image is covered", 4),
         (frozen, "not recognized: camera: the image is frozen", 11),
     ],
 )

@@ -16,7 +16,8 @@ from sim.maps.command import build_map
 def main(folder: Path) -> None:
     """Write both."""
     folder.mkdir(parents=True)
-    pictures = np.random.default_rng(0).integers(0, 256, (8, 96, 128, 3), dtype=np.uint8)
+    blocks = np.random.default_rng(0).integers(0, 256, (8, 4, 4, 3), dtype=np.uint8)
+    pictures = blocks.repeat(24, axis=1).repeat(32, axis=2)
     for name in ("feed", "beginning"):
         with FeedWriter(folder / name, FeedHeader(name, "front", 128, 96)) as writer:
             for index in range(8):

@@ -87,7 +87,8 @@ def manager(tmp_path: Path) -> Iterator[Manager]:
 def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a feed to play, and a map of its beginning."""
     folder = tmp_path_factory.mktemp("state")
-    pictures = np.random.default_rng(0).integers(0, 256, (8, 96, 128, 3), dtype=np.uint8)
+    blocks = np.random.default_rng(0).integers(0, 256, (8, 4, 4, 3), dtype=np.uint8)
+    pictures = blocks.repeat(24, axis=1).repeat(32, axis=2)
     for name, frames in (("feed", FRAMES), ("beginning", len(pictures))):
         with FeedWriter(folder / name, FeedHeader(name, "front", 128, 96)) as writer:
             for index in range(frames):

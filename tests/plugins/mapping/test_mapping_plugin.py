@@ -31,6 +31,7 @@ from sim.journal import records_of
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.pty_link import open_pty
 from tests.camera.test_picture_age import ahead
+from tests.common import picture_of
 from tests.udp_port import free_port
 
 ROAD_M, SPEED_MPS, SPACING_M = 300.0, 10.0, 2.0
@@ -124,10 +125,10 @@ class Camera:
             return None
         self._taken_ns, self._index = self._world.now_ns, self._index + 1
         self._world.network.current = self._world.seen(ahead=self._ahead)
-        return Frame(self.picture(np.random.default_rng(self._index)), self._world.now_ns, self._index)
+        return Frame(self.picture(self._index), self._world.now_ns, self._index)
 
-    def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        return rng.integers(0, 255, (32, 32, 3), np.uint8)
+    def picture(self, seed: int) -> NDArray[np.uint8]:
+        return picture_of(seed)
 
     def close(self) -> None:
         pass
@@ -152,8 +153,8 @@ def bend_deg(driven_m: float) -> float:
 class Turning(Camera):
     """Its pictures turn with the vehicle."""
 
-    def picture(self, rng: np.random.Generator) -> NDArray[np.uint8]:
-        return ahead(0.0, int(rng.integers(1000)), faces_deg=bend_deg(self._world.driven_m))
+    def picture(self, seed: int) -> NDArray[np.uint8]:
+        return ahead(0.0, seed, faces_deg=bend_deg(self._world.driven_m))
 
 
 @pytest.fixture(scope="module")
@@ -408,8 +409,7 @@ class WaitingCamera(Camera):
             return None
         self._index = index
         world.network.current = world.seen(ahead=self._ahead)
-        picture = np.random.default_rng(index).integers(0, 255, (32, 32, 3), np.uint8)
-        return Frame(picture, index * self.PERIOD_NS, index)
+        return Frame(picture_of(index), index * self.PERIOD_NS, index)
 
 
 @pytest.mark.parametrize(

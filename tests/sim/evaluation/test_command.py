@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
+import cv2
+import numpy as np
 import pytest
 
 from edge.__main__ import main
@@ -39,6 +41,23 @@ def test_the_numbers_are_those_of_replay(
     assert float(recall) == pytest.approx(len(right) / 67, abs=1e-3)
     assert float(error_m) == pytest.approx(median(errors_m), abs=0.02)
     assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
+
+
+def test_what_a_covered_camera_shows_is_no_place(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Covered from 40 to 60 m, with the noise of its sensor: no frame of it is used, and a new sequence begins."""
+    again, lines = write_traverse(tmp_path / "again", noise=8.0), tmp_path / "lines"
+    covered, options = range(20, 30), ["--sequence-length", "10", "--all", "-o", str(lines)]
+    rng = np.random.default_rng(0)
+    for frame in covered:
+        gray = rng.normal(120, 6, (120, 160, 3)).clip(0, 255).astype(np.uint8)
+        assert cv2.imwrite(str(sorted((again / "frames").iterdir())[frame]), gray)
+    assert main(["replay", str(again), "--map", str(street_map), *options]) == 0
+    used = {line["frame"]: line["accepted"] for line in map(json.loads, lines.read_text().splitlines())}
+    assert (used[19], used.keys()) == (True, set(range(80)) - set(covered))
+    assert [used[frame] for frame in range(30, 39)] == [False] * 9, "as few frames as a sequence needs"
+    assert used[50]
 
 
 @pytest.mark.parametrize(("ahead_m", "side"), [(-30.0, "ahead of"), (30.0, "behind")])
