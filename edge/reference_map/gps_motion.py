@@ -17,6 +17,7 @@ from array import array
 from bisect import bisect_right, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -40,11 +41,14 @@ STRAIGHT_M, GENTLE_M, GENTLE_DEG = 20.0, 40.0, 30.0
 that turned by less than that: over 40 m of 40 simulated roads, its direction misplaced it by 2.9 m (95 %)."""
 KEPT_AGREED = 256
 """Positions before the longest window that are kept at most: a drive of ten hours costs 16 bytes a place."""
-CREPT_M, CREPT_SHARE, CREPT_TIMES = (50.0, 100.0, 200.0, 400.0), 0.01, 4.0
+CREPT_M, CREPT_SHARE, CREPT_TIMES = (50.0, 100.0, 200.0, 400.0), 0.003, 2.7
 """Windows in which positions may creep by less than counts as wrong; the share of the way by which odometer and heading
-are off in one; and how many variances of both the square of a difference must be: honest ones are more in 2 % of all.
-With 1, the maps of 16 recorded drives, whose GPS was right, had crept by 1 to 4 m within 1 km; now by nothing.
-A drive home on a map that counted 2 m was 2.3 m off; with 8 m, spread over all of a window, it was 4.5 m off."""
+are off in one; and how many variances of both the square of a difference must be. Of five recorded drives of ArduPilot,
+whose GPS was right, none crept by anything; of four of PX4, without wheels, by 4 to 10 m over 430 m (3 to 8 m when only
+the median of a drive counted as right). A map that crept by 24 m over 900 of 1,200 m had positions 18 sigma off."""
+CREPT_NEAR_M, CREPT_BIASES, CREPT_EITHER = 50.0, 32, 3.0
+"""Positions are means of those so near, since they wander over some 60 m. Scale and rotation of so many windows of each
+of the two greatest lengths may be the right ones. What is off by these counts by this part of its square."""
 LEAST_SIGMA_M = 1.4
 """Of an honest GPS, whatever an autopilot states: what its error changes by within a window."""
 MOST_BIAS = 0.2
@@ -116,10 +120,8 @@ class GpsMotion:
             return
         self._way_m += abs(driven_m - before[0])
         step = steps_of(*np.array([before, self._last]).T)[0]
-        if cmath.isnan(step):
-            self._unknown = lengths, directions + 1
-        else:
-            self._moved += complex(step)
+        self._unknown = lengths, directions + cmath.isnan(step)
+        self._moved += 0j if cmath.isnan(step) else complex(step)
 
     @property
     def doubt_m(self) -> float:
@@ -146,8 +148,7 @@ class GpsMotion:
         now = _ConsistentPosition(self._number, complex(*point_m), sigma_m, self.moved)
         bias = self._bias()
         rows = [row for row in map(self._row_before, WINDOWS_M) if row >= 0]
-        found = next(filter(None, (self._compared(row, now, bias) for row in rows)), None)
-        if found is not None:
+        if (found := next(filter(None, (self._compared(row, now, bias) for row in rows)), None)) is not None:
             return found
         doubt_m = self._doubt_m(rows, now, bias)
         now = replace(now, sigma_m=math.hypot(sigma_m, doubt_m), doubt_m=doubt_m)
@@ -232,7 +233,9 @@ def crept_m2(
     """Square meters (N,) by which the positions of a drive differ more and more from how it moved: their variance.
 
     Each position is the middle of windows of CREPT_M, over which both differ by a vector. What the standard deviations
-    at its ends and CREPT_SHARE of the way do not explain is spread over the window, of that in which it is most. Of two
+    at its ends and CREPT_SHARE of the way do not explain is spread over the window, of that in which it is most. Both
+    are compared by the scale and rotation of the drive, and by those of any other window: where most of a drive crept,
+    its median is the creep. What crept evenly all along is like wheels and a compass that are wrong. Of two
     places, what lies between them is how far one may be off against the other. A jump that counts as wrong is not
     creeping: places behind it are as certain as before, and elsewhere, which a hypothesis finds. With it, on a map of
     which 400 m were 300 m off a position 303 m off was published. Arguments: see `disagreements`.
@@ -242,37 +245,35 @@ def crept_m2(
         return np.zeros(len(points))
     steps = steps_of(driven_m, heading_deg)
     moved = np.concatenate([[0j], np.cumsum(np.where(np.isfinite(steps), steps, np.diff(points)))])
-
-    def ends(length_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and last rows of windows around each position; at the ends of the drive, of the nearest."""
-        first_m = np.clip(way_m - length_m / 2, way_m[0], max(way_m[0], way_m[-1] - length_m))
-        last = np.searchsorted(way_m, first_m + length_m).clip(1, len(way_m) - 1)
-        return np.searchsorted(way_m, first_m).clip(0, last - 1), last
-
-    first, last = ends(LEARNED_M)
-    far = np.abs(moved[last] - moved[first]) > LEARNED_FROM_M
-    ratios = (points[last] - points[first])[far] / (moved[last] - moved[first])[far]
-    off = complex(np.median(ratios.real) - 1.0, np.median(ratios.imag)) if far.any() else 0j
-    off *= min(1.0, MOST_BIAS / max(abs(off), 1e-9))
     share, known_m2 = np.zeros(len(points)), np.maximum(sigma_m, LEAST_SIGMA_M) ** 2
-    unlike = np.diff(points) - (1.0 + off) * np.diff(moved)
+    unlike = np.diff(points) - np.diff(moved)
     unlike[np.abs(unlike) > np.maximum(OFF_M, OFF_SIGMAS * np.maximum(sigma_m[1:], sigma_m[:-1]))] = 0
-    apart = np.concatenate([[0j], np.cumsum(unlike)])
-    for window_m in CREPT_M:
-        first, last = ends(window_m)
+    begin, end = np.searchsorted(way_m, way_m - CREPT_NEAR_M), np.searchsorted(way_m, way_m + CREPT_NEAR_M, "right")
+    both = np.cumsum([np.append(0, moved), np.append([0, 0], np.cumsum(unlike))], axis=1)
+    moved, apart = (both[:, end] - both[:, begin]) / (end - begin)
+    windows = []
+    for window_m in CREPT_M:  # first and last rows around each position; at the ends of the drive, of the nearest
+        first_m = np.clip(way_m - window_m / 2, way_m[0], max(way_m[0], way_m[-1] - window_m))
+        last = np.searchsorted(way_m, first_m + window_m).clip(1, len(way_m) - 1)
+        first = np.searchsorted(way_m, first_m).clip(0, last - 1)
         length_m = np.maximum(way_m[last] - way_m[first], CREPT_M[0])
-        apart_m2 = np.abs(apart[last] - apart[first]) ** 2
         usual_m2 = known_m2[first] + known_m2[last] + (CREPT_SHARE * length_m) ** 2
-        share = np.maximum(share, np.where(apart_m2 > CREPT_TIMES * usual_m2, apart_m2 - usual_m2, 0.0) / length_m)
-    return np.concatenate([[0.0], np.cumsum((share[1:] + share[:-1]) / 2 * np.diff(way_m))])
+        windows.append((apart[last] - apart[first], moved[last] - moved[first] + 1e-9, usual_m2, length_m))
+    each = max(1, len(points) // CREPT_BIASES)
+    apart_m, moved_m, usual_m2, _ = np.hstack([np.array(window)[:, ::each] for window in windows[-2:]])
+    biases, doubts = apart_m / moved_m, usual_m2.real / np.abs(moved_m) ** 2
+    right = zip([np.median(biases.real) + 1j * np.median(biases.imag), *biases], [0.0, *doubts], strict=True)
+    for (bias, doubt), (apart_m, moved_m, usual_m2, length_m) in product(right, windows):
+        off_m2, most_m2 = np.abs(apart_m - bias * moved_m) ** 2, usual_m2 + doubt * np.abs(moved_m) ** 2
+        share = np.maximum(share, np.where(off_m2 > CREPT_TIMES * most_m2, off_m2 - most_m2, 0.0) / length_m)
+    return np.concatenate([[0.0], np.cumsum((share[1:] + share[:-1]) / 2 / CREPT_EITHER * np.diff(way_m))])
 
 
 def moved_as_driven(places: NDArray[np.void]) -> bool:
     """Whether all positions of a drive's places, records of PLACE (N,), moved as its route_m and headings say."""
     known = ("lat_deg", "lon_deg", "heading_deg", "route_m")
-    if not all(np.isfinite(places[name]).all() for name in known):
-        return False
-    if np.abs(np.diff(places["route_m"])).max(initial=0.0) > STRAIGHT_M:
+    is_known = all(np.isfinite(places[name]).all() for name in known)
+    if not is_known or np.abs(np.diff(places["route_m"])).max(initial=0.0) > STRAIGHT_M:
         return False
     points_m = east_north(places["lat_deg"], places["lon_deg"])
     found = disagreements(points_m, sigmas_m(places), places["route_m"], places["heading_deg"])

@@ -252,8 +252,8 @@ def test_looks_that_are_4_m_late_are_within_what_positions_say(
 
 @pytest.mark.parametrize(
     ("from_m", "to_m", "by_m"),
-    [(300.0, 600.0, 12.0), (300.0, 800.0, 25.0), (500.0, 501.0, 6.0)],
-    ids=["12", "25", "step"],
+    [(300.0, 600.0, 12.0), (300.0, 800.0, 25.0), (500.0, 501.0, 6.0), (150.0, 1050.0, 24.0), (300.0, 1000.0, 28.0)],
+    ids=["12", "25", "step", "most of it", "over half"],
 )
 def test_on_a_map_whose_gps_crept_looks_are_as_good_as_they_say(
     from_m: float, to_m: float, by_m: float, tmp_path: Path

@@ -142,7 +142,7 @@ def test_map_info_says_by_how_much_gps_crept(tmp_path: Path, capsys: pytest.Capt
     assert main(["map", "info", str(tmp_path / "honest" / "map")]) == 0
     assert "otherwise than the vehicle" not in capsys.readouterr().out
     assert main(["map", "info", str(tmp_path / "crept" / "map")]) == 0
-    assert "its GPS moved by some 8 m otherwise than the vehicle" in capsys.readouterr().out
+    assert "its GPS moved by some 10 m otherwise than the vehicle" in capsys.readouterr().out
 
 
 def test_without_a_heading_lengths_are_compared() -> None:
