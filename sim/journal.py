@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar, Union
 import msgspec
 
 from edge.journal.journal import earlier_files
-from edge.journal.records import KINDS, SCHEMA, FrameUsed, JournalOpened, Record, with_todays_keys
+from edge.journal.records import KINDS, RENAMED, SCHEMA, FrameUsed, JournalOpened, Record, with_todays_keys
 
 GPS_STATES = {
     "agrees": "consistent",
@@ -78,7 +78,7 @@ def in_todays_words(fields: dict[str, Any]) -> dict[str, Any]:
     """The keys and words of a record of schema 2 as those of today; any other as it is."""
     if fields.get("event") == "gps_judged":
         return {**fields, "state": GPS_STATES.get(fields.get("state", ""), fields.get("state"))}
-    today: dict[str, Any] = with_todays_keys(fields)
+    today: dict[str, Any] = fields if RENAMED.keys().isdisjoint(fields) else with_todays_keys(fields)
     return today
 
 

@@ -211,7 +211,9 @@ class PlaceFix(Record, frozen=True, tag="place"):
 class PositionMessageChosen(Record, frozen=True, tag="way"):
     """Which message will carry positions from now on."""
 
-    way: Annotated[str, unit("", "external_position or global_position_sensor; report: no position is sent")]
+    way: Annotated[
+        str, unit("", "external_position, vision_position or global_position_sensor; report: no position is sent")
+    ]
     why: Annotated[str, unit("", "the setting, or the firmware and version that it suits")]
 
 

@@ -166,11 +166,11 @@ class Fix(Struct, frozen=True, tag=True):
 class FixRequest(Struct, frozen=True, tag="Limits"):
     """What holds for a position beside what happened: of the message that would carry it, and of the moment.
 
-    at: of the newest exposure; of the newest keypoint pose; or of now, but of the newest pose where there are poses:
-    each is a measurement of its own, what is predicted between them is none. oldest_s: its age at most. is_reset:
-    whether the autopilot uses it as it is instead of weighing it. moves_autopilot: whether it goes there; if not,
-    neither its GPS nor its clock matters. again: one that was not answered, in place of the newest. unable: why nothing
-    is recognized at this moment, "" while it is.
+    at: of the newest exposure; of the newest keypoint pose; or of now, but for an autopilot of the newest pose where
+    there are poses: each is a measurement of its own, what is predicted between them is none. oldest_s: its age at
+    most. is_reset: whether the autopilot uses it as it is instead of weighing it. moves_autopilot: whether it goes
+    there; if not, neither its GPS nor its clock matters. again: one that was not answered, in place of the newest.
+    unable: why nothing is recognized at this moment, "" while it is.
     """
 
     at: Moment = "exposure"

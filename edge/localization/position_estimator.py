@@ -310,7 +310,7 @@ class PositionEstimator:
             return FixCandidate()
         if again is not None:
             return FixCandidate(again.place, again.motion, again.pose_sigma_m)
-        if limits.at == "pose" or (limits.at == "now" and tracker.has_pose):
+        if limits.at == "pose" or (limits.at == "now" and limits.moves_autopilot and tracker.has_pose):
             return FixCandidate(*tracker.pose() or ())
         if limits.at == "now":
             return FixCandidate(tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved)

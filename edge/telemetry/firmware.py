@@ -104,7 +104,7 @@ class Firmware:
             asked = self.asks.get(message, ())
             unknown = [one.parameter for one in asked if one.parameter not in parameters]
             if unknown and not all_came:
-                return "", f"{self.name} has not reported {unknown[0]}"
+                return "", f"{self.name}: {unknown[0]} not reported"
             if not unknown and all(one.is_met(parameters[one.parameter]) for one in asked):
                 return message, f"{self.name} {version[0]}.{version[1]} takes {message}"
         return "", f"{self.name} {version[0]}.{version[1]} takes no position"
