@@ -148,8 +148,8 @@ def test_px4_fuses_no_gps_until_it_agrees_and_positions_move_it_back(open_rig: O
     assert [int(one.param3) for one in rig.received("COMMAND_LONG") if one.command == SENSOR_ENABLE] == [0, 1]
     assert rig.journalled(SourceSetAnswered) == [SourceSetAnswered(2, "ACCEPTED"), SourceSetAnswered(1, "ACCEPTED")]
     assert [text for text in texts(rig) if "fusion" in text or "ignore" in text] == [
-        "Lookback: GPS fusion off ACCEPTED",
-        "Lookback: GPS fusion on ACCEPTED",
+        "Lookback: GPS faulty: by places, GPS fusion off",
+        "Lookback: GPS works: by GPS, GPS fusion on",
     ]
 
 
