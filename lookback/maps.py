@@ -53,7 +53,8 @@ class Map:
 
         model: as of `describe`, but a file of `lookback model import`. spacing_m: between places; of a recording that
         knows no meters every picture is one. view: which way the camera faced (None: as recorded, else front).
-        fov_deg: horizontal, of the pictures (None: as recorded). Where it is known they have keypoints, see `pose`.
+        fov_deg: horizontal, of the pictures (None: as recorded, else 75 with a sigma of 10). Where meters
+        or this are known, the map has keypoints, see `pose`.
         Raises `Error`.
         """
         spacing_m = checks.number("spacing_m", spacing_m, least=0.01)

@@ -80,6 +80,11 @@ class RelativePose:
             self, right_m=right_m, ahead_m=ahead_m, turn_rad=own, covariance=frame @ self.covariance @ frame.T
         )
 
+    def scaled(self, focal_sigma: float) -> RelativePose:
+        """As wide as the map's focal length may be wrong: one factor is in all meters to the side, and in turns."""
+        off = np.array([self.right_m, 0.0, self.turn_rad]) * focal_sigma
+        return replace(self, covariance=self.covariance + np.outer(off, off))
+
     def mixed(self, other: RelativePose, share: float) -> RelativePose:
         """This one, or with this probability the other: mean and spread of both, with the points of this one."""
         apart = (other.start - self.start)[0]

@@ -163,7 +163,8 @@ class PlaceVerification:
             return None
         self._newest = query, place, pose
         confidence = confidence_of(_support_of(pose), is_reckoned=is_reckoned)
-        return _match(place, self._by_any_camera(matches, place, pose), confidence)
+        wide = self._by_any_camera(matches, place, pose).scaled(self._key(place).focal_sigma)
+        return _match(place, wide, confidence)
 
     def _by_any_camera(self, matches: PointMatches, place: int, pose: RelativePose) -> RelativePose:
         """A pose that is as wide as its camera is in doubt, by what earlier pictures say and by this one.
@@ -208,8 +209,7 @@ class PlaceVerification:
             both = ((place, tried[place]) for place in (best, rival))
             self.alike = tuple(_match(place, pose, confidence_of(_support_of(pose))) for place, pose in both if pose)
             return None
-        pose = tried[best]
-        return None if pose is None else (best, pose)
+        return (best, pose) if (pose := tried[best]) else None
 
     def _is_elsewhere(self, place: int, other: int) -> bool:
         return self._drives.apart_m(place, other) > OTHER_PLACE_M

@@ -34,7 +34,8 @@ MOST_PIXELS = (1 << 16) // STEPS
 class KeypointsKey(Lens, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """What made the keypoints of a map: the network, how many of each place, and the pictures they are in.
 
-    The lens is that of those pictures: `xy` is as it shows them, directions are without what it bends.
+    The lens is that of those pictures: `xy` is as it shows them, directions are without what it bends. focal_sigma: of
+    the logarithm of the focal length; not 0 where the field of view was taken as a usual one.
     """
 
     network: Line
@@ -43,6 +44,7 @@ class KeypointsKey(Lens, frozen=True, forbid_unknown_fields=True, omit_defaults=
     width: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIXELS)]
     height: Annotated[int, msgspec.Meta(ge=1, le=MOST_PIXELS)]
     fov_deg: Annotated[float, msgspec.Meta(ge=30, le=120)]
+    focal_sigma: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.0
 
     @property
     def place_bytes(self) -> int:

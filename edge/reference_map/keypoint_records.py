@@ -45,6 +45,5 @@ def points_of(record: NDArray[np.void]) -> MapPoints:
 
 def put_points(record: NDArray[np.void], points: MapPoints) -> None:
     """Write the points of a place's keypoints into its records."""
-    count = len(points.sigma)
-    record["direction"][:count], record["inverse"][:count] = points.places[:, :2], points.places[:, 2]
-    record["sigma"][:count] = points.sigma
+    own = record[: len(points.sigma)]
+    own["direction"], own["inverse"], own["sigma"] = points.places[:, :2], points.places[:, 2], points.sigma

@@ -32,12 +32,14 @@ KeyOf = Callable[[int, int], KeypointsKey]
 """The key of a map by the height and width of its first picture."""
 
 
-def keypoints_key(height: int, width: int, fov_deg: float, lens: Lens = PINHOLE) -> KeypointsKey:
+def keypoints_key(
+    height: int, width: int, fov_deg: float, lens: Lens = PINHOLE, focal_sigma: float = 0.0
+) -> KeypointsKey:
     """Of a new map of pictures of this size and horizontal field of view, by the network that ships. ModelError."""
     made = read_model_file(resolve_model(Path(NETWORK))).info
     shrunk = min(1.0, MOST_PIXELS / max(height, width))
     size = round(width * shrunk), round(height * shrunk)
-    return KeypointsKey(NETWORK, made.sha256, MOST_OF_PLACE, *size, float(fov_deg), **asdict(lens))
+    return KeypointsKey(NETWORK, made.sha256, MOST_OF_PLACE, *size, float(fov_deg), focal_sigma, **asdict(lens))
 
 
 def is_of_shape(key: KeypointsKey, height: int, width: int) -> bool:

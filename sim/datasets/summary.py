@@ -34,7 +34,7 @@ def summarize(feed: Feed) -> list[tuple[str, str]]:
         step_m = f", a frame every {meters[-1] / (len(rows) - 1):.2g} m" if len(rows) > 1 else ""
         lines.append(("length", f"{meters[-1]:.0f} m{step_m}"))
     fov_deg = feed.header.fov_deg
-    unknown = f"not known, so a map of it has no keypoints; --fov-deg DEG says it ({USUAL_FOV})"
+    unknown = f"not known, and taken as 75 ± 10 degrees by keypoints; --fov-deg DEG says it ({USUAL_FOV})"
     lines.append(("field of view", unknown if fov_deg is None else f"{fov_deg:.1f} degrees"))
     placed = sum(row.lat_deg is not None for row in rows)
     sources = sorted({row.position_source for row in rows if row.lat_deg is not None})

@@ -20,7 +20,7 @@ from edge.feed import Feed, FeedImages, FeedOptions, View, read_feed
 from edge.reference_map import MapSet, open_map, open_map_set
 from sim.calibration.command import Lines, as_toml, measure_rig, rig_lines
 from sim.calibration.offset import Offset, rig_config
-from sim.datasets import USUAL_FOV, ReadOptions, Traverse, open_dataset
+from sim.datasets import ReadOptions, Traverse, open_dataset
 from sim.datasets.alignment import Alignment
 from sim.datasets.found import find_kind
 from sim.datasets.importing import choose_rows, write_feed
@@ -90,9 +90,6 @@ def _run(args: argparse.Namespace) -> int:
                 FITTED_AT if is_fitted else sampling,
             ),
         }
-        for role, feed in feeds.items():
-            if feed.header.fov_deg is None:
-                print(f"{getattr(args, role)}: no keypoints without its field of view: --fov-deg DEG ({USUAL_FOV})")
         aligned = {role: one.alignment for role, one in opened.items() if isinstance(one, Traverse)}
         found = _try(args, feeds, aligned, folder, sampling, is_fitted=is_fitted)
     print("\n".join(["", found.headline, *(f"  {fact}" for fact in found.facts)]))

@@ -15,7 +15,7 @@ from edge.sequence.search import FIRST_FRAMES
 from sim.calibration.offset import Offset
 from sim.evaluation.metrics import precision_recall, recall_at_precision
 from sim.evaluation.recognition import Recognition, RecognitionScore
-from sim.first_try.with_keypoints import WithKeypoints, why_none
+from sim.first_try.with_keypoints import WithKeypoints, assumed_words, why_none
 from sim.first_try.with_keypoints import facts as keypoint_facts
 from sim.maps.files import LIGHTS
 from sim.traverse import driven_m
@@ -107,7 +107,7 @@ def verdict(tried: TryResult) -> Verdict:
     """What follows from all that is known."""
     believed, could = tried.seen.believed, tried.could_be_believed
     share = float(believed[could].mean()) if could.any() else 0.0
-    facts = [f"{100 * share:.0f} % of the {int(could.sum())} frames that could be recognized are believed"]
+    facts = [f"{100 * share:.0f} % of the {int(could.sum())} frames after the start are believed"]
     if tried.judged is None:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
@@ -140,9 +140,11 @@ def _headline(tried: TryResult, share: float) -> str:
         return f"Not to be trusted: {wrong} of {int(judged.believed.sum())} believed places are wrong"
     if not tried.could_be_believed.any():
         return "Nothing could be recognized"
-    if share >= GOOD:
-        return f"Recognized: {100 * share:.0f} % of the frames"
-    return f"Recognized in part: {100 * share:.0f} % of the frames" if share >= FAIR else "Not recognized"
+    recall = float(tried.seen.believed.mean()) if judged is None else judged.recall
+    spelled = f"{100 * recall:.0f} % of the frames, {100 * share:.0f} % after the start"
+    if recall >= GOOD:
+        return f"Recognized: {spelled}"
+    return f"Recognized in part: {spelled}" if recall >= FAIR else "Not recognized"
 
 
 def _judged_facts(judged: RecognitionScore, tolerance_m: float) -> list[str]:
@@ -193,7 +195,8 @@ def _reason(tried: TryResult, row: int) -> str:
 
 def _advice(tried: TryResult, share: float) -> list[str]:
     """In the order of how much each explains."""
-    found = list(_length_advice(tried)) if share < GOOD else []
+    found = assumed_words(tried.maps, tried.seen) if tried.keypoints is not None else []
+    found += _length_advice(tried) if share < GOOD else []
     judged, could = tried.judged, tried.could_be_believed
     for offset in tried.offsets:
         if offset.order == "same" and abs(offset.ahead_m) > MOUNTED_M:

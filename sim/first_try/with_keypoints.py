@@ -7,8 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.feed import Feed
+from edge.reference_map import MapSet
+from sim.datasets import USUAL_FOV
 from sim.evaluation.pose_errors import PoseErrors
 from sim.evaluation.recognition import Recognition, RecognitionScore
+from sim.maps.adding_keypoints import ASSUMED
 from sim.traverse import distances_m, driven_m
 
 
@@ -50,9 +53,17 @@ def errors_words(found: WithKeypoints, seen: Recognition) -> str:
 def why_none(reference: Feed) -> str:
     """Why a recording's map has no keypoints, and what to do."""
     name = reference.header.name
-    if reference.header.fov_deg is None:
-        return f"no keypoints: the field of view of {name} is not known; --fov-deg says it"
     return f"no keypoints: without positions or distances of {name}, how far away its points are is not known"
+
+
+def assumed_words(maps: MapSet, seen: Recognition) -> list[str]:
+    """What a known field of view would be worth, where the map's was assumed."""
+    key = maps.headers[0].keypoints_key
+    if key is None or not key.focal_sigma:
+        return []
+    aside_m = [abs(one.right_m) * key.focal_sigma for one in seen.keyframes if one is not None]
+    worth = f"up to {np.percentile(aside_m, 95):.2f} m (1 sigma) nearer" if aside_m else "nearer"
+    return [f"the field of view is {ASSUMED}: with --fov-deg DEG ({USUAL_FOV}) poses are {worth} cross-track"]
 
 
 def first_words(seen: Recognition) -> str:

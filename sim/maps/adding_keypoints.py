@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import logging
+import math
 import shutil
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -24,11 +26,18 @@ from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.store import HEADER, KEYPOINTS, PLACES, encode_header
 from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows, keypoints_key
+from sim.datasets import USUAL_FOV
 from sim.maps.known_distances import spell_distances
 from sim.output import checked_option
-from sim.traverse import with_course
+from sim.traverse import driven_m, with_course
+
+log = logging.getLogger(__name__)
 
 WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-deg"
+ASSUMED_DEG, ASSUMED_SIGMA_DEG = 75.0, 10.0
+"""Where nobody says the field of view: phones have 65, a GoPro in Linear 86, webcams 60 to 78."""
+ASSUMED_FOCAL_SIGMA = math.radians(ASSUMED_SIGMA_DEG) / math.sin(math.radians(ASSUMED_DEG))
+ASSUMED = f"not known, and taken as {ASSUMED_DEG:g} ± {ASSUMED_SIGMA_DEG:g} degrees"
 CHANGED = (PLACES, KEYPOINTS)
 """Files of a map."""
 
@@ -49,19 +58,22 @@ def camera_from(args: argparse.Namespace, camera: CameraConfig) -> CameraConfig:
 
 
 def key_of_feeds(feeds: Sequence[Feed]) -> KeyOf | None:
-    """Of a new map by the field of view and the lens that all recordings have; None if it is not known.
+    """Of a new map by the field of view and the lens that all recordings have, `ASSUMED` where none says it.
 
-    MapError for several.
+    None: nor does any say where it was driven, so that no point has a distance. MapError for several.
     """
     found = {(feed.header.fov_deg, feed.header.alone) for feed in feeds}
     if len(found) > 1:
         spelled = ", ".join(f"{feed.path}: {feed.header.fov_deg or 'not known'}" for feed in feeds)
         what = "field of view" if len({fov_deg for fov_deg, _ in found}) > 1 else "lens"
         raise MapError(f"a map with keypoints has one {what}; build several maps, or use {WHERE} ({spelled})")
-    for fov_deg, lens in found:
-        if fov_deg is not None:
-            return partial(keypoints_key, fov_deg=fov_deg, lens=lens)
-    return None
+    ((fov_deg, lens),) = found
+    if fov_deg is not None:
+        return partial(keypoints_key, fov_deg=fov_deg, lens=lens)
+    if all(driven_m(feed) is None for feed in feeds):
+        return None
+    log.warning("%s: its field of view is %s: --fov-deg DEG (%s)", feeds[0].header.name, ASSUMED, USUAL_FOV)
+    return partial(keypoints_key, fov_deg=ASSUMED_DEG, focal_sigma=ASSUMED_FOCAL_SIGMA)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     feeds = [preprocessed_feed(read_feed(path), camera) for path in args.feeds]
     key_of = key_of_feeds(feeds)
     if key_of is None:
-        raise ConfigError(f"{args.map}: keypoints need the field of view of the pictures; {WHERE}")
+        raise ConfigError(f"{args.map}: without positions or distances, keypoints need a field of view; {WHERE}")
     key = add_keypoints(open_map(args.map, every_file=True), feeds, key_of)
     print(
         f"{args.map}: {key.most} keypoints of each place, {key.place_bytes / 1e3:.1f} kB, for {key.fov_deg:g} degrees"

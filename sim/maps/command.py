@@ -23,10 +23,9 @@ from edge.recognition.recognizer import model_key
 from edge.reference_map.store import MapHeader, ReferenceMap, RegionsKey, open_map
 from edge_plugins.mapping.builder import MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import KeyOf, keypoints_key
-from sim.datasets import USUAL_FOV
 from sim.maps import adding_keypoints, export, layers
 from sim.maps import files as map_files
-from sim.maps.adding_keypoints import WHERE, add_fov_option, camera_from, key_of_feeds
+from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
 from sim.maps.describing import MEASURED, Work, add_by_cluster, add_feed
 from sim.maps.known_distances import spell_distances
 from sim.maps.shrinking import shrink_to
@@ -195,8 +194,7 @@ def run_build(args: argparse.Namespace, network: Network | None = None) -> int:
     print(f"{args.output}: {header.places} places in {len(header.segments)} segment(s)")
     print_keypoints(args.output, header)
     if keypoints is None and not args.no_keypoints:
-        unknown = "without keypoints, since the field of view of the pictures is not known"
-        print(f"{args.output}: {unknown}; {WHERE} ({USUAL_FOV})")
+        print(f"{args.output}: without keypoints: its recordings have no positions, distances or field of view")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,18 +39,18 @@ def test_the_field_of_view_is_that_of_the_config_the_recording_or_the_option(
 ) -> None:
     (config := tmp_path / "lookback.toml").write_text("[camera]\nfov_deg = 60.0\n", encoding="utf-8")
     feed, recorded = write_traverse(tmp_path / "feed", range(4)), write_traverse(tmp_path / "recorded", range(4))
-    header = recorded / "feed.toml"
-    header.write_text(f"{header.read_text(encoding='utf-8')}fov_deg = 70.0\n", encoding="utf-8")
+    with (recorded / "feed.toml").open("a", encoding="utf-8") as header:
+        header.write("fov_deg = 70.0\n")
 
     def built(name: str, *options: str) -> float | None:
         assert main(["map", "build", *options, "-o", str(tmp_path / name)]) == 0
         key = open_map(tmp_path / name).header.keypoints_key
         return None if key is None else key.fov_deg
 
-    assert built("none", str(feed)) is None
-    assert (
-        "none: without keypoints, since the field of view of the pictures is not known; set" in capsys.readouterr().out
-    )
+    assert built("none", str(feed)) == 75
+    assert re.search('"focal_sigma": ?0.18', (tmp_path / "none/map.json").read_text())
+    assert built("blind", str(write_traverse(tmp_path / "still", range(30), is_located=False))) is None
+    assert "blind: without keypoints: its recordings have no positions, distances or" in capsys.readouterr().out
     assert built("config", str(feed), "--config", str(config)) == 60
     assert built("recording", str(recorded)) == 70
     assert built("both", str(recorded), "--config", str(config)) == 60
@@ -60,8 +61,8 @@ def test_the_field_of_view_is_that_of_the_config_the_recording_or_the_option(
     ):
         assert main(["map", "build", *options, "-o", str(tmp_path / "wrong")]) == 78
         assert why in capsys.readouterr().err
-    assert main(["map", "keypoints", str(tmp_path / "none"), str(feed)]) == 78
-    assert "none: keypoints need the field of view of the pictures; set [camera] fov_deg" in capsys.readouterr().err
+    assert main(["map", "keypoints", str(tmp_path / "blind"), str(tmp_path / "still")]) == 78
+    assert "blind: without positions or distances, keypoints need a field of view; set" in capsys.readouterr().err
     assert main(["map", "extend", str(tmp_path / "config"), str(recorded)]) == 78
     assert "recorded: its pictures are 70 degrees wide, the map's 60" in capsys.readouterr().err
     assert main(["map", "extend", str(tmp_path / "config"), str(feed)]) == 0
