@@ -105,13 +105,19 @@ class PositionSender:
         return self.message is not None and not self.use.command.is_refused
 
     @property
+    def _message_now(self) -> PositionMessage | None:
+        """That which was chosen; where no keypoint pose says where the vehicle is, a reset in place of poses."""
+        waits = self.message is not None and self.message.moment == "pose" and self._drive.pose_ns is None
+        return POSITION_MESSAGES["external_position"] if waits else self.message
+
+    @property
     def selects_sources(self) -> bool:
         """Whether a GPS that is ignored is taken from the autopilot as well."""
         return self._gates.doubted_gps == "switch" and self.enabled
 
     def due(self, now_ns: int) -> FixRequest | None:
         """What holds for the position that is due now, None while none is; once more for one that was not answered."""
-        message, use = self.message, self.use
+        message, use = self._message_now, self.use
         if message is None:
             return None
         limits = FixRequest(message.moment, message.max_age_s, message.acknowledged)
@@ -127,25 +133,25 @@ class PositionSender:
 
     def send(self, answer: Fix | NoFix, now_ns: int) -> list[Message]:
         """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
-        overdue, newest = self.use.overdue(now_ns), self.use.newest
+        message, overdue, newest = self._message_now, self.use.overdue(now_ns), self.use.newest
         place = answer.place if isinstance(answer, Fix) else answer.fix
         is_again = overdue is not None and place is overdue.place
         if newest and place is not None and place.stamp_ns == newest.place.stamp_ns and not is_again:
             return []  # the last exposure was sent already
-        if place is not None and self.message is not None and self.message.moment != "exposure":
+        if place is not None and message is not None and message.moment != "exposure":
             if place.stamp_ns == self._judged_ns:
                 return []  # a pose is judged once, and grows old until the next one
             self._judged_ns = place.stamp_ns
         messages: list[Message] = []
-        if isinstance(answer, Fix) and self.message is not None:
+        if isinstance(answer, Fix) and message is not None:
             self._withheld, self._refused = None, NoFix(NO_PLACES)
             # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
-            if self.message.moment == "pose" and not self.sources.is_without_gps:
+            if message.moment == "pose" and not self.sources.is_without_gps:
                 self._select(SET_WITHOUT_GPS, "lost")
                 self._judged_ns = None  # this one waits for it: there may be none after it
                 return []
-            is_wide = (answer.pose_sigma_m or 0.0) > self.message.widest_m and self._since_s(now_ns) < HOLE_S
-            messages = [] if is_wide else self._encode(answer, now_ns, self.message, again=is_again)
+            is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and self._since_s(now_ns) < HOLE_S
+            messages = [] if is_wide else self._encode(answer, now_ns, message, again=is_again)
         elif isinstance(answer, NoFix) and overdue is None:
             self._withhold(answer)
         if overdue is not None and not messages:

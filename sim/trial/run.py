@@ -157,7 +157,10 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
         found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s))
 
     for item in simulation.autopilot.received:
-        position = read_position(item.message, draft.lon_shift_deg)
+        position, autopilot = read_position(item.message, draft.lon_shift_deg), simulation.autopilot
+        if item.message.get_type() == "VISION_POSITION_ESTIMATE" and autopilot.origin_m is not None:
+            # Its own sigma lacks the error of the map, which the journal's has.
+            position = *autopilot.inputs.vision_m(item.message, autopilot.origin_m), math.inf, 0.0
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             arrived_s = simulation.time_s(item.time_s)

@@ -113,11 +113,15 @@ class PositionInputs:
         """
         if not self._firmware.fuses_poses or self.source_set != SET_WITHOUT_GPS or moment.origin_m is None:
             return
-        lat_deg, lon_deg = moved(*self._zero, *moment.origin_m, ORIGIN_ALT_M)
+        self._fuse(*self.vision_m(message, moment.origin_m), moment, POSE_SIGMA_M)
+
+    def vision_m(self, message: Message, origin_m: tuple[float, float]) -> tuple[float, float]:
+        """Meters east and north of the simulation's origin; origin_m: those of the filter's."""
+        lat_deg, lon_deg = moved(*self._zero, *origin_m, ORIGIN_ALT_M)
         here_deg = lat_deg + message.x / ARDUPILOT_M_PER_DEG
         to_east = math.cos(math.radians((lat_deg + here_deg) / 2))
         here = here_deg, lon_deg + message.y / ARDUPILOT_M_PER_DEG / to_east
-        self._fuse(*east_north_of(*here, self._zero, ORIGIN_ALT_M), moment, POSE_SIGMA_M)
+        return east_north_of(*here, self._zero, ORIGIN_ALT_M)
 
     def velocity(self, message: Message, moment: InputContext) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.

@@ -13,7 +13,8 @@ from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, PositionMessageChosen, SourceSetAnswered
 from edge.localization import HOLE_S
-from tests.telemetry.rig import SPEED_MPS, START_NS, OpenRig, Rig, straight_line
+from sim.vehicle.command import straight_line
+from tests.telemetry.rig import SPEED_MPS, START_NS, OpenRig, Rig
 
 SIGMA_M = 0.4
 M_PER_DEG = 0.011131884502145034e7

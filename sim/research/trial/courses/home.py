@@ -29,6 +29,12 @@ def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
 
 
+@course("G", "home-fused", keypoint_rules=(close, sends))
+def _home_fused(draft: CourseDraft) -> None:
+    """The main task with an ArduPilot that fuses keypoint poses (firmware_config/ardupilot_rover_fused.param)."""
+    draft.firmware = "ardupilot-fused"
+
+
 @course("G", "again-dusk")
 def _again(draft: CourseDraft) -> None:
     """The same way as the map at dusk, where only the lane says how far across the road the vehicle is."""
