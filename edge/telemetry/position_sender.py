@@ -36,7 +36,7 @@ from edge.telemetry.encoders import MessageContext
 from edge.telemetry.firmware import GPS_SET, ON_THE_GROUND, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
-from edge.telemetry.source_selection import SourceSelection
+from edge.telemetry.source_selection import LOST, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
@@ -147,7 +147,7 @@ class PositionSender:
             self._withheld, self._refused = None, NoFix(NO_PLACES)
             # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
             if message.moment == "pose" and not self.sources.is_without_gps:
-                self._select(SET_WITHOUT_GPS, "lost")
+                self.sources.want(SET_WITHOUT_GPS, LOST)
                 self._judged_ns = None  # this one waits for it: there may be none after it
                 return []
             is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and self._since_s(now_ns) < HOLE_S
@@ -329,17 +329,10 @@ class PositionSender:
         """
         known, sources = self._drive.state, self.sources
         if known.ignores_gps:
-            sources.is_doubted = True
             if self.selects_sources and self._vehicle.session.firmware.gps_switch:
-                self._select(SET_WITHOUT_GPS, known.gps.state)
+                sources.want(SET_WITHOUT_GPS, known.gps.state)
         elif works and (known.gps.state == "consistent" or not (sources.is_doubted or known.gps.state in DOUBTED)):
-            sources.is_doubted = False
-            self._select(GPS_SET, "works")
-
-    def _select(self, number: int, why: str) -> None:
-        """Want a set of sources; why: what is said of GPS with it."""
-        if self.sources.wanted != number:
-            self.sources.wanted, self.sources.why = number, f"GPS {why}"
+            sources.want(GPS_SET, "works")
 
 
 def level_m(level: ProtectionLevel | None) -> tuple[float | None, float | None]:

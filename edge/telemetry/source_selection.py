@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -27,8 +28,17 @@ from edge.telemetry.vehicle import Vehicle
 
 AGAIN_NS = 5_000_000_000  # at most: until it is selected, no position is used
 DONE, NOT_READ_BACK, PILOTS = "ACCEPTED", "NOT_READ_BACK", "BY_THE_PILOT"
+LOST = "lost"
+"""What is said of a GPS that counts again as soon as it works."""
 SWITCHED = "Using EKF Source Set "
 """What ArduPilot writes when the pilot's switch (RCx_OPTION 90) selects a set, and not when a command does."""
+
+
+class SourceChoice(NamedTuple):
+    """A set of sources, and what is said of GPS with it; "" where the pilot has selected it by a switch."""
+
+    number: int
+    why: str = ""
 
 
 class SourceSelection:
@@ -37,14 +47,9 @@ class SourceSelection:
     def __init__(self, vehicle: Vehicle, publisher: Publisher, remembered: Path | None = None) -> None:
         """remembered: a file that exists while set 2 may be selected by us."""
         self._vehicle, self._publisher, self._remembered = vehicle, publisher, remembered
-        self.wanted: int | None = None
-        """The set to select; None until there is a reason for one, and the pilot's choice stays."""
+        self._choice: SourceChoice | None = None
         self.in_use = SET_WITHOUT_GPS if remembered is not None and remembered.exists() else GPS_SET
         """Set 2 while it may be selected by us, else the first one."""
-        self.is_doubted = self.in_use == SET_WITHOUT_GPS
-        """Whether GPS was taken away for what it says, or nobody knows why."""
-        self.why = "GPS"
-        """What is said of GPS with the set that is selected for it."""
         self.new_session()
 
     def new_session(self) -> None:
@@ -54,12 +59,34 @@ class SourceSelection:
         self._selected: int | None = None
         self._is_accepted = False  # but not reported yet
         self._published = ""
-        self._is_pilots = False  # by a switch
+        if self._is_pilots:
+            self._choice = None
 
     @property
     def _is_reported(self) -> bool:
         """Whether GPS itself is switched, which the autopilot reports."""
         return self._vehicle.session.firmware.gps_switch == "fusion"
+
+    def want(self, number: int, why: str) -> None:
+        """Select a set from now on, unless the pilot has; why: what is said of GPS."""
+        if not self._is_pilots and self.wanted != number:
+            self._choice = SourceChoice(number, why)
+
+    @property
+    def wanted(self) -> int | None:
+        """The set to select; None until there is a reason for one, and where the pilot's stays."""
+        return self._choice.number if self._choice is not None and self._choice.why else None
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether GPS was taken away for what it says, or before a crash, so that nobody knows why."""
+        if self._choice is None:
+            return self.in_use == SET_WITHOUT_GPS
+        return self._choice.number == SET_WITHOUT_GPS and self._choice.why != LOST
+
+    @property
+    def _is_pilots(self) -> bool:
+        return self._choice is not None and not self._choice.why
 
     @property
     def is_without_gps(self) -> bool:
@@ -73,7 +100,7 @@ class SourceSelection:
         number = int(text[len(SWITCHED) :])
         if number == (self._selected or self.in_use):  # as at boot
             return
-        self._is_pilots, self._selected = True, number
+        self._choice, self._selected = SourceChoice(number), number
         self._command.answered()
         self._remember(GPS_SET)
         self._vehicle.session.gps.is_fusion_on = number == GPS_SET
@@ -92,7 +119,7 @@ class SourceSelection:
             self._command.pause.failed(now_ns)
             self._publish(NO_ANSWER)
         wanted = self.wanted
-        if self._is_pilots or wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
+        if wanted is None or wanted == self._selected or wanted == self.in_use == GPS_SET:
             return []
         if self._is_reported and self._vehicle.session.gps.is_fusion_on is (wanted == GPS_SET):
             self._command.answered()
@@ -105,8 +132,7 @@ class SourceSelection:
 
     def restore(self, now_ns: int) -> list[Message]:
         """The command for set 1 at the end, where GPS is consistent and set 2 may still be selected by us."""
-        is_ours = self.wanted == GPS_SET != self.in_use and not self._is_pilots
-        return self._select(GPS_SET, now_ns) if is_ours else []
+        return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET != self.in_use else []
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The COMMAND_ACK of the command that was addressed to us."""
@@ -161,7 +187,9 @@ class SourceSelection:
         self._publisher.record(SourceSetAnswered(number, result))
         what = f"GPS fusion {'on' if number == GPS_SET else 'off'}" if self._is_reported else f"source set {number}"
         by = "by GPS" if number == GPS_SET else "by places"
-        self._publisher.warn(f"Lookback: {self.why}: {by}, {what}" if result == DONE else f"Lookback: {what} {result}")
+        why = self._choice.why if self._choice is not None else ""
+        text = f"GPS {why}: {by}, {what}" if result == DONE else f"{what} {result}"
+        self._publisher.warn(f"Lookback: {text}")
         if number == SET_WITHOUT_GPS and result != DONE:
             self.warn_that_gps_stays()
 

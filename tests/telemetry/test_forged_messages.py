@@ -117,7 +117,7 @@ def test_a_forged_refusal_before_the_autopilots_answer_stops_positions_for_a_mom
 @pytest.mark.parametrize(("forged", "true"), [("ACCEPTED", "FAILED"), ("DENIED", "ACCEPTED")])
 def test_a_set_of_sources_is_asked_for_again_where_two_answers_differ(forged: str, true: str) -> None:
     sources = SourceSelection(connect(Speaker()), Publisher(lambda record: None, lambda text: None))
-    sources.wanted = SET_WITHOUT_GPS
+    sources.want(SET_WITHOUT_GPS, "faulty")
     assert len(sources.due(S)) == 1
     for second, answer in ((1.1, forged), (1.2, true)):
         sources.read_acknowledgement(getattr(mavlink, f"MAV_RESULT_{answer}"), round(second * S))

@@ -125,7 +125,7 @@ def test_each_stream_is_checked_anew() -> None:
 def test_a_selection_of_sources_that_is_not_answered_for_a_second_is_recorded() -> None:
     records: list[Record] = []
     selection = SourceSelection(Vehicle(), Publisher(records.append, lambda text: None))
-    selection.wanted = SET_WITHOUT_GPS
+    selection.want(SET_WITHOUT_GPS, "faulty")
     assert len(selection.due(S)) == 1
     selection.due(S + ANSWER_NS - 1)
     assert records == []
