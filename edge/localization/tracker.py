@@ -40,7 +40,7 @@ from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
 from edge.localization.pose_measurement import PoseMeasurement
 from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
-from edge.sequence import LEAST_SHARPNESS, Direction, PlaceMatch
+from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
 """A vehicle without a new frame for so long may have been carried away: no sequence may have a frame from before that.
@@ -63,9 +63,10 @@ FIRST = 2
 HOLE_S = 8.0
 """Without a keypoint pose for so long, FIRST must agree again before one is handed on: EKF3 takes the first one after
 10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source)."""
-ALIKE_M, ALIKE_SHARE = 1.5, 0.1
-"""By how much two keypoint poses that contradict GPS may differ from the vehicle's motion: on a road that was not tuned
-on, by GPS that was dragged by 1 m/s, poses failed from 2.4 m on, and GPS was suspect 11 m later without this."""
+DEPARTS_M, SURE_M = 3.5, 1.5
+"""By how much more than usual GPS is away from keypoint poses that know the vehicle to SURE_M before it is left where
+poses are fused. By GPS that was dragged by 1 m/s this was reached 4 s later on two roads; where GPS had to be suspect
+by its evidence, which lets the map be wrong in its place, the vehicle was 11 m beside its lane by then, and lost."""
 BESIDE_M = 6.0
 """Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: on recorded drives at
 dusk matches of the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from it. Without it, rms
@@ -88,14 +89,6 @@ class PoseFix(NamedTuple):
     place: PlaceFix
     motion: Odometry
     sigma_m: float
-
-
-class ContradictingPose(NamedTuple):
-    """A keypoint pose that failed the innovation test: its drive of the map, meters (2,), and the motion by then."""
-
-    drive: tuple[int, Direction]
-    position_m: Vector
-    motion: Odometry
 
 
 class TrackScore:
@@ -157,7 +150,8 @@ class Tracker:
         self._track: TrackScore | None = None
         self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
         self._pose: PoseFix | None = None
-        self._contradicting: ContradictingPose | None = None  # the newest one, if that failed while GPS counted
+        self._usual_off_m: Vector | None = None  # GPS from keypoint poses, and how many in a row are elsewhere
+        self._departing = 0
         self.cross_track: tuple[float, float] | None = None
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
@@ -345,32 +339,43 @@ class Tracker:
             return measurements.by_sequence(state, slot, measured, is_evidence=is_evidence)
 
         self._compare_across(measured)
-        is_used = self.bank.each(use)
-        if pose is not None and self._leaves_gps(measured, pose, is_used=is_used):
-            self._agreeing, self._posed_ns = FIRST - 1, stamp_ns
-            is_used = self.bank.each(use)
-        if is_used:
+        if pose is not None and self._contradicts_gps(pose) and self.may_leave_gps:
+            self._leave_gps(measured, stamp_ns)
+        if self.bank.each(use):
             self._add(track, measured, stamp_ns)
         else:
             track.disagreeing += 1
 
-    def _leaves_gps(self, measured: SequenceMatch, pose: PoseMeasurement, *, is_used: bool) -> bool:
-        """Whether GPS counts no more, since FIRST poses in a row contradict it and moved as the vehicle did."""
-        before, motion = self._contradicting, self._at.motion if self._at else None
-        self._contradicting = None
-        if is_used or motion is None or not (self.follows_gps and self._gps_m is not None):
+    def _contradicts_gps(self, pose: PoseMeasurement) -> bool:
+        """Whether GPS is away from keypoint poses by so much more than usual, FIRST times in a row.
+
+        What is usual is the error of the map, and of the receiver, by the poses of the last CORRELATION_M.
+        """
+        if not self.follows_gps or self._gps_m is None:
+            self._usual_off_m = None
             return False
-        now = self._contradicting = ContradictingPose(measured.drive, pose.position_m, motion)
-        if not self.may_leave_gps or before is None or before.motion.odometry_epoch != motion.odometry_epoch:
+        if float(np.trace(pose.covariance)) > SURE_M**2:
             return False
-        moved_m = self.bank.right.truly(np.array(motion.since(before.motion)), np.zeros(2))
-        off_m = float(np.hypot(*(now.position_m - before.position_m - moved_m)))
-        if before.drive != now.drive or off_m > ALIKE_M + ALIKE_SHARE * float(np.hypot(*moved_m)):
-            return False
-        self.has_left_gps = True
-        self._ignore_gps(self.bank.right)
-        self.bank.each(lambda state: state.widen(POSITION, GPS_SIGMA_M))
-        return True
+        off_m, usual_m = self._gps_m - pose.position_m, self._usual_off_m
+        if usual_m is None or float(np.hypot(*(off_m - usual_m))) <= DEPARTS_M:
+            news = 1.0 if usual_m is None else min(1.0, self.bank.right.since_pose_m / CORRELATION_M)
+            self._usual_off_m = off_m if usual_m is None else usual_m + news * (off_m - usual_m)
+            self._departing = 0
+        else:
+            self._departing += 1
+        return self._departing >= FIRST
+
+    def _leave_gps(self, measured: SequenceMatch, stamp_ns: int) -> None:
+        """Begin where the poses are, with what is known of the vehicle, and nothing of what GPS said of the map."""
+        right, errors = self.bank.right, measured.errors
+        self.has_left_gps, self._departing = True, 0
+        slot = right.slot(measured.drive, errors)
+        right.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
+        right.set(slot.whole, 0.0, errors.whole)
+        self._ignore_gps(right)
+        right.widen(POSITION, GPS_SIGMA_M)
+        self.bank.begin(right)
+        self._agreeing, self._posed_ns = FIRST - 1, stamp_ns
 
     def _add(self, track: TrackScore, measured: SequenceMatch, stamp_ns: int) -> None:
         """A match passed the innovation test."""
