@@ -156,6 +156,9 @@ def test_a_recording_that_is_not_processed_is_processed_when_it_is_read(feed_pat
 def test_a_map_is_built_from_processed_images(feed_path: Path, tmp_path: Path) -> None:
     (tmp_path / HERE).write_text("[camera]\ncrop = [0, 0, 0, 0.5]\n[sampling]\nby = 'frames'\n")
     output = tmp_path / "half.map"
+    for at, image in enumerate(sorted((feed_path / "frames").iterdir())):  # as they are, they show nothing
+        blocks = np.random.default_rng(at).integers(0, 255, (3, 4, 3), np.uint8)
+        assert cv2.imwrite(str(image), blocks.repeat(16, axis=0).repeat(16, axis=1))
     assert main(["map", "build", str(feed_path), "-o", str(output), "--config", str(tmp_path / HERE)]) == 0
     thumbnail = cv2.imdecode(np.frombuffer(open_map(output).thumbnail(0), np.uint8), cv2.IMREAD_COLOR)
     assert thumbnail is not None

@@ -155,7 +155,7 @@ def test_info_verify_and_check_of_a_folder(
     assert main(["map", "info", str(street / "tiles" / "1")]) == 0
     assert "from its place 64 on" in capsys.readouterr().out
     assert main(["map", "verify", str(street / "tiles")]) == 0
-    assert "all 10 checksums match" in capsys.readouterr().out
+    assert "all 12 checksums match" in capsys.readouterr().out
     assert main(["map", "verify", str(damaged)]) == 78
     out, err = capsys.readouterr()
     assert f"{DESCRIPTORS}: damaged" in out

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from edge.config import GatesConfig, RigConfig
 from edge.localization import Fix
 from edge.sequence import KeyframeMatch, PlaceMatch
 from sim.research.trial import gps_histories
-from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, match, north_m, settings
+from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, left_m, match, north_m, settings
 from tests.localization.route_course import SPACING_M, Stretch
 
 LENGTH_M, FROM_S = 1200.0, 60.0
@@ -189,3 +190,68 @@ def test_a_street_beside_that_looks_the_same_makes_no_gps_wrong(
     long_road: Road, twin_m: float, odometer: float | None
 ) -> None:
     assert called_m(drive(long_road, HONEST["open sky"](), 1, odometer, twin_m)) == math.inf
+
+
+class Left(NamedTuple):
+    """After a frame: by how much GPS is dragged, whether it is ignored, and how far a pose that is new is off."""
+
+    drag_m: float
+    is_ignored: bool
+    pose_off_m: float | None
+
+
+def left(
+    road: Road, every: int, to_m: float, *, fuses_poses: bool = True, acts: Any = "switch", wrong: int = -1
+) -> list[Left]:
+    """Home, by an autopilot that follows GPS: that leaves to the left by 1 m/s, and is right again after to_m.
+
+    every: frames from pose to pose. acts: `doubted_gps`. wrong: the frame whose pose alone is 8 m to the right.
+    """
+    gates = GatesConfig(doubted_gps=acts, risk=1.0)
+    one, rng, found = (
+        Vehicle(road, settings(SETTINGS.rig, gates), LENGTH_M - 10.0, "reverse"),
+        np.random.default_rng(7),
+        [],
+    )
+    one.frame = {"without_gps": None}
+    time_s = np.arange(round((LENGTH_M - 20.0) / SPACING_M)) * FRAME_NS / 1e9
+    drags_m = np.maximum(0.0, time_s - FROM_S)
+    drags_m[drags_m > to_m] = 0.0
+    for frame, (drag_m, gps_m) in enumerate(zip(drags_m.tolist(), gps_histories.usual(time_s, rng), strict=True)):
+        one.move()
+        at = gps_at(one.north_m + gps_m[1], drag_m + gps_m[0])
+        position = replace(one.position, lat_deg=at.lat_deg, lon_deg=at.lon_deg)
+        one.own(has_gps=True, fuses_poses=fuses_poses, position=position)
+        beside_m, along_m = rng.normal(0.0, LOOK_M, 2) + [8.0 * (frame == wrong), 0.0]
+        one.show(looked(one.north_m, beside_m, along_m, is_look=frame == wrong or frame % every == 0), at)
+        answer, off_m = one.ask(at="pose"), None
+        if isinstance(answer, Fix) and answer.place.stamp_ns == one.t_ns:
+            off_m = math.hypot(left_m(answer.place), north_m(answer.place) - one.north_m)
+        found.append(Left(drag_m, one.drive.state.ignores_gps, off_m))
+    return found
+
+
+@pytest.mark.parametrize("every", [3, 10])
+def test_gps_that_two_poses_contradict_is_left_where_poses_are_fused(long_road: Road, every: int) -> None:
+    """A few meters off; what is handed on is the pose itself. Once it agrees for 120 m GPS counts again."""
+    said = left(long_road, every, 15.0)
+    first = next(row for row, one in enumerate(said) if one.is_ignored)
+    assert 2.0 < said[first].drag_m < 5.0
+    while_left = [one for one in said[first:] if one.is_ignored]
+    offs_m = [one.pose_off_m for one in while_left if one.pose_off_m is not None]
+    assert len(offs_m) >= len(while_left) / every - 1 and max(offs_m) < 4 * LOOK_M
+    right = [row for row, one in enumerate(said) if row > first and not one.drag_m]
+    again = next(row for row in right if not said[row].is_ignored)
+    assert 100.0 < SPACING_M * (again - right[0]) < 240.0
+    assert not any(one.is_ignored for one in said[again:])
+
+
+@pytest.mark.parametrize(("fuses_poses", "acts", "from_m"), [(False, "switch", 4.5), (True, "report", math.inf)])
+def test_gps_is_not_left_so_early_elsewhere(long_road: Road, fuses_poses: bool, acts: str, from_m: float) -> None:
+    """Where it is left only as faulty, by the evidence, or not at all."""
+    said = left(long_road, 5, 15.0, fuses_poses=fuses_poses, acts=acts)
+    assert next((one.drag_m for one in said if one.is_ignored), math.inf) >= from_m
+
+
+def test_one_wrong_pose_is_no_reason_to_leave_gps(long_road: Road) -> None:
+    assert not any(one.is_ignored for one in left(long_road, 5, 0.0, wrong=202))

@@ -92,7 +92,7 @@ def test_nothing_is_sent_while_gps_works_and_then_set_2_is_selected_first(open_r
     assert rig.journalled(SourceSetAnswered) == [SourceSetAnswered(2, "ACCEPTED")]
 
 
-def test_each_exposure_is_one_measurement_and_a_sequence_match_is_none(open_rig: OpenRig) -> None:
+def test_each_exposure_is_one_measurement(open_rig: OpenRig) -> None:
     rig = fused(open_rig)
     rig.autopilot.gps = False
     poses_for(rig, 6.0)
@@ -101,11 +101,20 @@ def test_each_exposure_is_one_measurement_and_a_sequence_match_is_none(open_rig:
         rig.run(0.1)
         rig.publish_position()
     assert len(poses(rig)) == before > 0, "the newest is not predicted on"
-    assert poses_for(rig, 10.0, sigma_m=None) == 0
-    limits = rig.connection.position_due()
-    assert limits is not None and limits.at == "pose"
-    assert len(poses(rig)) == before
     assert np.diff([one.usec / 1e6 for one in poses(rig)]) == pytest.approx(np.full(before - 1, 0.5), abs=0.05)
+
+
+@pytest.mark.parametrize("off_m", [0.0, 60.0])
+def test_a_sequence_match_is_no_measurement_but_a_reset_where_one_is_needed(open_rig: OpenRig, off_m: float) -> None:
+    rig = fused(open_rig)
+    rig.autopilot.gps = False
+    rig.run(3.0)
+    rig.autopilot.estimate.shift(off_m, 0.0)
+    poses_for(rig, 10.0, sigma_m=None)
+    assert not poses(rig) and not sets_selected(rig)
+    resets = [one for one in rig.received("COMMAND_INT") if one.command == 43003]
+    assert bool(resets) == bool(rig.autopilot.resets) == (off_m > 0.0)
+    assert rig.autopilot.estimate.error_m < 6.0
 
 
 def test_a_pose_is_where_the_vehicle_is_now_in_the_frame_of_the_origin(open_rig: OpenRig) -> None:

@@ -81,6 +81,23 @@ def test_a_reset_is_none_that_may_be_for_the_worse(open_rig: OpenRig, firmware: 
     assert reasons == ["no reset is needed"] * (firmware == "ardupilot")
 
 
+def test_px4_gets_each_keypoint_pose_once_by_its_own_sigma(open_rig: OpenRig) -> None:
+    """Two a second, though five positions are asked for; none is moved on from the same pose."""
+    rig = open_rig(emit="auto", gates=GatesConfig(risk=1.0, min_move_m=0.0), firmware="px4")
+    rig.run(6.0)
+    rig.autopilot.gps = False
+    rig.run(6.0)
+    rig.drive.pose_sigma_m, before = 0.4, len(rig.received("GLOBAL_POSITION_SENSOR"))
+    for _ in range(20):
+        rig.send_position(rig.fix(age_s=0.1, sigma_along_m=1.0, sigma_cross_track_m=1.0))
+        for _ in range(5):
+            rig.run(0.1)
+            rig.publish_position()
+    messages = rig.received("GLOBAL_POSITION_SENSOR")[before:]
+    assert len(messages) == 20
+    assert [one.eph for one in messages] == pytest.approx([0.4] * 20, rel=1e-5), "without the error of the map"
+
+
 def test_a_stream_has_its_own_standard_deviation_which_an_aided_filter_follows(open_rig: OpenRig) -> None:
     """At 8 m/s 37.5 messages share an error; a filter that is told so of each would not follow them."""
     rig = open_rig(emit="global_position_sensor", gates=GatesConfig(risk=1.0, min_move_m=0.0), firmware="px4")

@@ -23,7 +23,7 @@ from edge.localization.events import ImageProcessed
 from edge.localization.fix_rules import RULES, NoFix, Rule
 from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
 from sim.research.trial import recorded_drive
-from sim.research.trial.flight_score import off_truth
+from sim.research.trial.flight_score import off_truth, position_of
 from sim.research.trial.recorded_drive import LINK, RecordedDrive
 from sim.research.trial.table import put_between
 from sim.vehicle.position_inputs import east_north_m
@@ -195,7 +195,7 @@ class _Stream:
 
     def add(self, t_ns: int, answer: Fix | NoFix | None, truth: RecordedDrive) -> None:
         """What was asked for then."""
-        fix = answer if isinstance(answer, Fix) else None
+        fix = position_of(answer)
         if fix is not None and fix.place.stamp_ns != self._stamp_ns:
             self._answered_ns, self._stamp_ns = t_ns, fix.place.stamp_ns
             self._positions.append(_off(fix, truth))

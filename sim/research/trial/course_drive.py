@@ -33,6 +33,7 @@ from sim.trial.run import TrialDrive
 from sim.trial.simulation import FRAME_S, STEP_S, NullLink, Simulation
 from sim.trial.views import RoadLibrary
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
+from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.gps import NO_FIX, GpsReport
 from sim.vehicle.position_inputs import east_north_m
 from sim.world.scenario import Scenario
@@ -57,6 +58,10 @@ def drive(
     run = CourseDrive(drafted(course, seed, length_m, world, odometer_percent), seed, folder, library).run()
     assert isinstance(run, CourseRun)
     return run
+
+
+NEEDED_M = 12.0
+"""Of an autopilot's error, from which a reset by sequence matches is needed: three of their standard deviations."""
 
 
 class CourseSimulation(Simulation):
@@ -214,7 +219,7 @@ class CourseDrive(TrialDrive):
         run = super().judged(simulation, alone)
         told = CourseRun(
             **vars(run),
-            expected=self._expected(run.track.along_m, run.track.gps),
+            expected=self._expected(run.track.along_m, run.track.gps) & self._is_needed(run.track.error_m),
             after_m=np.array([item.error_after_m for item in (*autopilot.inputs.resets, *autopilot.inputs.fused)]),
             texts=texts,
             source_set=autopilot.inputs.source_set,
@@ -266,6 +271,11 @@ class CourseDrive(TrialDrive):
         sin, cos = np.sin(heading_rad), np.cos(heading_rad)
         found: Array = run.sent.off_m - np.column_stack([east_m * sin + north_m * cos, east_m * cos - north_m * sin])
         return found
+
+    def _is_needed(self, error_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Where the autopilot needs a position: always, if it weighs each; to be reset only once it is far off."""
+        firmware = FIRMWARES[self.draft.firmware]
+        return np.full(len(error_m), firmware.fuses_sensor or firmware.fuses_poses) | (error_m > NEEDED_M)
 
     def _expected(self, along_m: NDArray[np.float64], gps: NDArray[np.bool_]) -> NDArray[np.bool_]:
         draft, way = self.draft, self.draft.way

@@ -10,6 +10,9 @@ import msgspec
 import numpy as np
 
 from edge.journal.records import FixSent, FrameUsed
+from edge.localization import Fix, NoFix
+from edge.localization.events import UNBOUNDED
+from edge.localization.fix_rules import NOT_NEEDED
 from edge.telemetry.codec import Message
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.trial.records import Array
@@ -64,6 +67,14 @@ class SentPosition(msgspec.Struct, frozen=True):
         if not self.sigma_m:
             return math.nan
         return self.error_m / self.sigma_m
+
+
+def position_of(answer: Fix | NoFix | None) -> Fix | None:
+    """The position of an answer, also where only the autopilot did not need it; None without one."""
+    if isinstance(answer, NoFix):
+        is_known = answer.reason == NOT_NEEDED and answer.fix is not None
+        return Fix(answer.fix, answer.level or UNBOUNDED) if is_known and answer.fix is not None else None
+    return answer
 
 
 class Text(msgspec.Struct, frozen=True):

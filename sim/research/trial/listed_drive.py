@@ -26,7 +26,7 @@ from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from edge.telemetry.position_sender import level_m
 from edge.telemetry.shadow import Shadow
 from sim.bundle import drive_list
-from sim.research.trial.flight_score import Score, SentPosition, scored
+from sim.research.trial.flight_score import Score, SentPosition, position_of, scored
 from sim.trial.records import Array
 
 APART_S = 1.0
@@ -52,7 +52,7 @@ class ListedDrive:
         self.lost_m = float(np.ptp(self._driven_m[:, 1])) if known_m else 0.0
         asked = [one for _, one in entries if isinstance(one, FixResult)]
         frames = _frames(self.config, entries)
-        self.then = self._score([one.answer for one in asked if isinstance(one.answer, Fix)], frames)
+        self.then = self._score([fix for one in asked if (fix := position_of(one.answer))], frames)
         self.now = self._score(_fixes(self.config, entries, was_asked=bool(asked)), frames)
 
     def _score(self, fixes: Sequence[Fix], frames: Sequence[PlaceFix | None]) -> Score:
@@ -104,7 +104,7 @@ def _frames(config: Config, entries: Entries) -> list[PlaceFix | None]:
 def _fixes(config: Config, entries: Entries, *, was_asked: bool) -> list[Fix]:
     """The positions of today's estimator: when it was asked, or after each frame without GPS where it never was."""
     if was_asked:
-        return [now for _, _, now in replay(config, list(entries)) if isinstance(now, Fix)]
+        return [fix for _, _, now in replay(config, list(entries)) if (fix := position_of(now))]
     found, shadow = [], Shadow(config, lambda record: None)
     for t_ns, one in entries:
         shadow.update(t_ns, one)
