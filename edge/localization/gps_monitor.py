@@ -197,9 +197,9 @@ class GpsMonitor:
         """Go by the newest verdict from now on; it stays "faulty" until GPS is consistent again.
 
         follows_gps: whether the autopilot's own position still rests on GPS. has_poses: whether the autopilot could go
-        by keypoint poses instead. Then a suspicion is enough, since it costs nothing if it is false: by a GPS that was
-        dragged by 1 m/s, a vehicle that steers itself was 40 to 64 m beside its lane on four roads where GPS had to be
-        faulty first, and 1.1 to 4.0 m where it was left four seconds after the drag began (flown on ArduPilot 4.6.3).
+        by keypoint poses instead. Then a suspicion is enough, since it costs nothing if it is false: by a
+        spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m beside their lane on four roads where
+        GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is left (flown on ArduPilot 4.6.3).
         """
         self._is_suspected = self._switches and self.is_doubted and (self._is_suspected or has_poses)
         verdict = self.verdict

@@ -65,7 +65,7 @@ HOLE_S = 8.0
 10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source)."""
 DEPARTS_M, SURE_M = 3.5, 1.5
 """By how much more than usual GPS is away from keypoint poses that know the vehicle to SURE_M before it is left where
-poses are fused. By GPS that was dragged by 1 m/s this was reached 4 s later on two roads; where GPS had to be suspect
+poses are fused. By a spoofing drift of 1 m/s this was reached 4 s later on two roads; where GPS had to be suspect
 by its evidence, which lets the map be wrong in its place, the vehicle was 11 m beside its lane by then, and lost."""
 BESIDE_M = 6.0
 """Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: on recorded drives at

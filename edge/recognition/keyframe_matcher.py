@@ -49,7 +49,7 @@ CENTERED_M, RECKONED_M = 4.0, 10.0
 WINDOWS_M = 0.0, -10.0, 10.0
 """Along the drive, from that place to the middles of local maps."""
 BESIDE_M, DRIVES = 8.0, 3
-"""From the middle of the first of them: of other drives on the road that are looked at, and how many at most."""
+"""From the middle of the first of them: of other drives on the road that are tried, and how many at most."""
 ELSEWHERE_EVERY = 4
 """Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere."""
 
@@ -57,7 +57,7 @@ ELSEWHERE_EVERY = 4
 Image = NDArray[np.uint8]
 
 
-class Reckoned(NamedTuple):
+class ReckonedPlace(NamedTuple):
     """A place that keyframe matches believed, after so many meters were driven, to that sigma of the odometer."""
 
     place: PlaceBelief
@@ -103,7 +103,7 @@ class KeyframeMatcher:
         self._alike = deque[list[KeyframeVote]](maxlen=KEPT_VOTES)
         """By each of the newest verifications, two places that it could not tell apart; none by one that could."""
         self._unverified, self._in_vain = IN_VAIN_EVERY, 0  # frames since a verification, verifications since a match
-        self._reckoned: Reckoned | None = None
+        self._reckoned: ReckonedPlace | None = None
         self._is_opposed = False  # to the views at the place that is believed
         self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was verified
 
@@ -179,7 +179,7 @@ class KeyframeMatcher:
         drive, along_m = self._drives.drive_of(match.place_index), self._drives.along_m(match.place_index)
         place = PlaceBelief(drive, along_m, match.direction, match.confidence, is_believed=True)
         if self._is_one_place(place, keyframes, slack_m):
-            self._reckoned = Reckoned(keyframes, driven_m, uncertain_m)
+            self._reckoned = ReckonedPlace(keyframes, driven_m, uncertain_m)
 
     def _doubted(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float

@@ -74,7 +74,7 @@ class KeyframeVote:
     """A keyframe match as a vote: the vehicle's point along a drive of the map, and its direction of travel.
 
     lap_m: see `PlaceVote`. at_m, uncertain_m: driven by then, and how uncertain that is. odds: by this match alone.
-    right_m, turn_rad: of the vehicle from the drive, as one looks along it, and clockwise.
+    right_m, turn_rad: of the vehicle from the drive, seen along it, and clockwise.
     """
 
     drive: int

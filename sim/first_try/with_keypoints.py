@@ -61,8 +61,8 @@ def assumed_words(maps: MapSet, seen: Recognition) -> list[str]:
     key = maps.headers[0].keypoints_key
     if key is None or not key.focal_sigma:
         return []
-    aside_m = [abs(one.right_m) * key.focal_sigma for one in seen.keyframes if one is not None]
-    worth = f"up to {np.percentile(aside_m, 95):.2f} m (1 sigma) nearer" if aside_m else "nearer"
+    beside_m = [abs(one.right_m) * key.focal_sigma for one in seen.keyframes if one is not None]
+    worth = f"up to {np.percentile(beside_m, 95):.2f} m (1 sigma) nearer" if beside_m else "nearer"
     return [f"the field of view is {ASSUMED}: with --fov-deg DEG ({USUAL_FOV}) poses are {worth} cross-track"]
 
 

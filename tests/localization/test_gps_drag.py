@@ -222,7 +222,8 @@ def left(
         at = gps_at(one.north_m + gps_m[1], drag_m + gps_m[0])
         position = replace(one.position, lat_deg=at.lat_deg, lon_deg=at.lon_deg)
         one.own(has_gps=True, fuses_poses=fuses_poses, position=position)
-        beside_m, along_m = rng.normal(0.0, LOOK_M, 2) + [8.0 * (frame == wrong), 0.0]
+        beside_m, along_m = rng.normal(0.0, LOOK_M, 2)
+        beside_m += 8.0 * (frame == wrong)
         one.show(looked(one.north_m, beside_m, along_m, is_look=frame == wrong or frame % every == 0), at)
         answer, off_m = one.ask(at="pose"), None
         if isinstance(answer, Fix) and answer.place.stamp_ns == one.t_ns:
