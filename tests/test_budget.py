@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = {
     "edge": 1600,
-    "edge/camera": 800,
+    "edge/camera": 850,
     "edge/commands": 300,
     "edge/descriptor": 500,
     "edge/feed": 500,

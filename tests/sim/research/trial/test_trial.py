@@ -18,7 +18,7 @@ from edge.descriptor.network import Network
 from edge.errors import ConfigError
 from sim.research.trial import course_rules
 from sim.research.trial import fixes_command as command
-from sim.research.trial.course import drafted
+from sim.research.trial.course import Course, CourseDraft, drafted
 from sim.research.trial.course_drive import drive
 from sim.research.trial.course_rules import HONEST, CourseRun, Failure, Rule, failures
 from sim.research.trial.courses import CASES, COURSES, courses_of
@@ -363,14 +363,25 @@ def test_odometers_are_compared_course_by_course() -> None:
     assert [row[1] for row in table[:2]] == ["5.0 m, 5.0 m", "4.0 m, 5.0 m"]
 
 
+def fused(one: Course) -> Course:
+    """With an ArduPilot that fuses keypoint poses."""
+
+    def lay(draft: CourseDraft) -> None:
+        one.lay(draft)
+        draft.firmware = "ardupilot-fused"
+
+    return replace(one, lay=lay)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["home", "repeat-dusk"])
+@pytest.mark.parametrize("name", ["home-fused", "repeat-dusk"])
 def test_with_keypoints_positions_are_a_meter_from_the_lane_that_was_taught(
     name: str, library: RoadLibrary, tmp_path: Path
 ) -> None:
     """The way home, in the other lane, and the way out again: the daemon's own looks, by rendered pictures."""
-    run = drive(on_keypoints(COURSES[name]), 1, SHORT_M, WORLD, tmp_path, library)
+    run = drive(on_keypoints(fused(COURSES[name])), 1, SHORT_M, WORLD, tmp_path, library)
     assert not run.failures, line(name, run)
+    assert np.percentile(run.track.error_m[~run.track.gps], 95) < 2.0, "as flown: 0.5 to 1.3 m"
     along_m, cross_track_m = np.percentile(np.abs(run.lane_m), 90, axis=0)
     assert len(run.lane_m) > 20 and max(along_m, cross_track_m) < 1.0
     sent = [json.loads(one) for one in (tmp_path / JOURNAL).read_text().splitlines()]
@@ -391,13 +402,11 @@ def test_home_begins_earlier_on_the_map_of_the_way_out_where_that_has_keypoints(
     library: RoadLibrary, tmp_path: Path
 ) -> None:
     """Out by day, mapped by a rear camera, and home at dusk without GPS, which is lost at the turn."""
-    lines, looks = COURSES["take-me-home-dusk"], on_keypoints(COURSES["take-me-home-dusk"])
-    runs = [drive(one, 1, SHORT_M, WORLD, tmp_path, library) for one in (lines, looks)]
-    first_m = [float(np.interp(run.sent.of_s[0], run.track.time_s, run.track.along_m)) for run in runs]
-    lost_m = [float(run.track.along_m[run.track.gps.argmin()]) for run in runs]
-    print("first positions", np.subtract(first_m, lost_m).round(), "m after GPS was lost")
-    assert first_m[1] - lost_m[1] < 50 < first_m[0] - lost_m[0]
-    assert not failures(runs[1], HONEST), line("take-me-home-dusk", runs[1])
+    run = drive(on_keypoints(fused(COURSES["take-me-home-dusk"])), 1, SHORT_M, WORLD, tmp_path, library)
+    first_m = float(np.interp(run.sent.of_s[0], run.track.time_s, run.track.along_m))
+    lost_m = float(run.track.along_m[run.track.gps.argmin()])
+    assert first_m - lost_m < 50
+    assert not failures(run, HONEST), line("take-me-home-dusk", run)
 
 
 def test_in_short_there_is_a_row_for_each_case_and_a_word_on_each_course_that_fails() -> None:
