@@ -52,7 +52,8 @@ whole decision; a network says which regions of a picture it needs. Two believe 
 reckoned to be, one moves it by its gyros, and one looks at keypoints. Two were split from long files: where
 GPS had the vehicle last is apart from what bounds a position, and comparing GPS with places from judging it."""
 TURN_FILES_MOST = 65
-"""Of a turn that reads a local position as well. One selects the sources of an autopilot that fuses poses, and one is the table of what each autopilot can do."""
+"""Of a turn that reads a local position as well. One selects the sources of an autopilot that fuses poses, and one is
+the table of what each autopilot can do."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 18
 """How many classes may have more attributes than that; records are not counted."""
 
