@@ -142,7 +142,8 @@ def test_the_numbers_of_vpr_tutorial(tmp_path: Path) -> None:
     for name, count in zip(("query", "reference"), TUTORIAL, strict=True):
         (tmp_path / name).mkdir()
         for number in range(count):
-            cv2.imwrite(str(tmp_path / name / f"{number}.png"), np.full((24, 32, 3), 3 * number, np.uint8))
+            blocks = np.random.default_rng(number).integers(0, 255, (6, 8, 3), dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), blocks.repeat(4, axis=0).repeat(4, axis=1))
     files = {name: str(tmp_path / f"{name}.npy") for name in matrices}
     what = [str(tmp_path / "reference"), str(tmp_path / "query"), "-o", str(tmp_path / "report"), "--length", "1"]
     given = ["--truth", files["hard"], "--soft", files["soft"], "--similarity", f"S={files['s']}", "--transposed"]

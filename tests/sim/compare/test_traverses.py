@@ -146,8 +146,9 @@ def test_several_feeds_are_drives_of_one_traverse_and_only_equal_ones_are_right(
 
 
 def _write(path: Path, extras: list[dict[str, str]]) -> Path:
-    picture = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    rng = np.random.default_rng(1)
     with FeedWriter(path, FeedHeader(path.name, "front", 64, 48), extra_columns=tuple(extras[0])) as writer:
         for index, extra in enumerate(extras):
+            picture = rng.integers(0, 255, (6, 8, 3), dtype=np.uint8).repeat(8, axis=0).repeat(8, axis=1)
             writer.write(picture, FeedRow("", index * 500_000_000, extra=extra))
     return path

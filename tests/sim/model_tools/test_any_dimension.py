@@ -81,7 +81,8 @@ def test_everything_works_with_its_descriptors(
     assert "lookback_frames_used_total" in metrics
     journal = [json.loads(line) for line in Path("journal.jsonl").read_text().splitlines()]
     frames = [line for line in journal if line["event"] == "frame" and line["place"] is not None]
-    assert frames and all(abs(line["frame"] - line["place"]) <= 1 for line in frames)
+    # Poses on a flat strip, whose distance from the camera is not known, are up to two places off.
+    assert frames and all(abs(line["frame"] - line["place"]) <= 2 for line in frames)
 
 
 def watched_run(port: int) -> tuple[dict[str, Any], str]:
