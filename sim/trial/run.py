@@ -26,13 +26,14 @@ from edge.telemetry.link import Link
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.plugin import Mapping
 from edge_plugins.page import PageConfig
+from sim import geodetic
 from sim.journal import records_of
 from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Draft
 from sim.trial.records import Array, FixErrors, TrialRun, TruthTrack
 from sim.trial.simulation import STEP_S, NullLink, Simulation
 from sim.trial.views import RoadLibrary
-from sim.vehicle.position_inputs import east_north_m
+from sim.vehicle.position_inputs import east_north_m, vision_deg
 from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import Cable
 from sim.world.scenario import LightName, Scenario, View
@@ -156,11 +157,10 @@ def _sent(draft: Draft, simulation: Simulation, journal: Path) -> FixErrors:
         along_m, cross_track_m = off_m[0] * sin + off_m[1] * cos, off_m[0] * cos - off_m[1] * sin
         found.append((arrived_s, math.hypot(*off_m), sigma_m, along_m, cross_track_m, at_s))
 
+    origin_m = simulation.autopilot.origin_m
+    origin_deg = geodetic(*origin_m, draft.lon_shift_deg) if origin_m else None
     for item in simulation.autopilot.received:
-        position, autopilot = read_position(item.message, draft.lon_shift_deg), simulation.autopilot
-        if item.message.get_type() == "VISION_POSITION_ESTIMATE" and autopilot.origin_m is not None:
-            # Its own sigma lacks the error of the map, which the journal's has.
-            position = *autopilot.inputs.vision_m(item.message, autopilot.origin_m), math.inf, 0.0
+        position = read_position(item.message, origin_deg, draft.lon_shift_deg)
         if position is not None:
             east_m, north_m, sigma_m, age_s = position
             arrived_s = simulation.time_s(item.time_s)
@@ -180,14 +180,19 @@ def _known_sigmas(journal: Path, simulation: Simulation) -> Array:
     return np.array(found).reshape(-1, 2).T
 
 
-def read_position(message: Message, shift_deg: float = 0.0) -> tuple[float, float, float, float] | None:
+def read_position(
+    message: Message, origin_deg: tuple[float, float] | None = None, shift_deg: float = 0.0
+) -> tuple[float, float, float, float] | None:
     """East, north, sigma (m) and age (s) of a position message, None for others.
 
-    shift_deg: by which the simulation's origin was moved east.
+    origin_deg: latitude and longitude of the autopilot's origin, which a vision position needs; its sigma is infinite,
+    since the message's lacks the error of the map. shift_deg: by which the simulation's origin was moved east.
     """
     kind = message.get_msgId()
     if kind == mavlink.MAVLINK_MSG_ID_COMMAND_INT and message.command == EXTERNAL_POSITION_ESTIMATE:
         return *east_north_m(message.x / 1e7, message.y / 1e7, shift_deg), message.param3, message.param2
     if kind == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_SENSOR:
         return *east_north_m(message.lat / 1e7, message.lon / 1e7, shift_deg), message.eph, 0.0
+    if kind == mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE and origin_deg is not None:
+        return *east_north_m(*vision_deg(message, origin_deg), shift_deg), math.inf, 0.0
     return None

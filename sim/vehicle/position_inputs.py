@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.geodesy import east_north_of, moved
+from edge.geodesy import east_north_of
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import ARDUPILOT_M_PER_DEG, EXTERNAL_POSITION_ESTIMATE, SENSOR_ENABLE, SENSOR_GPS
-from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG
+from sim import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic
 from sim.vehicle.estimator import Estimator
 from sim.vehicle.firmware import SimulatedFirmware
 
@@ -49,7 +49,7 @@ class PositionInputs:
     """Handles positions as one firmware does."""
 
     def __init__(self, firmware: SimulatedFirmware, estimate: Estimator, lon_shift_deg: float = 0.0) -> None:
-        self._lon_shift_deg, self._zero = lon_shift_deg, (ORIGIN_LAT_DEG, ORIGIN_LON_DEG + lon_shift_deg)
+        self._lon_shift_deg = lon_shift_deg
         self._firmware = firmware
         self._estimate = estimate
         self.resets: list[Reset] = []
@@ -113,15 +113,8 @@ class PositionInputs:
         """
         if not self._firmware.fuses_poses or self.source_set != SET_WITHOUT_GPS or moment.origin_m is None:
             return
-        self._fuse(*self.vision_m(message, moment.origin_m), moment, POSE_SIGMA_M)
-
-    def vision_m(self, message: Message, origin_m: tuple[float, float]) -> tuple[float, float]:
-        """Meters east and north of the simulation's origin; origin_m: those of the filter's."""
-        lat_deg, lon_deg = moved(*self._zero, *origin_m, ORIGIN_ALT_M)
-        here_deg = lat_deg + message.x / ARDUPILOT_M_PER_DEG
-        to_east = math.cos(math.radians((lat_deg + here_deg) / 2))
-        here = here_deg, lon_deg + message.y / ARDUPILOT_M_PER_DEG / to_east
-        return east_north_of(*here, self._zero, ORIGIN_ALT_M)
+        origin_deg = geodetic(*moment.origin_m, self._lon_shift_deg)
+        self._fuse(*east_north_m(*vision_deg(message, origin_deg), self._lon_shift_deg), moment, POSE_SIGMA_M)
 
     def velocity(self, message: Message, moment: InputContext) -> None:
         """ODOMETRY (PX4) or VISION_POSITION_DELTA (ArduPilot, which stamps it when it arrives), gated.
@@ -155,6 +148,13 @@ class PositionInputs:
     def _fuse(self, east_m: float, north_m: float, moment: InputContext, sigma_m: float) -> None:
         if self._estimate.fuse(east_m, north_m, moment.now_s, sigma_m):
             self.fused.append(Reset(moment.now_s, self._estimate.error_m))
+
+
+def vision_deg(message: Message, origin_deg: tuple[float, float]) -> tuple[float, float]:
+    """Latitude and longitude of VISION_POSITION_ESTIMATE, as ArduPilot has them; origin_deg: those of its filter."""
+    lat_deg = origin_deg[0] + message.x / ARDUPILOT_M_PER_DEG
+    to_east = math.cos(math.radians((lat_deg + origin_deg[0]) / 2))
+    return lat_deg, origin_deg[1] + message.y / ARDUPILOT_M_PER_DEG / to_east
 
 
 def east_north_m(lat_deg: float, lon_deg: float, lon_shift_deg: float = 0.0) -> tuple[float, float]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -14,11 +14,14 @@ from edge.localization import Fix, NoFix
 from edge.localization.events import UNBOUNDED
 from edge.localization.fix_rules import NOT_NEEDED
 from edge.telemetry.codec import Message
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.trial.records import Array
 from sim.trial.run import read_position
 from sim.vehicle.position_inputs import east_north_m
 
+Key: TypeAlias = tuple[int, int] | int
+"""By which a position that was sent is found in the journal: its degrees times 1e7, or of a fused pose when, in ms."""
 MOVES_M = 1.0
 """By so much a reset moves the autopilot at least where it counts as nearer to the truth or further from it."""
 FALSE_M = 25.0
@@ -53,6 +56,11 @@ class SentPosition(msgspec.Struct, frozen=True):
     own_m: float | None = None
     moves_m: float | None = None
     by_pose: bool = False
+
+    @property
+    def is_fused(self) -> bool:
+        """Whether it is a keypoint pose that the autopilot fuses as a measurement."""
+        return self.by_pose and self.message != EXTERNAL_POSITION_ESTIMATE
 
     @property
     def is_further(self) -> bool | None:
@@ -107,6 +115,7 @@ class Score(msgspec.Struct, frozen=True):
         poses, sequences = ([one for one in self.positions if one.by_pose is by_pose] for by_pose in (True, False))
         return {
             "sent": len(self.positions),
+            "fused": sum(one.is_fused for one in self.positions),
             "median_m": median_m,
             "p95_m": most_m,
             "max_m": largest_m,
@@ -139,7 +148,8 @@ def score(
 ) -> Score:
     """Score what the daemon sent; sent, used: by its journal."""
     lost_s, (_, stops_s) = drive.gps_lost_s, drive.moves_s
-    known = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
+    known: dict[Key, FixSent] = {(round(one.lat_deg * 1e7), round(one.lon_deg * 1e7)): one for one in sent}
+    known |= {round(one.send_boot_s * 1e3): one for one in sent if one.way == "vision_position"}
     positions = [one for at_s, message in messages if (one := _position(drive, at_s, message, known)) is not None]
     moments_s = [0.0, *(one.time_s for one in positions if one.time_s >= 0), stops_s - lost_s]
     texts = [
@@ -162,9 +172,9 @@ def scored(
 
 
 def _position(
-    drive: RecordedDrive, sent_s: float, message: Message, known: dict[tuple[int, int], FixSent]
+    drive: RecordedDrive, sent_s: float, message: Message, known: Mapping[Key, FixSent]
 ) -> SentPosition | None:
-    position = read_position(message)
+    position = read_position(message, drive.origin_deg)
     if position is None:
         return None
     *here_m, _, age_s = position
@@ -174,7 +184,9 @@ def _position(
         said["own_m"] = round(off_truth(drive, own_m, of_s)[0], 3)
         said["moves_m"] = round(math.dist(here_m, own_m), 3)
     else:
-        fix, number = known.get((message.lat, message.lon)), message.get_msgId()
+        is_fused = message.get_type() == "VISION_POSITION_ESTIMATE"
+        key: Key = round(message.usec / 1e3) if is_fused else (message.lat, message.lon)
+        fix, number = known.get(key), message.get_msgId()
     if fix is not None:
         said |= {**_said(fix), "by_pose": bool(fix.points)}
     return _judged(drive, here_m, of_s, sent_s, number, said)

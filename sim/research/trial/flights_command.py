@@ -306,14 +306,14 @@ def _made_worse(flights: Sequence[Flight]) -> str:
 
 def _together(scores: Sequence[Score]) -> str:
     found = [one.row() for one in scores]
-    sums = {key: sum(one[key] for one in found) for key in ("sent", "known", "beyond_3", "beyond_4", "levels")}
+    sums = {key: sum(one[key] for one in found) for key in ("sent", "fused", "known", "beyond_3", "beyond_4", "levels")}
     over = sum(one["over_along"] for one in found), sum(one["over_cross_track"] for one in found)
     resets = [sum(one[key] for one in found) for key in RESETS]
     return (
-        "{sent} positions; of {known} whose standard deviation the journal has, {beyond_3} beyond three and {beyond_4}"
-        " beyond four of them; of {levels} with finite levels, {} beyond that along-track and {} cross-track;"
-        f" of resets that move the autopilot by {MOVES_M:.0f} m, by keypoint poses {{}} are nearer to the truth than"
-        " it was and {} further, by sequence matches {} and {}"
+        "{sent} positions, {fused} of them poses that are fused; of {known} whose standard deviation the journal has,"
+        " {beyond_3} beyond three and {beyond_4} beyond four of them; of {levels} with finite levels, {} beyond that"
+        f" along-track and {{}} cross-track; of resets that move the autopilot by {MOVES_M:.0f} m, by keypoint poses"
+        " {} are nearer to the truth than it was and {} further, by sequence matches {} and {}"
     ).format(*over, *resets, **sums)
 
 

@@ -10,6 +10,7 @@ import re
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -116,6 +117,12 @@ class RecordedDrive:
         """The scenario of a camera at a time."""
         scenario = next(one for from_s, one in reversed(self.scenarios) if from_s <= time_s)
         return msgspec.structs.replace(scenario, view=view, epoch_ns=None)
+
+    @cached_property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the autopilot's origin, None where it did not report it."""
+        reports = [one.message for one in self.link if one.message.get_type() == "GPS_GLOBAL_ORIGIN"]
+        return (reports[-1].latitude / 1e7, reports[-1].longitude / 1e7) if reports else None
 
     @property
     def is_learned(self) -> bool:

@@ -1,7 +1,8 @@
 """A recorded drive once more: the whole daemon of today, on the bytes that a real autopilot sent, and on its pictures.
 
 Time is the recorded one. Pictures are rendered where the vehicle truly was, ten a second, and go through the camera's
-checks, [sampling] and [motion] as a device's do; the map is made again with the errors that its places had.
+checks, [sampling] and [motion] as a device's do; the map is made again with the errors that its places had. Where it
+gets keypoints, ArduPilot is one whose parameters let it fuse their poses.
 
 It is open loop: nothing that is sent now moves the recorded autopilot, which goes on by the positions of then. Each
 position is answered as accepted, and the autopilot's other answers come when they did.
@@ -29,6 +30,7 @@ from edge.keypoints.network import KeypointNetwork
 from edge.opened_parts import OpenedParts
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, acknowledgement
+from edge.telemetry.firmware import FIRMWARES
 from edge_plugins.home import HomeConfig
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE
@@ -72,7 +74,7 @@ def replay(
         _build_map(drive, matched, map_path, library, keypoints=keypoints)
         for number, run in enumerate(drive.runs):
             with closing(Cable()) as link, ExitStack() as parts:
-                playback = Playback(drive, run, link, scenes)
+                playback = Playback(drive, run, link, scenes, fuses_poses=keypoints)
                 recorded = _with_poses(drive) if keypoints else drive.config
                 settings = _settings(recorded, link, map_path, journal, journal.with_name(f"{number:02}.drive"))
                 opened = OpenedParts(
@@ -97,7 +99,8 @@ def replay(
 class Playback:
     """The recorded autopilot and the cameras of one run of the daemon: its `Frames`."""
 
-    def __init__(self, drive: RecordedDrive, run: DaemonRun, link: Cable, scenes: Scenes) -> None:
+    def __init__(self, drive: RecordedDrive, run: DaemonRun, link: Cable, scenes: Scenes, *, fuses_poses: bool) -> None:
+        """fuses_poses: whether ArduPilot's parameters let it, whatever they were."""
         self.now_ns = round(run.from_s * 1e9)
         self.received: list[tuple[float, Message]] = []
         """What the daemon sent, and when."""
@@ -115,6 +118,11 @@ class Playback:
         self.rear = FlightCamera(drive, run.exposures_s, "rear", scenes, self.clock_ns) if has_rear else None
         """The camera that maps."""
         self._codec = MavlinkCodec(1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if fuses_poses:
+            for one in FIRMWARES[mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA].asks["vision_position"]:
+                value = float(one.values[0]), mavlink.MAV_PARAM_TYPE_REAL32, 1, 0
+                message = mavlink.MAVLink_param_value_message(one.parameter.encode(), *value)
+                self._parameters[one.parameter] = self._codec.encode(message)
         self._answers: deque[tuple[float, bytes]] = deque()
 
     def clock_ns(self) -> int:
@@ -185,7 +193,8 @@ def _with_poses(drive: RecordedDrive) -> Config:
     """The drive's config with the camera's view and place, which keypoint poses need: it is at the antenna."""
     replaced, config = msgspec.structs.replace, drive.config
     camera = replaced(config.camera, fov_deg=drive.scenario.fov_deg)
-    return replaced(config, camera=camera, rig=replaced(config.rig, look_sigma_m=RIG.look_sigma_m))
+    telemetry = replaced(config.telemetry, emit="auto")
+    return replaced(config, camera=camera, telemetry=telemetry, rig=replaced(config.rig, look_sigma_m=RIG.look_sigma_m))
 
 
 def _build_map(

@@ -21,8 +21,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.commands.parser import build_parser
 from edge.errors import FeedError
 from edge.journal.records import FixSent
+from edge.localization import PlaceFix
 from edge.telemetry.codec import MavlinkCodec
-from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
+from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE, MessageContext, vision_position
+from edge.telemetry.session import Origin
 from sim import geodetic
 from sim.datasets.flight_logs import tlog_frames
 from sim.research.trial.flight_camera import FlightCamera, Scenes
@@ -99,6 +101,22 @@ def test_a_reset_that_is_further_from_the_truth_than_the_autopilot_was_is_counte
     assert "by keypoint poses 0 are nearer to the truth than it was and 1 further, by sequence matches 0 and 0" in page(
         [flown]
     )
+
+
+def test_a_pose_that_would_be_fused_is_found_in_the_journal_by_when_it_was_sent(drive: RecordedDrive) -> None:
+    """Its own sigma lacks the error of the map."""
+    at_s, boot_s = drive.gps_lost_s + 5.0, 123.4567
+    east_m, north_m = drive.true_m(at_s)
+    origin, (lat_deg, lon_deg) = drive.origin_deg, geodetic(east_m, north_m + 0.5)
+    assert origin is not None
+    fix = PlaceFix(1, 0, lat_deg, lon_deg, 0.0, 0.1, 0.1, "reverse", "same", 1.0)
+    sending = MessageContext(1, boot_s, 0.0, origin=Origin(*origin, 0.0))
+    known = msgspec.structs.replace(sent(position(drive, at_s, 0.0, 0.0), None), send_boot_s=boot_s, points=9)
+    known = msgspec.structs.replace(known, way="vision_position", sigma_m=0.25)
+    found = score(drive, [(at_s, vision_position(fix, sending))], [known], drive.used)
+    (pose,) = found.positions
+    assert pose.is_fused and pose.error_m == pytest.approx(0.5, abs=0.01) and pose.sigmas == pytest.approx(2.0, abs=0.1)
+    assert found.row()["fused"] == 1
 
 
 def test_a_drive_without_positions_is_silent_to_its_end(drive: RecordedDrive) -> None:
