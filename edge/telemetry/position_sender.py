@@ -73,7 +73,7 @@ class PositionSender:
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
         self._misled_ns = self._stopped_ns = 0  # since when it is not, and when it was stopped last
-        self._asked_ns = 0
+        self._asked_ns = self._hole_ns = 0
         self._judged_ns: int | None = None  # the moment of the newest position that was sent, or withheld
         self._kept_up_ns = 0  # when a sensor was last kept healthy without a pose
         self._refused = NoFix(NO_PLACES)
@@ -147,10 +147,14 @@ class PositionSender:
             self._withheld, self._refused = None, NoFix(NO_PLACES)
             # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
             if message.moment == "pose" and not self.sources.is_without_gps:
-                self.sources.want(SET_WITHOUT_GPS, LOST)
+                known = self._drive.state
+                # One that is ignored counts again only once it is consistent.
+                self.sources.want(SET_WITHOUT_GPS, known.gps.state if known.ignores_gps else LOST)
                 self._judged_ns = None  # this one waits for it: there may be none after it
+                self._hole_ns = now_ns
                 return []
-            is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and self._since_s(now_ns) < HOLE_S
+            hole_s = min(self._since_s(now_ns), (now_ns - self._hole_ns) / 1e9)
+            is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and hole_s < HOLE_S
             messages = [] if is_wide else self._encode(answer, now_ns, message, again=is_again)
         elif isinstance(answer, NoFix) and overdue is None:
             self._withhold(answer)

@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.camera.picture_check import COVERED, DARK, DAZZLED, FROZEN, PictureFault, PictureFaultDetector
+from edge.camera.picture_check import (
+    ALIKE,
+    COVERED,
+    DARK,
+    DAZZLED,
+    FROZEN,
+    Information,
+    PictureFault,
+    PictureFaultDetector,
+)
 from edge.config import SamplingConfig
 from edge.feed import Feed, FeedImages, read_feed
 from sim.traverse import traverse
@@ -166,6 +175,15 @@ def test_a_picture_that_shows_little_is_used(
     rng = np.random.default_rng(4)
     little = (encoded(shown(picture), noise, 90, rng) for picture in photographs)
     assert np.mean([PictureFaultDetector().check(one, 0, None) is None for one in little]) >= 0.95
+
+
+def test_windows_that_share_nothing_with_their_neighbors_are_no_noise() -> None:
+    """Neighbors share nothing then: two such stretches of a road at night counted as a covered lens."""
+    rng = np.random.default_rng(6)
+    grays = 70 + rng.normal(0, 9, (24, 32))
+    windows = np.kron(grays, np.ones((10, 10)))[..., None].repeat(3, axis=2).clip(0, 255).astype(np.uint8)
+    assert Information.of(windows).alike < ALIKE
+    assert PictureFaultDetector().check(windows, 0, None) is None
 
 
 def test_an_old_picture_that_is_encoded_anew_is_frozen_once_the_vehicle_has_driven_4_m(

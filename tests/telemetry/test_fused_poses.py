@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.journal.records import FixSent, PositionMessageChosen, SourceSetAnswered
-from edge.localization import HOLE_S
+from edge.localization import HOLE_S, GpsVerdict
 from sim.vehicle.command import straight_line
 from tests.telemetry.rig import SPEED_MPS, START_NS, OpenRig, Rig
 
@@ -156,6 +156,26 @@ def test_a_wide_pose_only_ends_a_hole(open_rig: OpenRig) -> None:
     assert poses_for(rig, HOLE_S - 1.0, sigma_m=2.1) == 0
     assert poses_for(rig, 3.0, sigma_m=2.1) == 1
     assert len(poses(rig)) == before + 1 > 1
+
+
+def test_the_first_pose_after_gps_is_not_wide(open_rig: OpenRig) -> None:
+    """Its filter goes to that one, whatever it has: 2.0 m off was 1.7 m beside the lane in a flight."""
+    rig = fused(open_rig)
+    rig.autopilot.gps = False
+    assert poses_for(rig, HOLE_S - 1.0, sigma_m=1.1) == 0
+    assert sets_selected(rig) == [2]
+    assert poses_for(rig, 1.0) == 2
+
+
+def test_gps_that_is_ignored_is_not_called_lost(open_rig: OpenRig) -> None:
+    """It counts again once it is consistent, and not because it works."""
+    rig = fused(open_rig, gates=GatesConfig(risk=1.0, doubted_gps="switch"))
+    rig.drive.judge(GpsVerdict("faulty", 6.0, 0.0))
+    poses_for(rig, 10.0)
+    assert "Lookback: GPS faulty: by places, source set 2" in texts(rig)
+    rig.drive.judge(GpsVerdict("cannot say"))
+    poses_for(rig, 10.0)
+    assert sets_selected(rig) == [2]
 
 
 def test_once_gps_works_again_it_is_by_gps(open_rig: OpenRig) -> None:

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import FixSent, FrameUsed
 from edge.localization import Fix, NoFix
@@ -22,6 +23,7 @@ from sim.vehicle.position_inputs import east_north_m
 
 Key: TypeAlias = tuple[int, int] | int
 """By which a position that was sent is found in the journal: its degrees times 1e7, or of a fused pose when, in ms."""
+VISION = mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE
 MOVES_M = 1.0
 """By so much a reset moves the autopilot at least where it counts as nearer to the truth or further from it."""
 FALSE_M = 25.0
@@ -59,8 +61,8 @@ class SentPosition(msgspec.Struct, frozen=True):
 
     @property
     def is_fused(self) -> bool:
-        """Whether it is a keypoint pose that the autopilot fuses as a measurement."""
-        return self.by_pose and self.message != EXTERNAL_POSITION_ESTIMATE
+        """Whether it is a keypoint pose that the autopilot fuses as a measurement; of a stream the journal has some."""
+        return self.message == VISION or (self.by_pose and self.message != EXTERNAL_POSITION_ESTIMATE)
 
     @property
     def is_further(self) -> bool | None:
@@ -184,9 +186,9 @@ def _position(
         said["own_m"] = round(off_truth(drive, own_m, of_s)[0], 3)
         said["moves_m"] = round(math.dist(here_m, own_m), 3)
     else:
-        is_fused = message.get_type() == "VISION_POSITION_ESTIMATE"
-        key: Key = round(message.usec / 1e3) if is_fused else (message.lat, message.lon)
-        fix, number = known.get(key), message.get_msgId()
+        number = message.get_msgId()
+        key: Key = round(message.usec / 1e3) if number == VISION else (message.lat, message.lon)
+        fix = known.get(key)
     if fix is not None:
         said |= {**_said(fix), "by_pose": bool(fix.points)}
     return _judged(drive, here_m, of_s, sent_s, number, said)
