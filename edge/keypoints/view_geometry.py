@@ -93,19 +93,22 @@ class Intrinsics:
         return np.asarray(np.linalg.inv(self.information))
 
 
-def bent(
-    directions: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Directions (..., 2) as cameras with such values (..., 2) have them by their model.
+def bend(
+    directions: NDArray[np.float64], derivatives: NDArray[np.float64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Directions (S, 2, n) as cameras with such values (S, 2) have them by their model.
 
-    And the derivatives by the directions (..., 2, 2), and by the values (..., 2, 2).
+    derivatives: (S, U, 2, n) of the directions by other unknowns, then rows for the values; they become those of what
+    is returned.
     """
-    focal, k1 = np.exp(values[..., :1]), values[..., 1:]
-    away_sq = np.minimum(np.square(directions).sum(axis=-1, keepdims=True), FARTHEST_BENT_SQ)
-    longer = focal * (1 + k1 * away_sq)
-    outer = directions[..., np.newaxis] * directions[..., np.newaxis, :]
-    slope = longer[..., np.newaxis] * np.eye(2) + 2 * (focal * k1)[..., np.newaxis] * outer
-    return longer * directions, slope, np.stack([longer * directions, focal * away_sq * directions], axis=-1)
+    focal, k1 = np.exp(values[:, :1, np.newaxis]), values[:, 1:, np.newaxis]
+    away_sq = np.minimum(np.square(directions).sum(axis=1, keepdims=True), FARTHEST_BENT_SQ)
+    longer, others = focal * (1 + k1 * away_sq), derivatives[:, :-2]
+    outward = 2 * focal * k1 * (directions[:, np.newaxis] * others).sum(axis=2)
+    others *= longer[:, np.newaxis]
+    others += outward[:, :, np.newaxis] * directions[:, np.newaxis]
+    derivatives[:, -2], derivatives[:, -1] = longer * directions, focal * away_sq * directions
+    return np.asarray(longer * directions)
 
 
 class Projection:

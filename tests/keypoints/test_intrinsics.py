@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.keypoints.intrinsics import DOUBTFUL, UNSEEN, WRONG, CameraEvidence
 from edge.keypoints.pose import RelativePose, solve_pnp
-from edge.keypoints.view_geometry import Intrinsics, bent
+from edge.keypoints.view_geometry import Intrinsics, bend
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
 
@@ -21,7 +21,7 @@ def drive(fov_deg: float, k1: float, pictures: int, pixels: float = 1.0) -> tupl
         rng = np.random.default_rng(number)
         world_m, at = street(rng, 120), (*rng.uniform((-4, -4, -0.05), (4, 4, 0.05)), 0.01)
         points = row_points(rng, world_m, pixels=0.7, turned_deg=0.3)
-        must_be = bent(seen(world_m, at), np.array([math.log(_longer(fov_deg)), k1]))[0]
+        must_be = _bent(seen(world_m, at), [math.log(_longer(fov_deg)), k1])
         picture = with_noise(rng, must_be, pixels)
         picture[rng.random(len(picture)) < 0.2] = rng.uniform(-0.8, 0.8, 2)
         known = points.is_known & (np.abs(must_be) < (0.84, 0.63)).all(axis=1)
@@ -33,6 +33,10 @@ def drive(fov_deg: float, k1: float, pictures: int, pixels: float = 1.0) -> tupl
         evidence = evidence.with_picture(own.intrinsics)
         off.append((pose.start[0] - at[:3]) / np.sqrt(np.diag(pose.covariance)))
     return evidence, np.array(off)
+
+
+def _bent(directions: NDArray[np.float64], values: list[float]) -> NDArray[np.float64]:
+    return np.asarray(bend(directions.T[np.newaxis], np.zeros((1, 2, 2, len(directions))), np.array([values]))[0].T)
 
 
 def _longer(fov_deg: float) -> float:
@@ -92,12 +96,12 @@ def test_a_mixture_of_two_poses_has_the_spread_of_both() -> None:
 
 
 def test_bent_directions_move_as_their_derivatives_say() -> None:
-    straight, values, small = np.array([[0.5, -0.3], [0.0, 0.0], [-0.8, 0.1]]), np.array([0.1, -0.15]), 1e-6
-    found, by_direction, by_value = bent(straight, values)
-    assert found == pytest.approx(
-        math.exp(0.1) * (1 - 0.15 * np.square(straight).sum(axis=1, keepdims=True)) * straight
-    )
-    for axis in range(2):
-        moved = np.eye(2)[axis] * small
-        assert (bent(straight + moved, values)[0] - found) / small == pytest.approx(by_direction[..., axis], abs=1e-5)
-        assert (bent(straight, values + moved)[0] - found) / small == pytest.approx(by_value[..., axis], abs=1e-5)
+    straight, values, small = np.array([[0.5, -0.3], [0.0, 0.0], [-0.8, 0.1]]), [0.1, -0.15], 1e-6
+    derivatives = np.zeros((1, 4, 2, 3))
+    derivatives[0, 0, 0] = derivatives[0, 1, 1] = 1.0
+    found = bend(straight.T[np.newaxis], derivatives, np.array([values]))[0].T
+    away_sq = np.square(straight).sum(axis=1, keepdims=True)
+    assert found == pytest.approx(math.exp(0.1) * (1 - 0.15 * away_sq) * straight)
+    for row, moved in enumerate(np.eye(4) * small):
+        further = _bent(straight + moved[:2], (values + moved[2:]).tolist())
+        assert (further - found) / small == pytest.approx(derivatives[0, row].T, abs=1e-5)
