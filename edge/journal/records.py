@@ -281,6 +281,13 @@ class VehicleMisled(Record, frozen=True, tag="misled"):
     stopped: Annotated[bool, unit("", "whether it was stopped, by [gates] misled; else the pilot was asked to")]
 
 
+class SteeringChanged(Record, frozen=True, tag="steering"):
+    """By what the vehicle steers, or whether GPS is in use, changed, and has been so for three seconds."""
+
+    gps: Annotated[str, unit("", "in use, not used (its receiver works), lost or faulty")]
+    by: Annotated[str, unit("", "GPS, places, dead reckoning, or unknown: nobody knows where it is")]
+
+
 class GpsJudged(Record, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 

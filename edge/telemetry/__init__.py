@@ -9,13 +9,13 @@ Out: `firmware` is what each autopilot can do. `link_protocol` requests what is 
 velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says
 what an answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its
 filter uses GPS. `aiding_store` keeps the autopilot's last position aiding over a restart, `wheel_store` what drives
-show of the wheels. `people` is for people, and `encoders` writes all that is sent. `autopilot` joins all into the one
-object that the daemon polls.
+show of the wheels. `steering` is by what the vehicle steers. `people` is for people, and `encoders` writes all that is
+sent. `autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from edge.telemetry.link import Link, parse_connection
 
@@ -27,9 +27,10 @@ class LinkStatus:
     state: closed | waiting | up. gps: healthy | not healthy | unknown; gps_why: why it is unknown.
     velocity_aid: what measures velocity without GPS by its parameters, "none" where nothing does. wheels: by how much
     these measure too little, in words, by this drive and those before. gps_verdict, gps_off_m, gps_off, gps_doubt:
-    what the places say of GPS, see GpsVerdict; gps_off in words. sent_ns: CLOCK_MONOTONIC of the newest position that
-    was sent, or with which the autopilot agreed; sent_sigma_m: its standard deviation; level_along_m,
-    level_cross_track_m: its protection level, None where nothing bounds it.
+    what the places say of GPS, see GpsVerdict; gps_off in words. gps_use, steers_by, reckoned_m: see
+    `Steering`. sent: how many positions have left, by MAVLink message; sent_ns: when the newest did (CLOCK_MONOTONIC);
+    sent_sigma_m: its standard deviation; level_along_m, level_cross_track_m: its protection level, None where nothing
+    bounds it. confirmed_ns: when the autopilot last agreed with one.
     """
 
     state: str
@@ -47,8 +48,13 @@ class LinkStatus:
     gps_off_m: float | None = None
     gps_off: str = ""
     gps_doubt: float | None = None
+    gps_use: str = "unknown"
+    steers_by: str = "unknown"
+    reckoned_m: float | None = None
+    sent: dict[str, int] = field(default_factory=dict)
     sent_ns: int | None = None
     sent_sigma_m: float | None = None
+    confirmed_ns: int | None = None
     level_along_m: float | None = None
     level_cross_track_m: float | None = None
 

@@ -143,6 +143,8 @@ class PositionUse:
         """The autopilot may be another one, and has lost all that was sent before."""
         self.newest: FixTransmission | None = None
         """The newest that was sent, None before the first."""
+        self.confirmed_ns: int | None = None
+        """When the autopilot's own position last agreed with one that was sent, or moved to it."""
         self.command = Command()
         """That which carries one that is acknowledged."""
         self._followed: tuple[FixTransmission, int] | None = None  # and when it was accepted; 0: not yet
@@ -181,6 +183,7 @@ class PositionUse:
                 self._publish_check(sent.place, distance_m, "fixes sent", moved=moved)
         # So near, an autopilot follows the stream.
         if distance_m <= AGREE_SIGMAS * sigma_m:
+            self.confirmed_ns = sent.at_ns
             self._drive.update(sent.at_ns, FixFeedback(sent.fix, distance_m))
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
@@ -232,6 +235,7 @@ class PositionUse:
         self._followed = None
         self._publish_check(sent.place, remaining_m, "fix accepted", moved=moved)
         if moved:
+            self.confirmed_ns = now_ns
             self._drive.update(now_ns, FixFeedback(sent.fix, remaining_m))
         else:
             self.command.pause.failed(now_ns)

@@ -35,8 +35,10 @@ from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
+from edge.telemetry.position_messages import CARRIERS
 from edge.telemetry.position_sender import DOUBTED, PositionSender, level_m
 from edge.telemetry.session import Session
+from edge.telemetry.steering import Steering, SteeringMonitor
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 from edge.telemetry.vehicle_velocity import slip
 from edge.telemetry.wheel_store import WheelStore, in_percent
@@ -99,7 +101,7 @@ class AutopilotConnection:
         self._wheels = WheelStore(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
-        self._gps_news = GpsNews(publisher)
+        self._gps_news, self._steering = GpsNews(publisher), SteeringMonitor(vehicle, publisher)
         self._service: Service | None = None
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
@@ -160,7 +162,8 @@ class AutopilotConnection:
         now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, cross_track_m = level_m(sent.fix.level) if sent else (None, None)
-        scale = self.vehicle.velocity.shown.scale
+        scale, steering = self.vehicle.velocity.shown.scale, self._steering.state if self.state == "up" else Steering()
+        left = {name: self._port.sent[name] for name in CARRIERS if name in self._port.sent}
         return LinkStatus(
             state=self.state,
             connection=self.config.connection,
@@ -177,8 +180,13 @@ class AutopilotConnection:
             gps_off_m=verdict.distance_m,
             gps_off=verdict.where,
             gps_doubt=verdict.doubt,
-            sent_ns=sent.at_ns if sent else None,
+            gps_use=steering.gps,
+            steers_by=steering.by,
+            reckoned_m=steering.reckoned_m,
+            sent={name: count for name, (count, _) in left.items()},
+            sent_ns=max((at_ns for _, at_ns in left.values()), default=None) if sent else None,
             sent_sigma_m=round(sent.place.sigma_m, 2) if sent else None,
+            confirmed_ns=self.positions.use.confirmed_ns,
             level_along_m=along_m,
             level_cross_track_m=cross_track_m,
         )
@@ -362,12 +370,13 @@ class AutopilotConnection:
         if self.positions.enabled:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()
-        self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.state.is_bounded)
         if now_ns >= self._bound.due_ns:
             self._bound.keep(now_ns)
         if now_ns >= self._wheels.due_ns:
             self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns, all_came=self.requests.parameters.are_over(now_ns)))
+        is_selected = self.positions.sources.in_use == GPS_SET
+        self._steering.update(now_ns, self.drive.state, self.positions.use.confirmed_ns, is_selected=is_selected)
         self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
 

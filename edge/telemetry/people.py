@@ -16,7 +16,6 @@ from edge.localization import GpsVerdict, PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import Message
 from edge.telemetry.port import Port
-from edge.telemetry.session import Session
 from edge.telemetry.vehicle import Vehicle
 
 HEARTBEAT_NS = 1_000_000_000
@@ -126,7 +125,6 @@ class GpsNews:
         self.verdict = GpsVerdict()
         self._published = ""
         self._values_ns = 0
-        self._had_gps: Session | None = None  # in which a receiver worked last
 
     def publish(self, verdict: GpsVerdict) -> bool:
         """Publish a verdict where it is another one; True where GPS was just declared faulty."""
@@ -138,14 +136,6 @@ class GpsNews:
         if verdict.state in GPS_TEXTS and (verdict.state != "consistent" or before == "faulty"):
             self._publisher.warn(GPS_TEXTS[verdict.state].format(verdict.where))
         return verdict.state == "faulty"
-
-    def warn_of_lost(self, session: Session, now_ns: int, *, is_bounded: bool) -> None:
-        """Where GPS is lost, and the autopilot had not used it yet. is_bounded: see `EstimatorState`."""
-        receivers = session.gps.receiver_state(now_ns)
-        if self._had_gps is session and receivers == "not healthy" and not is_bounded:
-            self._publisher.warn("Lookback: GPS lost before the autopilot used it")
-        if receivers != "unknown":
-            self._had_gps = session if receivers == "healthy" else None
 
     def values_due(self, boot_ms: int, now_ns: int) -> list[Message]:
         """The values for ground stations and scripts, once a second from the first answer on."""

@@ -67,6 +67,8 @@ class Port:
         self._opened_ns = 0
         self._unread = b""
         self._back_off = BackOff(RETRY_FIRST_NS, RETRY_LAST_NS[connection.kind])
+        self.sent: dict[str, tuple[int, int]] = {}
+        """How many messages of a name have left, and when the newest did (CLOCK_MONOTONIC, ns)."""
 
     @property
     def is_open(self) -> bool:
@@ -117,10 +119,14 @@ class Port:
         if self._link is None or is_listening:
             return False
         try:
-            return self._link.send(self.codec.encode(message))
+            if not self._link.send(self.codec.encode(message)):
+                return False
         except LinkLost as error:
             self._lose(str(error))
             return False
+        name = message.get_type()
+        self.sent[name] = self.sent.get(name, (0, 0))[0] + 1, self._clock_ns()
+        return True
 
     def peer_answered(self) -> None:
         """The sender of the message that `receive` gave last is the peer, and others are ignored until it is silent.

@@ -32,6 +32,8 @@ class PositionMessage:
     widest_m: float = math.inf
 
 
+CARRIERS = ("COMMAND_INT", "VISION_POSITION_ESTIMATE", "GLOBAL_POSITION_SENSOR")
+"""MAVLink's names of those below; no other COMMAND_INT is sent."""
 POSITION_MESSAGES: dict[str, PositionMessage] = {
     message.name: message
     for message in (

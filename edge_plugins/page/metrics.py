@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
+from typing import get_args
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from edge.telemetry.steering import GpsUse, SteeredBy
 from edge_plugins.page.snapshot import Status
 
 STATES = ("starting", "warming up", "on the map", "off the map", "degraded", "failed")
@@ -31,7 +33,7 @@ class _OneStatus(Collector):
 
 
 def _metrics(status: Status) -> Iterator[Metric]:
-    camera, link, newest = status.camera, status.link, status.newest
+    camera, newest = status.camera, status.newest
     about = GaugeMetricFamily("lookback_info", "Version and map; always 1", labels=["version", "map"])
     about.add_metric([status.version, status.map_name], 1)
     yield about
@@ -53,6 +55,13 @@ def _metrics(status: Status) -> Iterator[Metric]:
     outcomes = {"delivered": camera.delivered, "overwritten": camera.overwritten, "bad": camera.bad}
     yield _counter("camera_frames", "Frames by outcome", outcomes, "outcome")
     yield _counter("camera_reopened", "How often a lost camera came back", camera.reopened)
+    yield from _link_metrics(status)
+    lost = "Lines that could not be written since the last one that was"
+    yield _gauge("journal_lines_lost", lost, status.journal_lost)
+
+
+def _link_metrics(status: Status) -> Iterator[Metric]:
+    link = status.link
     yield _gauge("link_up", "Whether an autopilot is heard", float(link.state == "up"))
     yield _gauge("gps_healthy", "Whether the autopilot uses a good GPS fix", float(link.gps == "healthy"))
     is_faulty = link.gps_verdict == "faulty"
@@ -64,15 +73,25 @@ def _metrics(status: Status) -> Iterator[Metric]:
         yield _gauge("gps_doubt", "Evidence that GPS is faulty, from 0; 1 where that is declared", doubt)
     if link.gps_off_m is not None:
         yield _gauge("gps_off_meters", "How far GPS is from the places", link.gps_off_m)
+    uses = {one: float(one == link.gps_use) for one in get_args(GpsUse)}
+    yield _gauge("gps_use", "1 for whether the autopilot uses GPS", uses, "use")
+    steered = {one: float(one == link.steers_by) for one in get_args(SteeredBy)}
+    yield _gauge("steering", "1 for what the vehicle steers by", steered, "by")
+    yield _counter("positions_sent", "Positions that have left for the autopilot", link.sent, "message")
+    if link.confirmed_ns is not None:
+        confirmed_s = (status.stamp_ns - link.confirmed_ns) / 1e9
+        yield _gauge("position_confirmed_age_seconds", "Time since the autopilot agreed with one", confirmed_s)
+    if link.reckoned_m is not None:
+        yield _gauge("dead_reckoning_meters", "Driven since GPS or a position counted", link.reckoned_m)
+    if status.beside_lane_m is not None:
+        yield _gauge("beside_lane_meters", "How far right of the map's drive it is", status.beside_lane_m)
     if link.sent_ns is not None:
         age_s = (status.stamp_ns - link.sent_ns) / 1e9
-        yield _gauge("position_age_seconds", "Time since the newest position was sent", age_s)
+        yield _gauge("position_age_seconds", "Time since the newest position left", age_s)
         both = {"along": link.level_along_m, "cross-track": link.level_cross_track_m}
         levels = {direction: math.inf if level_m is None else level_m for direction, level_m in both.items()}
         about_levels = "Of the newest position that was sent; +Inf where nothing bounds it"
         yield _gauge("protection_level_meters", about_levels, levels, "direction")
-    lost = "Lines that could not be written since the last one that was"
-    yield _gauge("journal_lines_lost", lost, status.journal_lost)
 
 
 def _metric(

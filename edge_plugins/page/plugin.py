@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from edge.extras import install_command
 from edge.plugin import Parts, Plugin, UsedFrame
 from edge_plugins.page import PageConfig
-from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, MapView, map_view
+from edge_plugins.page.snapshot import DaemonStatus, LiveStatus, MapView, beside_lane_m, map_view
 
 if TYPE_CHECKING:
     from edge_plugins.mapping.plugin import Mapping
@@ -51,7 +51,7 @@ class Page(Plugin):
         if server is None:
             return
         if maps is not self._maps:
-            self._maps = maps
+            self._maps, self._live.match = maps, None
             server.show_map(map_view(maps, self._parts.config.camera.view))
         if server.wanted:
             self._show(server)
@@ -62,7 +62,8 @@ class Page(Plugin):
             self.server.close()
 
     def _show(self, server: StatusPage) -> None:
-        parts, health = self._parts, self._parts.health()
+        parts, health, match = self._parts, self._parts.health(), self._live.match
+        position = parts.drive.state.position
 
         def mapped(mapping: Mapping) -> MappingView:
             return mapping.view()
@@ -78,6 +79,8 @@ class Page(Plugin):
             camera_by_keypoints=parts.recognizer.camera,
             link=parts.autopilot.status(),
             mapping=parts.plugins.ask("mapping", mapped),
+            position=position,
+            beside_lane_m=beside_lane_m(position, parts.drive.route, match.place_index) if position and match else None,
         )
         server.show(self._live.snapshot(status))
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 import edge
 from edge.camera import CameraHealth, Frame
 from edge.config import FEWEST_FRAMES, SamplingConfig
-from edge.journal.records import FrameUsed
+from edge.geodesy import east_north
+from edge.journal.records import FrameUsed, PlaceFix
 from edge.keypoints.intrinsics import CameraDifference
-from edge.reference_map import Bounds, MapSet
+from edge.reference_map import Bounds, MapSet, Route
 from edge.sequence import Correspondences, PlaceMatch
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingView
@@ -42,7 +43,10 @@ class HistoryFrame(msgspec.Struct, frozen=True):
 
 
 class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """What the daemon says of itself. stamp_ns: CLOCK_MONOTONIC now. stages_ms: medians."""
+    """What the daemon says of itself. stamp_ns: CLOCK_MONOTONIC now. stages_ms: medians.
+
+    position: at the exposure of the last match that passed the innovation test; beside_lane_m: see `beside_lane_m`.
+    """
 
     stamp_ns: int
     map_name: str
@@ -54,6 +58,8 @@ class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
     camera_by_keypoints: CameraDifference | None = None
     link: LinkStatus
     mapping: MappingView | None = None
+    position: PlaceFix | None = None
+    beside_lane_m: float | None = None
 
 
 class Status(DaemonStatus, frozen=True, kw_only=True):
@@ -179,6 +185,21 @@ class LiveStatus:
             return 0.0
         # A camera that stopped shows as a rate that falls.
         return round((len(stamps_ns) - 1) * 1e9 / max(max(stamps_ns[-1], now_ns - 1e9) - stamps_ns[0], 1), 2)
+
+
+def beside_lane_m(fix: PlaceFix, route: Route, place_index: int) -> float | None:
+    """How far to the right of the drive of a place a position is, as the vehicle heads: meters.
+
+    None where nothing but the lane says where cross-track it is, and without positions.
+    """
+    drive = route.drive(place_index)
+    if fix.by_lane or not fix.is_position or not drive.route_m.size:
+        return None
+    from_fix_m = east_north(drive.lat_deg, drive.lon_deg, (fix.lat_deg or 0.0, fix.lon_deg or 0.0))
+    nearest = int(np.hypot(*from_fix_m.T).argmin())
+    heading_rad = np.radians(drive.heading_deg[nearest] + (180.0 if fix.direction == "reverse" else 0.0))
+    right_m = from_fix_m[nearest] @ (-np.cos(heading_rad), np.sin(heading_rad))
+    return None if np.isnan(right_m) else round(float(right_m), 2)
 
 
 DRIVE_POINTS = 2000

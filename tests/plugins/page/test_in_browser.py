@@ -32,14 +32,16 @@ from selenium.webdriver.support.wait import WebDriverWait
 from edge.config import DescriptorConfig, SamplingConfig
 from edge.feed import FeedImages, FeedRow, read_feed
 from edge.feed.writer import FeedWriter
+from edge.journal.records import PlaceFix
 from edge.keypoints.intrinsics import CameraDifference
 from edge.localization.gps_monitor import GpsVerdictState
+from edge.reference_map import Route
 from edge.sequence import Correspondences
 from edge.telemetry import LinkStatus
 from edge_plugins.mapping.status import MappingStatus, MappingView
 from edge_plugins.page import PageConfig
 from edge_plugins.page.server import StatusPage
-from edge_plugins.page.snapshot import PageSnapshot, map_view
+from edge_plugins.page.snapshot import PageSnapshot, beside_lane_m, map_view
 from sim.maps.command import build_map
 from tests.chromium import NEEDS_CHROMIUM, browser
 from tests.common import PATIENCE_S
@@ -282,6 +284,64 @@ def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: 
             cell = "[...document.querySelectorAll('#health dd')].find((one) => one.textContent.startsWith('%s'))"
             until(driver, cell % verdict)
             assert driver.execute_script(f"return ({cell % verdict}).className") == kinds.get(verdict, "warn")
+
+
+AT = PlaceFix(4_000, 7, 200 / 110_574, 3.6e-06, 0.0, 0.6, 0.4, "forward", "same", 1.2)
+"""A position 0.4 m to the right of a road that leads north."""
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1400, 900)])
+def test_in_large_it_says_whether_gps_is_lost_and_by_what_the_vehicle_steers(
+    tmp_path: Path, width: int, height: int
+) -> None:
+    shown: list[PageSnapshot] = []
+
+    def show(gps_use: str, steers_by: str, *, position: PlaceFix | None = None, **link: Any) -> None:
+        before = on_the_road(1)
+        changed = dataclasses.replace(before.status.link, emit="auto", gps_use=gps_use, steers_by=steers_by, **link)
+        beside_m = None if position is None else beside_lane_m(position, Route(maps), 100)
+        status = replace(before.status, link=changed, position=position, beside_lane_m=beside_m)
+        shown[:] = [dataclasses.replace(before, status=status)]
+
+    maps = road(tmp_path / "map", [(0.0, walk(150, np.random.default_rng(7)))])
+    show("in use", "GPS")
+    with (
+        contextlib.closing(StatusPage(PageConfig(port=0), map_view(maps))) as page,
+        contextlib.closing(Loop(page, lambda number: shown[0])),
+        browser(width, height) as driver,
+    ):
+        driver.get(f"http://127.0.0.1:{page.port}/")
+        sent: dict[str, Any] = {"sent": {"VISION_POSITION_ESTIMATE": 412}, "sent_ns": 4_000, "sent_sigma_m": 0.7}
+        for name, given, headline, kind, reach in (
+            ("gps", ("in use", "GPS", {}), "GPS in use, steers by GPS", "good", "mapped for"),
+            ("on_map", ("lost", "places", {"position": AT, **sent}), "GPS LOST, steers by places", "good",
+             "position ± 0.7 m, 0 s ago · 0.4 m right of the mapped lane · mapped for 9"),
+            ("off_map", ("lost", "dead reckoning", {"reckoned_m": 140.2}), "GPS LOST, steers by dead reckoning", "warn",
+             "for 140 m"),
+            ("unknown", ("lost", "unknown", {}), "GPS LOST, position unknown", "bad", ""),
+            ("faulty", ("faulty", "GPS", {"position": AT}), "GPS FAULTY, steers by GPS", "bad", "position ±"),
+        ):  # fmt: skip
+            show(*given[:2], **given[2])
+            until(driver, f"document.getElementById('gps').textContent === '{headline}'")
+            band = driver.find_element("id", "steering")
+            assert band.get_attribute("class") == kind and reach in text(driver, "reach")
+            assert band.size["width"] >= 0.95 * width
+            size = driver.execute_script("return parseFloat(getComputedStyle(document.getElementById('gps')).fontSize)")
+            assert size >= 30, "readable at arm's length"
+            if PICTURES:
+                driver.save_screenshot(str(Path(PICTURES) / f"steering_{name}_{width}.png"))
+        driver.execute_script("document.getElementById('details').open = true")
+        show("lost", "places", position=AT, **sent)
+        until(
+            driver,
+            "document.getElementById('health').textContent.includes('412 poses, fused (VISION_POSITION_ESTIMATE)')",
+        )
+        show("in use", "GPS")
+        until(driver, "document.getElementById('health').textContent.includes('no position yet')")
+        assert "newest position sent" not in text(driver, "health")
+        route = driver.find_element("id", "route").size
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+        assert route["width"] * route["height"] > 0.3 * width * height or width < 600, "the map fills a wide screen"
 
 
 def test_points_that_agree_are_drawn_where_there_are_some(tmp_path: Path) -> None:

@@ -213,6 +213,18 @@ def test_alerts_and_dashboard_name_metrics_labels_and_states_that_exist(file: st
         assert set(alternatives.split("|")) <= set(STATES), alternatives
 
 
+def test_metrics_say_what_has_left_and_by_what_the_vehicle_steers() -> None:
+    link = LinkStatus(
+        "up", "serial:/dev/none:57600", "auto", gps_use="lost", steers_by="dead reckoning", reckoned_m=140.0
+    )
+    link = dataclasses.replace(link, sent={"COMMAND_INT": 3, "VISION_POSITION_ESTIMATE": 40}, confirmed_ns=-int(2e9))
+    text = as_metrics(msgspec.structs.replace(snapshot(1).status, stamp_ns=0, link=link)).decode()
+    assert 'lookback_gps_use{use="lost"} 1.0' in text and 'lookback_steering{by="dead reckoning"} 1.0' in text
+    assert text.count("lookback_steering{") == 4 and "lookback_dead_reckoning_meters 140.0" in text
+    assert 'lookback_positions_sent_total{message="VISION_POSITION_ESTIMATE"} 40.0' in text
+    assert "lookback_position_confirmed_age_seconds 2.0" in text and "position_age" not in text, "none has left since"
+
+
 def test_doubt_and_verdict_of_gps_agree() -> None:
     """Doubt was 1, at which it is said, while nothing was said."""
     link = LinkStatus("up", "serial:/dev/none:57600", "report", gps_verdict="suspect", gps_doubt=1.0)
