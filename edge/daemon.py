@@ -225,8 +225,7 @@ class Daemon:
 
     def _grow_maps(self) -> None:
         """Search what of this drive's map lies far enough behind by now."""
-        parts = self.parts
-        maps = parts.plugins.grown_maps(self._recognizer.map_set)
+        maps = self.parts.plugins.grown_maps(self._recognizer.map_set)
         if maps is not None:
             self._recognizer.grow_maps(maps)
             self._drive.update(self._clock_ns(), MapUpdate(maps, has_grown=True))

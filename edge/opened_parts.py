@@ -63,8 +63,7 @@ class OpenedParts:
         if config.telemetry.drive:
             from edge.localization.drive_file import DriveFile  # which few vehicles need
 
-            file = parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config)))
-            listeners.append(file.write)
+            listeners.append(parts.enter_context(closing(DriveFile(Path(config.telemetry.drive), config))).write)
         self.shadow: Shadow | None = None
         if config.telemetry.emit == "report" and self.journal:
             from edge.telemetry.shadow import Shadow  # which no vehicle needs whose positions are used

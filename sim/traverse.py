@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -33,6 +33,25 @@ COURSE_M = 5.0
 """As positions once a second are some meters apart. Twice as far, a turn of 8 m radius is cut by up to 12 degrees."""
 USUAL_MOST = 90.0  # percent of the steps of a drive that are not faster
 log = logging.getLogger(__name__)
+
+
+def is_local(feed: Feed) -> bool:
+    """Whether its positions are meters from an origin of their own."""
+    return any(
+        row.position_source == "local" or (row.lat_deg is None and row.extra.get("local_x_m")) for row in feed.rows
+    )
+
+
+def check_origins(query: Feed, others: Collection[str], *, are_local: bool) -> None:
+    """FeedError where local positions would be compared with those of other recordings, by name, that are elsewhere."""
+    own = query.header.origin or query.header.name
+    if not any(row.lat_deg is not None or row.extra.get("local_x_m") for row in query.rows):
+        return  # there is nothing to compare
+    if is_local(query) != are_local or (are_local and own not in others):
+        raise FeedError(
+            f"{query.path / 'feed.toml'}: positions in meters from an origin of their own are compared only with those"
+            f' from the same one. If it is that of {", ".join(sorted(others))}, set origin = "{min(others)}"'
+        )
 
 
 @dataclass(frozen=True)

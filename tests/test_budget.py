@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 1600,
+    "edge": 1550,
     "edge/camera": 850,
     "edge/commands": 250,
     "edge/descriptor": 500,
@@ -26,7 +26,7 @@ ROOMS = {
     "edge/sequence": 1300,
     "edge/telemetry": 3100,
     "edge_plugins": 0,
-    "edge_plugins/cameras": 450,
+    "edge_plugins/cameras": 400,
     "edge_plugins/doctor": 700,
     "edge_plugins/home": 1050,
     "edge_plugins/layers": 200,
@@ -40,7 +40,7 @@ ROOMS = {
     "sim": 550,
     "sim/bench": 800,
     "sim/calibration": 650,
-    "sim/compare": 1600,
+    "sim/compare": 1650,
     "sim/coverage": 800,
     "sim/datasets": 2450,
     "sim/demo": 200,
@@ -54,7 +54,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_250,
+    "tests": 36_300,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

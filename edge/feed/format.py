@@ -32,6 +32,7 @@ class FeedHeader(Lens, frozen=True):
     fov_deg: horizontal field of view of the images, after the preprocessing, without what their lens bends. None: not
     known.
     heading_is_course: whether heading_deg is the course of the positions, as `sim.traverse.with_course` has it.
+    origin: the name of the recording whose origin its local positions have too; "" for one of its own.
     """
 
     name: Line
@@ -46,6 +47,7 @@ class FeedHeader(Lens, frozen=True):
     time_sigma_s: Annotated[float, msgspec.Meta(ge=0)] | None = None
     fov_deg: FieldOfView | None = None
     heading_is_course: bool = False
+    origin: Line = ""
 
 
 def read_header(file: Path) -> FeedHeader:

@@ -121,8 +121,7 @@ def device_source(config: CameraConfig) -> OakSource:
         pipeline = dai.Pipeline(device)
         pipeline.setStopOnDeviceLoss(True)
         camera = pipeline.create(dai.node.Camera).build(dai.CameraBoardSocket.CAM_A)
-        size = (config.width, config.height)
-        output = camera.requestOutput(size, dai.ImgFrame.Type.BGR888i, fps=config.fps)
+        output = camera.requestOutput((config.width, config.height), dai.ImgFrame.Type.BGR888i, fps=config.fps)
     except RuntimeError as error:
         raise CameraLost(f"{name}: cannot open it: {_one_line(error)}") from None
     return OakSource(pipeline, output, name, device)

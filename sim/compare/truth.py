@@ -26,6 +26,7 @@ from edge.feed import Feed
 from edge.geodesy import east_north
 from sim.compare.plan import Pair
 from sim.datasets import TruthKind
+from sim.traverse import check_origins, is_local
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +51,7 @@ def points_of(kind: TruthKind, reference: Feed, query: Feed) -> tuple[Floats, Fl
             return _columns(feeds, ("source_frame",), "no source_frame")
         numbers = (np.arange(len(feed.rows), dtype=np.float64)[:, np.newaxis] for feed in feeds)
         return next(numbers), next(numbers)
+    check_origins(query, [reference.header.origin or reference.header.name], are_local=is_local(reference))
     degrees = [np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], dtype=np.float64) for feed in feeds]
     if all(np.isnan(points).any(axis=1).all() for points in degrees):
         return _columns(feeds, ("local_x_m", "local_y_m"), "no positions")

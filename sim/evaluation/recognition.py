@@ -13,13 +13,14 @@ from edge.config import Config
 from edge.descriptor.network import Network
 from edge.errors import FeedError, MapError
 from edge.feed import Feed
-from edge.geodesy import east_north
+from edge.geodesy import POSITION_SOURCES, east_north
 from edge.journal.records import FrameUsed
 from edge.recognition.recognizer import State, open_recognizer
 from edge.reference_map import COST_ONE, MapSet
 from edge.sequence import KeyframeMatch
 from sim.evaluation.metrics import Answers, answers_within, precision_recall, recall_at_precision
 from sim.evaluation.replay import config_for_feed, replay
+from sim.traverse import check_origins
 
 Value = str | int | float
 DRAWN_PLACES = 4000
@@ -129,6 +130,9 @@ def judge(maps: MapSet, seen: Recognition, tolerance_m: float) -> RecognitionSco
     if all(lat_deg is None for lat_deg, _ in truth):
         raise FeedError(f"{feed.path}: no frame that is used has lat_deg and lon_deg, so nothing can be judged")
     places_deg = np.column_stack([maps.places["lat_deg"], maps.places["lon_deg"]])
+    are_local = bool((maps.places["position_source"] == POSITION_SOURCES.index("local")).any())
+    names = [segment.source for header in maps.headers for segment in header.segments]
+    check_origins(feed, names, are_local=are_local)
     places_deg = places_deg[~np.isnan(places_deg).any(axis=1)]
     if not places_deg.size:
         raise MapError("no place of the map has a position, so nothing can be judged")

@@ -35,7 +35,7 @@ from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
 from sim.maps.command import add_spacing_options, build_map, sampling_from
 from sim.maps.known_distances import spell_distances
 from sim.output import needing, replacing
-from sim.traverse import config_as_mapped, driven_m
+from sim.traverse import check_origins, config_as_mapped, driven_m, is_local
 
 ROLES = ("reference", "query")
 FITTED_AT = SamplingConfig(by="time", interval_s=0.2)
@@ -113,6 +113,7 @@ def _try(
     from sim.first_try.page import render
 
     reference, query = (feeds[role] for role in ROLES)
+    check_origins(query, [reference.header.origin or reference.header.name], are_local=is_local(reference))
     print(f"1. Map of {args.reference}", flush=True)
     key = None if driven_m(reference) is None else key_of_feeds([reference])
     build_map([reference], folder / "map", DescriptorConfig(model=FIRST_NETWORK), sampling, keypoints=key)

@@ -102,7 +102,11 @@ def test_a_feed_without_degrees_is_judged_by_its_own_meters(tmp_path: Path) -> N
     here = load(
         _write(tmp_path / "here", [{"local_x_m": "", "local_y_m": ""}, {"local_x_m": "3.0", "local_y_m": "0.0"}])
     )
-    errors = true_errors(there, here, pair("positions"))
+    with pytest.raises(ConfigError, match=r'here/feed.toml: positions in meters .* set origin = "there"$'):
+        true_errors(there, here, pair("positions"))
+    header = tmp_path / "here/feed.toml"
+    header.write_text(header.read_text().replace('origin = ""', 'origin = "there"'))
+    errors = true_errors(there, load(tmp_path / "here"), pair("positions"))
     assert np.isnan(errors[0]).all()  # nobody knows where this query was taken
     np.testing.assert_allclose(errors[1], [3.0, 4.0, np.inf])
     np.testing.assert_array_equal(place_coordinates(there, pair("positions"))[0], [[0, 0], [3, 4], [np.nan, np.nan]])

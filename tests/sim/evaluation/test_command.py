@@ -43,6 +43,32 @@ def test_the_numbers_are_those_of_replay(
     assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
 
 
+def test_local_meters_are_compared_only_with_those_from_the_same_origin(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two recordings of other roads that both begin at 0, 0 were "24 of 24 on the map"."""
+    for name in ("hall", "yard"):
+        rows = write_traverse(tmp_path / name, range(45)) / "frames.csv"
+        names, *lines = [line.split(",") for line in rows.read_text().splitlines()]
+        for line in lines:
+            line[names.index("position_source")] = "local"
+        rows.write_text("".join(",".join(line) + "\n" for line in (names, *lines)))
+    hall, yard = str(tmp_path / "hall"), str(tmp_path / "yard")
+    refused = 'are compared only with those from the same one. If it is that of {0}, set origin = "{0}"'
+    for words, origin in (
+        (["eval", yard, "--map", str(street_map)], "out"),
+        (["try", hall, yard, "-o", str(tmp_path / "tried")], "hall"),
+    ):
+        assert main(words) == 78
+        error = capsys.readouterr().err
+        assert refused.format(origin) in error and "\n" not in error.strip()
+    header = tmp_path / "yard/feed.toml"
+    header.write_text(header.read_text().replace('origin = ""', 'origin = "hall"'))
+    assert main(["map", "build", hall, "-o", str(tmp_path / "map")]) == 0
+    assert main(["eval", yard, "--map", str(tmp_path / "map"), "--tolerance-m", "5"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split()[:3] == ["yard", "45", "45"]
+
+
 def test_what_a_covered_camera_shows_is_no_place(
     street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path
 ) -> None:
