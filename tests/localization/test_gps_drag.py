@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -201,7 +201,14 @@ class Left(NamedTuple):
 
 
 def left(
-    road: Road, every: int, to_m: float, *, fuses_poses: bool = True, acts: Any = "switch", wrong: int = -1
+    road: Road,
+    every: int,
+    to_m: float,
+    *,
+    fuses_poses: bool = True,
+    acts: Any = "switch",
+    wrong: int = -1,
+    seed: int | Sequence[int] = 7,
 ) -> list[Left]:
     """Home, by an autopilot that follows GPS: that leaves to the left by 1 m/s, and is right again after to_m.
 
@@ -210,7 +217,7 @@ def left(
     gates = GatesConfig(doubted_gps=acts, risk=1.0)
     one, rng, found = (
         Vehicle(road, settings(SETTINGS.rig, gates), LENGTH_M - 10.0, "reverse"),
-        np.random.default_rng(7),
+        np.random.default_rng(seed),
         [],
     )
     one.frame = {"without_gps": None}
@@ -252,6 +259,13 @@ def test_gps_is_not_left_so_early_elsewhere(long_road: Road, fuses_poses: bool, 
     """Where it is left only as faulty, by the evidence, or not at all."""
     said = left(long_road, 5, 15.0, fuses_poses=fuses_poses, acts=acts)
     assert next((one.drag_m for one in said if one.is_ignored), math.inf) >= from_m
+
+
+def test_gps_is_left_before_the_evidence_against_it_suffices(tmp_path: Path) -> None:
+    """That lets a map of 8 m be wrong in its place, until 5.8 m; departing poses do not."""
+    road = Road(tmp_path, Stretch(0, LENGTH_M, sigma_m=8.0, recording="out", has_odometer=True))
+    said = left(road, 2, 15.0, seed=(1, 7))
+    assert next(one.drag_m for one in said if one.is_ignored) < 5.0
 
 
 def test_one_wrong_pose_is_no_reason_to_leave_gps(long_road: Road) -> None:
