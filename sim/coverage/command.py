@@ -19,7 +19,7 @@ from sim.coverage import Alias, Conditions, Pass, Rehearsal, Sheet, aliases, pas
 from sim.coverage.aliases import SegmentSpan
 from sim.coverage.passes import shadow_passes
 from sim.coverage.picture import gap_in_words, verdict, write_sheet
-from sim.coverage.rehearsal import LIGHTS, WAYS
+from sim.coverage.rehearsal import LIGHTS, WAYS, spell_coverage
 from sim.coverage.sheet import KNOWN_M, SOON_M, SheetSpan, spans_of
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
@@ -99,11 +99,12 @@ def _views(maps: MapSet) -> list[tuple[str, bytes]]:
 
 
 def _advice(args: argparse.Namespace, maps: MapSet) -> list[str]:
-    """What helps most, where the map was made by cameras that look the other way only."""
+    """Whether keypoints are in it; and what helps most, where the map was made by cameras that look the other way."""
+    with_keypoints = spell_coverage(maps, Conditions(args.way, args.light, args.view)) if args.rehearsals else []
     views = {one.view for header in maps.headers for one in header.segments}
     camera = "ahead" if args.view == "front" else "back"
     words = f"No drive of a camera that looks {camera} is in this map. Add one: nothing else helps as much."
-    return [] if args.way == "home" or args.view in views else [words]
+    return [*with_keypoints, *([] if args.way == "home" or args.view in views else [words])]
 
 
 def _check(args: argparse.Namespace) -> None:

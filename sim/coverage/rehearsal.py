@@ -12,6 +12,9 @@ mixture of the map's own descriptors, which wanders as slowly as they do: it res
 do, and no place in particular.
 All is shifted by a constant, as another light and camera shift the mean, until the online normalization has removed it.
 
+Where both cameras look the same way, and places have map points, a drive also believes what keypoints showed on such
+drives (BY_KEYPOINTS).
+
 What cannot be known from the map is what will stand there instead: snow, a market, a parked truck.
 """
 
@@ -30,6 +33,7 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.descriptor.normalize import normalize
 from edge.feed import View
+from edge.keypoints.pose import FEWEST_POINTS
 from edge.localization.dead_reckoning import Odometry, TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
 from edge.reference_map import Drives, MapSet
@@ -81,6 +85,19 @@ SHIFTS: dict[LightName, float] = {"day": 0.16, "dusk": 0.31, "night": 0.41, "rai
 """Root mean square by which the mean of another drive differs from the map's, in standard deviations of the map."""
 RIGHT_M = 40.0
 CHUNK = 512
+BY_KEYPOINTS: dict[tuple[Way, LightName], tuple[float, float, float]] = {
+    ("again", "dusk"): (4.0, 4.0, 0.992),
+    ("again", "night"): (4.0, 6.0, 0.988),
+    ("again", "snow"): (4.0, 50.0, 0.992),
+    ("again", "rain"): (4.0, 4.0, 0.990),
+    ("home", "dusk"): (4.0, 10.0, 0.937),
+    ("home", "night"): (4.0, 42.0, 0.916),
+    ("home", "snow"): (4.0, 60.0, 0.939),
+}
+"""Meters until a place is believed (median, 90 %), and the share of the frames then: the table of docs/keypoints.md,
+where both cameras look the same way, with those of dusk for the day. Home by rain was not measured."""
+QUANTILE_90, LOST_M = 1.2816, 200.0
+"""Of the normal distribution; and the meters without a pose after which the daemon searches anew."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +120,7 @@ class Rehearsal:
         )
         self._drives = Drives(maps, config.sampling.spacing_m)
         self._mean, self._deviation = maps.statistics()
+        self._has_points: dict[int, NDArray[np.bool_]] = {}
 
     def drive(self, seed: int) -> list[Pass]:
         """One drive: its pass over each segment, in the order of driving."""
@@ -212,11 +230,64 @@ class Rehearsal:
             now_m = driven_m + abs(float(along_m[at] - along_m[0]))
             match = matcher.push(raw, MotionPrior(now_m, course_rad=turn_around.course_rad))
             believed[at] = match is not None and match.accepted and self._is_right(match, segment, along_m[at])
+        figures = figures_of(self._conditions)
+        if figures and self.look_alike(segment) and (has_points := self._points_of(segment)).any():
+            believed |= by_keypoints(has_points[:: -1 if self._conditions.way == "home" else 1], along_m, figures, rng)
         return Pass(segment, along_m, believed)
+
+    def _points_of(self, segment: int) -> NDArray[np.bool_]:
+        """Whether a pose can be computed from each of its places."""
+        if segment not in self._has_points:
+            start, end = self._maps.index.segment(segment)
+            found = np.zeros(end - start, dtype=bool)
+            for row in range(start, end):
+                number = self._maps.index.map_of(row)
+                if (records := self._maps.maps[number].keypoints) is not None:
+                    sigmas = records[row - self._maps.index.starts[number]]["sigma"]
+                    found[row - start] = np.isfinite(sigmas).sum() >= FEWEST_POINTS
+            self._has_points[segment] = found
+        return self._has_points[segment]
 
     def _is_right(self, match: PlaceMatch, segment: int, along_m: float) -> bool:
         is_here = self._drives.drive_of(match.place_index) == segment
         return is_here and abs(self._drives.along_m(match.place_index) - along_m) <= RIGHT_M
+
+
+def figures_of(conditions: Conditions) -> tuple[float, float, float] | None:
+    """Of BY_KEYPOINTS; None where they were not measured."""
+    return BY_KEYPOINTS.get((conditions.way, "dusk" if conditions.light == "day" else conditions.light))
+
+
+def spell_coverage(maps: MapSet, conditions: Conditions) -> list[str]:
+    """For people: whether rehearsed drives count keypoints, where the maps have any."""
+    views, way = {one.view for header in maps.headers for one in header.segments}, conditions.way
+    if all(header.keypoints_key is None for header in maps.headers):
+        return []
+    if all((view != conditions.view) != (way == "home") for view in views):
+        return ["Without keypoints: they need a camera that looks the way the map's did."]
+    if figures_of(conditions):
+        return [f"With keypoints, as measured on simulated roads {way} by {conditions.light}."]
+    return [f"Without keypoints: {way} by {conditions.light} they were not measured."]
+
+
+def by_keypoints(
+    has_points: NDArray[np.bool_],
+    along_m: NDArray[np.float64],
+    figures: tuple[float, float, float],
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Which frames (n,) of a drive over places, in its order, are believed by keypoints; figures: of BY_KEYPOINTS.
+
+    It begins anew after LOST_M without points; the logarithm of the meters that this takes is normal.
+    """
+    median_m, most_m, share = figures
+    believed, last_m, from_m = np.zeros(len(along_m), dtype=bool), -math.inf, 0.0
+    driven_m = np.abs(along_m - along_m[0])
+    for at in np.flatnonzero(has_points):
+        if driven_m[at] - last_m > LOST_M:
+            from_m = driven_m[at] + median_m * (most_m / median_m) ** (rng.normal() / QUANTILE_90)
+        last_m, believed[at] = driven_m[at], driven_m[at] >= from_m
+    return believed & (rng.random(len(believed)) < share)
 
 
 class _Noise:

@@ -39,6 +39,7 @@ from edge.journal.records import (
     Record,
     SourceSetAnswered,
     StateChanged,
+    SteeringChanged,
     Stopped,
     VehicleMisled,
 )
@@ -239,6 +240,7 @@ EVERY_KIND: tuple[Record, ...] = (
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
     GpsJudged("faulty", -3.5, 12.0, 1.0),
+    SteeringChanged("lost", "dead reckoning"),
     HomeAnswered(True, "uploaded and verified: 300 m back along drive 1 (out), 12 waypoints for 151 places", 13),
     SourceSetAnswered(2, "ACCEPTED"),
     ShadowPosition(5, 8.5, 12.0, "standing", 48.1, 11.5, 0.5, "rtk_fixed"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from edge.reference_map import Drives, MapSet
 from edge.telemetry.shadow import ShadowPosition
 from edge_plugins.mapping.builder import Place
 from sim.coverage import Conditions, Rehearsal, Sheet, aliases, passes
-from sim.coverage.rehearsal import Way
+from sim.coverage.rehearsal import Way, by_keypoints
 from sim.coverage.sheet import longest_gap, spans_of
 from sim.evaluation.replay import as_line
 from sim.world.scenario import LightName
@@ -221,6 +222,51 @@ def test_the_command_predicts_from_the_map_alone(tmp_path: Path, capsys: pytest.
     assert [(one["drive"], one["from_m"]) for one in found] == [(1, 0.0), (1, 100.0), (1, 200.0)]
     assert found[1]["share"] > 0.5
     assert [one["is_mean"] for one in found] == [False, False, True], "of the third no more is known"
+
+
+def test_keypoints_begin_as_measured_and_anew_where_the_map_has_none_for_long() -> None:
+    has_points = np.ones(600, dtype=bool)
+    has_points[[*range(100, 150), *range(300, 420)]] = False
+    along_m, rng = np.linspace(0.0, 1198.0, 600), np.random.default_rng(0)
+    drives = [by_keypoints(has_points, along_m, (4.0, 42.0, 0.9), rng) for _ in range(200)]
+    first_m = [along_m[found.argmax()] for found in drives]
+    assert np.percentile(first_m, [50, 90]) == pytest.approx([4.0, 42.0], rel=0.5)
+    found = np.mean(drives, axis=0)
+    assert not found[~has_points].any()
+    assert found[160:300].mean() == pytest.approx(0.9, abs=0.02), "100 m without points are crossed by odometer"
+    assert 0.2 < found[420:430].mean() < 0.8 < found[560:].mean(), "240 m are not"
+
+
+@pytest.mark.parametrize(
+    ("light", "words"),
+    [
+        ("dusk", "With keypoints, as measured on simulated roads again by dusk."),
+        ("rain", "Without keypoints: home by rain they were not measured."),
+    ],
+)
+def test_a_map_with_keypoints_is_predicted_with_them(
+    write_traverse: Callable[..., Path],
+    make_once: Callable[..., Path],
+    light: str,
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It was "0 % of the frames" of a map on which `try` believed .92."""
+
+    def build(folder: Path) -> None:
+        out = write_traverse(folder / "out", range(60))
+        assert main(["map", "build", str(out), "-o", str(folder / "with"), "--fov-deg", "75"]) == 0
+        assert main(["map", "build", str(out), "-o", str(folder / "without"), "--no-keypoints"]) == 0
+
+    folder, gaps_m = make_once("of_coverage", build), list[int]()
+    way = ["--for", "again"] if light == "dusk" else ["--for", "home", "--view", "rear"]
+    for name in ("with", "without"):
+        capsys.readouterr()
+        assert main(["map", "coverage", str(folder / name), *way, "--light", light, "--rehearsals", "2"]) == 0
+        printed = capsys.readouterr().out
+        assert (words in printed) == (name == "with") and ("eypoints" in printed) == (name == "with")
+        gaps_m += map(int, re.findall(r"longest gap: (\d+) m", printed))
+    assert gaps_m[1] >= 70 and (gaps_m[0] < 30 if light == "dusk" else gaps_m[0] == gaps_m[1])
 
 
 def test_a_page_of_the_route(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
