@@ -239,13 +239,12 @@ class Rehearsal:
         """Whether a pose can be computed from each of its places."""
         if segment not in self._has_points:
             start, end = self._maps.index.segment(segment)
-            found = np.zeros(end - start, dtype=bool)
+            self._has_points[segment] = found = np.zeros(end - start, dtype=bool)
             for row in range(start, end):
                 number = self._maps.index.map_of(row)
                 if (records := self._maps.maps[number].keypoints) is not None:
                     sigmas = records[row - self._maps.index.starts[number]]["sigma"]
                     found[row - start] = np.isfinite(sigmas).sum() >= FEWEST_POINTS
-            self._has_points[segment] = found
         return self._has_points[segment]
 
     def _is_right(self, match: PlaceMatch, segment: int, along_m: float) -> bool:
