@@ -15,7 +15,7 @@ ROOMS = {
     "edge": 1550,
     "edge/camera": 850,
     "edge/commands": 250,
-    "edge/descriptor": 500,
+    "edge/descriptor": 450,
     "edge/feed": 500,
     "edge/health": 250,
     "edge/journal": 400,
@@ -54,7 +54,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_300,
+    "tests": 36_350,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

@@ -10,6 +10,7 @@ A further layout is a module and a line in `KINDS`.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -25,6 +26,7 @@ from sim.datasets.alignment import Alignment
 from sim.output import checked_option, needing
 
 TruthKind = Literal["positions", "rows", "route_m"]
+log = logging.getLogger(__name__)
 
 
 ONE_CLOCK_S = 0.1
@@ -162,6 +164,8 @@ def open_dataset(kind: str, path: Path, options: ReadOptions | None = None) -> T
         # Imported here: each reader needs another library. An absolute path: readers name a traverse after its folder.
         traverse: Traverse = import_module(KINDS[kind].module).open_traverse(path.absolute(), options)
     if options.fov_deg is not None:
+        if traverse.lens.bends:
+            log.warning("%s: --fov-deg %g replaces its own lens, as if that bent no lines", path, options.fov_deg)
         traverse = replace(traverse, fov_deg=options.fov_deg, lens=PINHOLE)
     if options.view is not None:
         return replace(traverse, view=options.view)

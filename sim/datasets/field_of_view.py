@@ -7,7 +7,8 @@ EXIF      FocalLengthIn35mmFilm (CIPA DCG-001: of the same diagonal as 36 x 24 m
 iPhone    com.apple.quicktime.camera.focal_length.35mm_equivalent of a video
 GoPro     GPMF (github.com/gopro/gpmf-parser): VFOV, the lens, and ZFOV, the diagonal in degrees; HERO8 and later
 
-A GoPro's lenses other than Linear bend straight lines, so a single field of view does not describe their pictures.
+A GoPro's lenses other than Linear bend straight lines, nearly as an equidistant fisheye does: distances from the middle
+are proportional to angles. None was measured here.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ log = logging.getLogger(__name__)
 
 FILM_DIAGONAL_MM = math.hypot(36, 24)
 APPLE = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-LINEAR = b"L"
+LINEAR, EQUIDISTANT = b"L", Lens(lens="fisheye", distortion=(0.0, 0.0, 0.0, 0.0))
 EUROC = "intrinsics", "resolution", "distortion_coefficients"
 MODELS: Mapping[str, Literal["pinhole", "fisheye"]] = {
     **dict.fromkeys(("radial-tangential", "radtan", "plumb_bob"), "pinhole"),
@@ -94,19 +95,19 @@ def lens_of(where: str, model: str, distortion: Iterable[float]) -> Lens:
         return PINHOLE
 
 
-def of_video(file: Path, width: int, height: int) -> float | None:
-    """By the metadata of an iPhone or of a GoPro; with a warning where its lens bends straight lines."""
+def of_video(file: Path, width: int, height: int) -> tuple[float | None, Lens]:
+    """By the metadata of an iPhone or of a GoPro, and the lens; with a warning where that bends straight lines."""
     settings = content_of(file, b"moov")
     lens, diagonal = _klv(settings, b"VFOVc"), _klv(settings, b"ZFOVf")
     if len(diagonal) >= 4 and 0 < (diagonal_deg := struct.unpack(">f", diagonal[:4])[0]) < 180:
-        if lens[:1] != LINEAR:
+        half_rad, is_linear = math.radians(diagonal_deg / 2), lens[:1] == LINEAR
+        focal_px = math.hypot(width, height) / 2 / (math.tan(half_rad) if is_linear else half_rad)
+        if not is_linear:
             named = lens[:1].decode("ascii", "replace") or "?"
-            words = "%s: its lens (%s) bends straight lines, so no field of view is recorded; Linear has one"
+            words = "%s: its lens (%s) bends straight lines: taken as an equidistant fisheye; Linear is exact"
             log.warning(words, file, named)
-            return None
-        focal_px = math.hypot(width, height) / 2 / math.tan(math.radians(diagonal_deg / 2))
-        return of_focal_length(str(file), focal_px, width)
-    return of_film(str(file), _apple_mm(file) if APPLE.encode() in settings else math.nan, width, height)
+        return of_focal_length(str(file), focal_px, width), PINHOLE if is_linear else EQUIDISTANT
+    return of_film(str(file), _apple_mm(file) if APPLE.encode() in settings else math.nan, width, height), PINHOLE
 
 
 def _apple_mm(file: Path) -> float:

@@ -54,6 +54,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
             "%s: no positions are found in it%s; used without, unless --positions names a track", path.name, more
         )
         rows = tuple(FeedRow(name, stamp_ns) for name, stamp_ns in zip(names, stamps_ns, strict=True))
+    fov_deg, lens = of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height)
     return Traverse(
         name=path.stem,
         view="rear" if REAR.search(files[0].stem) else "front",
@@ -61,7 +62,8 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         rows=rows,
         pictures=joined.pictures,
         notes=f"{len(files)} video(s), {len(fixes)} positions in them",
-        fov_deg=of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height),
+        fov_deg=fov_deg,
+        lens=lens,
     )
 
 

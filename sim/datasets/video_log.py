@@ -47,6 +47,7 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         words = f"the video began {(start_ns - first_ns) / 1e9:g} s after the track's first position, as was given"
         alignment = Alignment(start_ns, None, words)
     stamps_ns = [alignment.start_ns + stamp_ns for stamp_ns in joined.stamps_ns]
+    fov_deg, lens = of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height)
     return Traverse(
         name=path.stem,
         source=f"{', '.join(file.name for file in files)} with {log.name}",
@@ -54,7 +55,8 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         pictures=joined.pictures,
         notes=alignment.how,
         alignment=alignment,
-        fov_deg=of_video(files[0], joined.feeds[0].header.width, joined.feeds[0].header.height),
+        fov_deg=fov_deg,
+        lens=lens,
     )
 
 

@@ -14,7 +14,7 @@ from PIL import ExifTags, Image
 
 from edge.config import Lens
 from edge.feed import read_feed
-from sim.datasets import open_dataset
+from sim.datasets import ReadOptions, open_dataset
 from sim.datasets.field_of_view import APPLE
 from tests.sim.datasets.conftest import HEIGHT, WIDTH
 from tests.sim.datasets.test_video import box, klv, write_mp4
@@ -95,20 +95,26 @@ def test_an_iphone_says_it_in_its_video(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lens", [b"L", b"W"])
-def test_a_gopro_says_it_where_its_lens_keeps_lines_straight(
+def test_a_gopro_says_it_and_is_a_fisheye_where_its_lens_bends_lines(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, lens: bytes
 ) -> None:
     file = tmp_path / "GX010042.MP4"
     write_mp4(file)
     data = file.read_bytes()
     at = data.rindex(b"moov") - 4
-    diagonal_deg = 2 * degrees(atan(tan(radians(FOV_DEG / 2)) * hypot(WIDTH, HEIGHT) / WIDTH))
+    focal = WIDTH / 2 / tan(radians(FOV_DEG / 2))
+    half = hypot(WIDTH, HEIGHT) / 2 / focal
+    diagonal_deg = 2 * degrees(atan(half) if lens == b"L" else half)
     settings = klv(b"VFOV", b"c", 1, lens) + klv(b"ZFOV", b"f", 4, struct.pack(">f", diagonal_deg))
     held = box(b"udta", box(b"GPMF", klv(b"DEVC", b"\0", 1, settings)))
     file.write_bytes(data[:at] + box(b"moov", data[at + 8 :], held))
-    found = open_dataset("video", file).fov_deg
-    assert found == (pytest.approx(FOV_DEG, abs=0.01) if lens == b"L" else None)
+    found = open_dataset("video", file)
+    assert found.fov_deg == pytest.approx(FOV_DEG, abs=0.01)
+    assert found.lens.lens == ("pinhole" if lens == b"L" else "fisheye")
     assert ("GX010042.MP4: its lens (W) bends straight lines" in caplog.text) == (lens == b"W")
+    said = open_dataset("video", file, ReadOptions(fov_deg=86.0))
+    assert said.fov_deg == 86.0 and not said.lens.bends
+    assert ("--fov-deg 86 replaces its own lens" in caplog.text) == (lens == b"W"), "it is that of Linear"
 
 
 def test_what_no_camera_has_is_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
