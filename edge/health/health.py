@@ -110,7 +110,7 @@ def derive(signs: HealthInputs, before: Health = STARTING) -> Health:
     slow = f"slow: a frame took over {SLOW_FRAME_S:g} s" if signs.frame_s > SLOW_FRAME_S else ""
     troubles = [one for one in (signs.gps, _link_trouble(signs), journal, slow) if one]
     if signs.blind:
-        return Health("degraded", "; ".join([f"not recognized: {signs.blind}", *troubles]), "starting")
+        return Health("degraded", "; ".join([f"not recognized: {signs.blind}", *troubles]), _before_frames(before))
     why = _why_no_position(signs, able)
     if troubles:
         return Health("degraded", "; ".join([*troubles, str(Health(able, why))]), able)
@@ -127,9 +127,14 @@ def _why_no_position(signs: HealthInputs, able: Able) -> str:
     return f"not recognized for {passed[-1]} m" if passed else "not recognized"
 
 
+def _before_frames(before: Health) -> Able:
+    """Without a frame, or since the camera was blind."""
+    return "starting" if before.able == "starting" else "warming up"
+
+
 def _able(signs: HealthInputs, before: Health) -> Able:
     if signs.frames_used == 0:
-        return "starting"
+        return _before_frames(before)
     if signs.recognizer == "standing":
         return before.able if before.able != "starting" else "warming up"
     return "warming up" if signs.recognizer == "searching" else cast("Able", signs.recognizer)

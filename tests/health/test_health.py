@@ -58,6 +58,12 @@ def test_a_standing_vehicle_keeps_its_state() -> None:
     assert derive(standing, troubled).state == "on the map"
 
 
+def test_a_camera_that_was_blind_does_not_start_anew() -> None:
+    blind = derive(replace(WELL, picture="the image is covered"), derive(WELL))
+    assert derive(replace(WELL, frames_used=0), blind).unable("") == "warming up"
+    assert str(derive(replace(WELL, frames_used=0), blind)) == "warming up: more frames are needed"
+
+
 def test_each_state_has_its_own_heartbeat() -> None:
     assert len(set(MAV_STATES.values())) == len(MAV_STATES)
     assert {Health(state).mav_state for state in MAV_STATES} == set(MAV_STATES.values())
