@@ -26,6 +26,7 @@ Parameters: TypeAlias = Mapping[str, float]
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 GPS_SET, SET_WITHOUT_GPS = 1, 2
+ON_ROTORS = (2, 3, 4, 13, 14, 15, 29)  # MAV_TYPE
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 CONTROL, ID, EV_CONTROL = "EKF2_AGP0_CTRL", "EKF2_AGP0_ID", "EKF2_EV_CTRL"
 GPS_MODE, NO_AID_TIMEOUT = "EKF2_GPS_MODE", "EKF2_NOAID_TOUT"
@@ -37,7 +38,10 @@ DCM = "else a rover or plane without GPS falls back to DCM: it answers ACCEPTED,
 
 @dataclass(frozen=True)
 class Requirement:
-    """What a parameter must be: with `bits` set, or one of `values`, or [telemetry] sensor_id; else not 0."""
+    """What a parameter must be: with `bits` set, or one of `values`, or [telemetry] sensor_id; else not 0.
+
+    not_of: MAV_TYPE of vehicles that do without it.
+    """
 
     parameter: str
     why: str
@@ -45,9 +49,12 @@ class Requirement:
     values: tuple[int, ...] = ()
     bits: int = 0
     is_sensor_id: bool = False
+    not_of: tuple[int, ...] = ()
 
-    def is_met(self, value: float, sensor_id: int = 0) -> bool:
-        """Whether the parameter may have this value."""
+    def is_met(self, value: float, sensor_id: int, kind: int | None) -> bool:
+        """Whether the parameter may have this value; kind: MAV_TYPE."""
+        if kind in self.not_of:
+            return True
         if self.bits:
             return round(value) & self.bits == self.bits
         values = (sensor_id,) if self.is_sensor_id else self.values
@@ -105,15 +112,15 @@ class Firmware:
             unknown = [one.parameter for one in asked if one.parameter not in parameters]
             if unknown and not all_came:
                 return "", f"{self.name}: {unknown[0]} not reported"
-            if not unknown and all(one.is_met(parameters[one.parameter]) for one in asked):
+            if not unknown and all(one.is_met(parameters[one.parameter], 0, None) for one in asked):
                 return message, f"{self.name} {version[0]}.{version[1]} takes {message}"
         return "", f"{self.name} {version[0]}.{version[1]} takes no position"
 
-    def unused_because(self, parameters: Parameters, message: str, sensor_id: int) -> str:
+    def unused_because(self, parameters: Parameters, message: str, sensor_id: int, kind: int | None) -> str:
         """Why it will use no position that comes in that message; "" where nothing is known against it."""
         for one in self.needs.get(message, ()):
             value = parameters.get(one.parameter)
-            if value is not None and not one.is_met(value, sensor_id):
+            if value is not None and not one.is_met(value, sensor_id, kind):
                 return f"{one.parameter} is {value:.0f}"
         return ""
 
@@ -145,7 +152,7 @@ def _px4_aid(parameters: Parameters, heard: Collection[int], source_set: int) ->
 
 EKF3 = (
     Requirement("AHRS_EKF_TYPE", "only EKF3 uses positions sent to it", "set it to 3", (3,)),
-    Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3),
+    Requirement("AHRS_OPTIONS", DCM, "set its bits 3", bits=3, not_of=ON_ROTORS),  # AP_AHRS: FLAG_ALWAYS_USE_EKF
 )
 FUSES_POSES = (
     Requirement("VISO_TYPE", "else it reads no VISION_POSITION_ESTIMATE", "load firmware_config/*_fused.param", (1,)),

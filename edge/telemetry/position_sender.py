@@ -203,7 +203,7 @@ class PositionSender:
         sent = FixTransmission(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
-            unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
+            unused = session.firmware.unused_because(session.parameters, message.name, sensor_id, session.kind)
         self._drive.update(now_ns, FixFeedback(fix))
         self.use.expect(sent, is_reset=message.acknowledged, unused=unused)
         age_s, alt_m = (now_ns - place.stamp_ns) / 1e9, 0.0 if own is None else own.alt_m

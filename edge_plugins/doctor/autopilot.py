@@ -61,7 +61,7 @@ def _judged(one: Requirement, vehicle: Vehicle, sensor_id: int = 0) -> Found:
     if value is None:
         return note(f"{one.parameter}: no answer", "this firmware may not have it; see firmware_config/")
     words = f"{one.parameter} = {value:g}"
-    if one.is_met(value, sensor_id):
+    if one.is_met(value, sensor_id, vehicle.session.kind):
         return good(words)
     return bad(f"{words}: {one.why}", f"set it to {sensor_id}" if one.is_sensor_id else one.remedy)
 

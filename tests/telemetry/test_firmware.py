@@ -88,3 +88,12 @@ def test_the_doctor_knows_what_it_needs() -> None:
     speakers = {(one.get_srcComponent(), one.type) for one in beats}
     assert speakers == {(mavlink.MAV_COMP_ID_MISSIONPLANNER, mavlink.MAV_TYPE_GCS)}, "no companion to miss"
     assert "HN_POS = 1: else it ignores positions" in words
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"), [(mavlink.MAV_TYPE_GROUND_ROVER, "AHRS_OPTIONS is 0"), (mavlink.MAV_TYPE_HEXAROTOR, "")]
+)
+def test_a_copter_needs_nothing_that_keeps_its_filter(kind: int, why: str) -> None:
+    """It read "positions unused" while its poses were fused."""
+    ardupilot, set_up = FIRMWARES[mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA], {"AHRS_EKF_TYPE": 3.0, "AHRS_OPTIONS": 0.0}
+    assert ardupilot.unused_because(set_up, "external_position", 1, kind) == why
