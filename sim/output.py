@@ -45,6 +45,15 @@ def needing(what: str, extra: str, error_class: type[SetupError] = ConfigError) 
 
 
 @contextmanager
+def calling(path: Path, called: Path) -> Iterator[None]:
+    """An error in the block calls a temporary folder by the path that it would have had."""
+    try:
+        yield
+    except SetupError as error:
+        raise type(error)(str(error).replace(str(path), str(called))) from None
+
+
+@contextmanager
 def replacing(folder: Path, kind: str) -> Iterator[Path]:
     """A new folder for a demo or a try; where all goes well, it takes the place of the one of an earlier run.
 

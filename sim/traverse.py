@@ -37,9 +37,8 @@ log = logging.getLogger(__name__)
 
 def is_local(feed: Feed) -> bool:
     """Whether its positions are meters from an origin of their own."""
-    return any(
-        row.position_source == "local" or (row.lat_deg is None and row.extra.get("local_x_m")) for row in feed.rows
-    )
+    rows = feed.rows
+    return any(one.position_source == "local" or (one.lat_deg is None and one.extra.get("local_x_m")) for one in rows)
 
 
 def check_origins(query: Feed, others: Collection[str], *, are_local: bool) -> None:

@@ -75,7 +75,7 @@ def open_runner(plan: Plan, folders: Folders) -> MethodRunner:
 
 def run(args: argparse.Namespace) -> int:
     """Run a plan and write its report; SetupError, in one line, for any error in it."""
-    if len(args.what) == 1:
+    if len(args.what) == 1 and not args.what[0].is_dir():
         path = find_plan(args.what[0])
         plan, source = load_plan(path), f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
     else:

@@ -5,6 +5,7 @@
 .nmea     the RMC sentences of a receiver, with the altitude of its GGA (NMEA 0183)
 .geojson  a LineString with `coordTimes` or `times`, as of togeojson, or Points with `time` (RFC 7946)
 .kml      gx:Track, pairs of `when` and `gx:coord` (https://developers.google.com/kml/documentation/kmlreference)
+.srt      the subtitles of a DJI drone, which have its position
 .csv      a line for each position; its columns are those of `pictures_csv`
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from itertools import chain
@@ -27,6 +29,9 @@ from sim.output import needing
 
 KNOT_MPS = 1852 / 3600
 SEMICIRCLE_DEG = 180 / 2**31
+SRT_BEGINS = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{3})\s*-->")
+SRT_NAMED = re.compile(r"\b(latitude|longitude|abs_alt)\s*:\s*(-?[\d.]+)")
+SRT_PAIR = re.compile(r"GPS\s*\(\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)")
 
 
 def _gpx_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
@@ -142,12 +147,26 @@ def _known(value: Any) -> float:
     return math.nan if value is None or value == "" else float(value)
 
 
+def _srt_fixes(file: Path, data: bytes) -> Iterator[TrackFix]:
+    """By the times of the subtitles, which are those of the video."""
+    for cue in re.split(r"\r?\n\s*\r?\n", data.decode("utf-8-sig", "replace").replace("longt", "long")):
+        begun, named, pair = SRT_BEGINS.search(cue), dict(SRT_NAMED.findall(cue)), SRT_PAIR.search(cue)
+        lon_deg, lat_deg = pair.groups() if pair else (named.get("longitude"), named.get("latitude"))
+        if begun is None or lon_deg is None or lat_deg is None or not (float(lat_deg) or float(lon_deg)):
+            continue  # before it has a fix it says 0, 0
+        hours, minutes, seconds, part = map(int, begun.groups())
+        stamp_ns = (3600 * hours + 60 * minutes + seconds) * 10**9 + part * 10**6
+        at = float(lat_deg), float(lon_deg), float(named.get("abs_alt", "nan")), math.nan, math.nan
+        yield TrackFix(stamp_ns, *at, source="gps")
+
+
 TRACKS: dict[str, Callable[[Path, bytes], Iterable[TrackFix]]] = {
     ".gpx": _gpx_fixes,
     ".fit": _fit_fixes,
     ".nmea": _nmea_fixes,
     ".geojson": _geojson_fixes,
     ".kml": _kml_fixes,
+    ".srt": _srt_fixes,
     ".csv": lambda file, _: positions_in(file),
 }
 """By the suffix; of several beside a video the first is used, as loggers write the same track more than once."""

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from edge.errors import FeedError
 from edge.feed import Feed, FeedOptions, FeedRow
-from sim.datasets import ReadOptions, Traverse, open_dataset
+from sim.datasets import ONE_CLOCK_S, ReadOptions, Traverse, open_dataset
 from sim.datasets.alignment import Alignment, align, creation_time
 from sim.datasets.field_of_view import of_video
 from sim.datasets.flight_logs import LOGS, read_log
@@ -37,7 +37,9 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
         raise FeedError(f"--positions: name the log or track ({', '.join(LOG_SUFFIXES)}) that belongs to {path}")
     track = read_log(log)
     first_ns = track.fixes[0].stamp_ns
-    if options.start_time is None and options.offset_s is None:
+    if log.suffix.lower() == ".srt" and options.start_time is None and options.offset_s is None:
+        alignment = Alignment(0, ONE_CLOCK_S, "subtitles have the times of the video")
+    elif options.start_time is None and options.offset_s is None:
         made = creation_time(files[0], joined.feeds[0].rows[-1].stamp_ns / 1e9)
         rows = [FeedRow(name, stamp_ns) for name, stamp_ns in zip(joined.names, joined.stamps_ns, strict=True)]
         alignment = align(str(path), rows, joined.pictures, track, made)

@@ -67,7 +67,9 @@ def as_markdown(table: Table) -> str:
     """The table as the docs have it."""
 
     def cells(row: Sequence[Cell]) -> str:
-        return "| " + " | ".join(f"{cell:.2f}" if isinstance(cell, float) else format_cell(cell) for cell in row) + " |"
+        known = (isinstance(cell, float) and not math.isnan(cell) for cell in row)
+        shown = (f"{cell:.2f}" if is_known else format_cell(cell) for cell, is_known in zip(row, known, strict=True))
+        return "| " + " | ".join(shown) + " |"
 
     return "\n".join([cells(table.columns), "|" + "---|" * len(table.columns), *map(cells, table.rows)])
 

@@ -34,7 +34,7 @@ from sim.first_try.with_keypoints import WithKeypoints
 from sim.maps.adding_keypoints import add_fov_option, camera_from, key_of_feeds
 from sim.maps.command import add_spacing_options, build_map, sampling_from
 from sim.maps.known_distances import spell_distances
-from sim.output import needing, replacing
+from sim.output import calling, needing, replacing
 from sim.traverse import check_origins, config_as_mapped, driven_m, is_local
 
 ROLES = ("reference", "query")
@@ -81,7 +81,7 @@ def _run(args: argparse.Namespace) -> int:
         if "reference" in blind:
             sampling = msgspec.structs.replace(sampling, by="time")
         print(f"no positions in the {' and the '.join(blind)}: the query is compared at the pace that fits best")
-    with replacing(args.output, "try") as folder:
+    with replacing(args.output, "try") as folder, calling(folder, args.output):
         feeds = {
             "reference": _feed(opened["reference"], folder / "reference", sampling),
             "query": _feed(

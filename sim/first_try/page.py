@@ -81,7 +81,7 @@ def _where(tried: TryResult, found: Verdict) -> report.ReportSection:
     listed = sorted(found.stretches, key=lambda one: one.first - one.last)[:MOST_STRETCHES]
     table = report.Table(
         "stretches",
-        "Where not, and why" if listed else "Recognized everywhere",
+        "Where not, and why",
         (f"from, {unit}", f"to, {unit}", "frames", "why"),
         [
             [f"{at[one.first]:.0f}", f"{at[one.last]:.0f}", one.last - one.first + 1, one.why]
@@ -117,7 +117,8 @@ def _where(tried: TryResult, found: Verdict) -> report.ReportSection:
         note = "A line that rises is the same way, one that falls is the way back; none is a road that differs"
         matrix = to_png(figures.cost_matrix(seen.costs, places, seen.believed))
         drawn.append(report.Figure("costs", "Each frame against each place", matrix, note))
-    return report.ReportSection("Where", tables=[table], figures=drawn)
+    words, tables = ("", [table]) if listed else ("Recognized everywhere.", [])
+    return report.ReportSection("Where", words, tables=tables, figures=drawn)
 
 
 def _pictures(tried: TryResult) -> report.ReportSection:

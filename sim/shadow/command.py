@@ -84,8 +84,7 @@ def _run(args: argparse.Namespace) -> int:
     for option, value in (("--within-m", args.within_m), ("--stretch-m", args.stretch_m), ("--drives", args.drives)):
         if not value > 0:
             raise ConfigError(f"{option}: {value:g} is not above 0")
-    since_s = args.since.timestamp() if args.since else -math.inf
-    drives = read_drives(args.journals, since_s)
+    drives = read_drives(args.journals, args.since.timestamp() if args.since else -math.inf)
     limits = {"fewest": args.drives, "within_m": args.within_m, "drift": GatesConfig().drift_percent / 100}
     found = report(drives, light=args.light, stretch_m=args.stretch_m, **limits)
     print("\n".join(text(found)))

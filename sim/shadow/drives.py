@@ -85,8 +85,7 @@ class ShadowDrive:
         """Meters without a position before each record."""
         at_m = np.cumsum(self.driven_m)
         last_m = np.maximum.accumulate(np.where(self.is_published, at_m, 0.0))
-        found: Array = at_m - np.r_[0.0, last_m[:-1]]
-        return found
+        return np.asarray(at_m - np.r_[0.0, last_m[:-1]])
 
     @property
     def is_beyond_start(self) -> NDArray[np.bool_]:

@@ -55,14 +55,12 @@ class GpsComparison(NamedTuple):
     @property
     def error_m(self) -> Array:
         """From where GPS has the vehicle."""
-        found: Array = np.hypot(*self.off_m.T)
-        return found
+        return np.asarray(np.hypot(*self.off_m.T))
 
     @property
     def whole_sigma_m(self) -> Array:
         """Of what lies between the two: ours, that of GPS, and what they differ in time."""
-        found: Array = np.sqrt(np.sum(self.sigma_m**2, axis=1) + 2 * self.gps_m**2 + self.late_m**2)
-        return found
+        return np.asarray(np.sqrt(np.sum(self.sigma_m**2, axis=1) + 2 * self.gps_m**2 + self.late_m**2))
 
     @property
     def beyond(self) -> int:

@@ -25,8 +25,7 @@ def elevation_deg(unix_s: Array, lat_deg: Array, lon_deg: Array) -> Array:
     sidereal_deg = 280.46062 + 360.98564737 * days
     hour_angle, lat = np.radians(sidereal_deg + lon_deg) - ascension, np.radians(lat_deg)
     height = np.sin(lat) * np.sin(declination) + np.cos(lat) * np.cos(declination) * np.cos(hour_angle)
-    found: Array = np.degrees(np.arcsin(height))
-    return found
+    return np.asarray(np.degrees(np.arcsin(height)))
 
 
 def lights(unix_s: Array, lat_deg: Array, lon_deg: Array) -> NDArray[np.intp]:

@@ -25,6 +25,7 @@ from sim.compare.options import plan_of
 from sim.compare.plan import Pair
 from sim.compare.run import Folders, open_runner
 from sim.compare.truth import matrix_errors, read_array
+from sim.evaluation.report import Table, as_markdown
 from tests.onnx_text import onnx_of
 
 HERE, THERE = 12, 16
@@ -206,6 +207,15 @@ def test_what_is_wrong_is_one_line(
 ) -> None:
     assert compare(*options)[0] == 78
     assert says in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_one_recording_is_none_to_compare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(tmp_path), "-o", str(tmp_path / "compared")]) == 78
+    assert capsys.readouterr().err.strip().endswith("needs a plan, or two recordings: the reference, then the query")
+
+
+def test_what_is_not_known_is_a_dash_in_a_table() -> None:
+    assert as_markdown(Table("t", "", ("a", "b"), [[float("nan"), 0.5]])).endswith("| – | 0.50 |")
 
 
 def test_a_network_of_others_gets_rgb_as_imagenet_has_it(tmp_path: Path) -> None:

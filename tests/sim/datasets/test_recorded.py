@@ -285,9 +285,20 @@ def write_fit(file: Path, degrees_at: Degrees, count: int) -> None:
     file.write_bytes(data + struct.pack("<H", compute_crc(data)))
 
 
+def write_srt(file: Path, degrees_at: Degrees, count: int) -> None:
+    """Of a DJI drone, by the older and the newer firmware; the first subtitle is from before its fix."""
+    lines = ["1\n00:00:00,000 --> 00:00:00,040\n[latitude: 0.0] [longitude: 0.0]\n"]
+    for number, (after_us, lat_deg, lon_deg) in enumerate(positions(degrees_at, count)):
+        seconds, part_us = divmod(after_us, 1_000_000)
+        at = f"[latitude: {lat_deg:.9f}] [longtitude: {lon_deg:.9f}] [rel_alt: 1.200 abs_alt: 110.500]"
+        at = f"GPS({lon_deg:.9f},{lat_deg:.9f},19) abs_alt: 110.5" if number % 2 else at
+        lines.append(f"{number + 2}\n00:00:{seconds:02d},{part_us // 1000:03d} --> 00:01:00,000\n{at}\n")
+    file.write_text("\n".join(lines), encoding="utf-8")
+
+
 LOGS = {
     ".tlog": write_tlog, ".bin": write_dataflash, ".ulg": write_ulog, ".gpx": write_gpx, ".nmea": write_nmea,
-    ".geojson": write_geojson, ".kml": write_kml, ".csv": write_csv,
+    ".geojson": write_geojson, ".kml": write_kml, ".csv": write_csv, ".srt": write_srt,
 }  # fmt: skip
 
 
@@ -302,7 +313,9 @@ def test_each_log_gives_the_positions_that_were_driven(tmp_path: Path, degrees_a
         assert [fix.lat_deg, fix.lon_deg] == pytest.approx(degrees, abs=1e-7)
         assert fix.alt_m == pytest.approx(110.5)
     assert {fix.source for fix in fixes} == {"unknown" if suffix in {".tlog", ".ulg", ".csv"} else "gps"}
-    if suffix not in {".bin", ".ulg"}:
+    if suffix == ".srt":
+        assert start_ns == 0, "the times of the video"
+    elif suffix not in {".bin", ".ulg"}:
         assert start_ns == 1_714_557_600_000_000_000
     if suffix == ".tlog":
         assert (start_ns, fixes[3].heading_deg, fixes[3].speed_mps) == (1_714_557_600_000_000_000, 0.0, 5.0)

@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
@@ -134,6 +135,22 @@ def test_without_positions_the_pace_is_found_and_nothing_is_claimed(
     assert read_feed(tmp_path / "tried/query").header.distortion == (-0.1, 0.0, 0.0, 0.0)
     assert f"no positions in {'again' if is_located else 'out and again'}:" in printed
     assert ("no keypoints: without positions or distances of out" in printed) != is_located
+
+
+def test_an_error_names_no_temporary_folder(
+    out: Path, write_traverse: WriteTraverse, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both are read, and the pictures of neither: they are black."""
+    video = tmp_path / "again.avi"
+    as_video(write_traverse(tmp_path / "again"), video)
+    black = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (160, 120))
+    for _ in range(80):
+        black.write(np.zeros((120, 160, 3), np.uint8))
+    black.release()
+    words = ["try", str(out), str(video), "--query-offset-s", "0", "-o", str(tmp_path / "tried")]
+    assert main(words) == 78
+    error = capsys.readouterr().err
+    assert str(tmp_path / "tried") in error and ".tried-" not in error
 
 
 def test_each_mistake_is_one_line(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
