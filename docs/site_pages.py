@@ -22,17 +22,24 @@ ROOT = Path(__file__).parents[1]
 SETUP = runpy.run_path(str(ROOT / "setup.py"), run_name="read")
 BADGE = re.compile(r"^\[!\[.*\)\n", re.MULTILINE)
 OUTSIDE = re.compile(
-    r"(?<!!)\[([^\]]+)\]\(((?:\.\./|LICENSE|CONTRIBUTING|CODE_OF|edge/|firmware_config|lookback_fc6)[^)]*)\)"
+    r"(?<!!)\[([^\]]+)\]\(((?:\.\./|LICENSE|CONTRIBUTING|CODE_OF|edge/|firmware_config|lookback_fc6|notebook)[^)]*)\)"
 )
 FIGURE = re.compile(r"^```mermaid\n%% (pictures/\w+\.svg): (.*)\n(?:.*\n)*?```$", re.MULTILINE)
 """Its picture, and what that shows."""
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
+def on_config(config: Any) -> Any:
+    """With a link to the repository in the foot of each page, where its address is known."""
+    if address := SETUP["repository"]():
+        config.copyright = f'<a href="{address}">Source</a>, {config.copyright}'
+    return config
+
+
 def on_files(files: Files, config: Any) -> Files:
     """README as the first page, without badges, which are loaded from elsewhere."""
     text = BADGE.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
-    files.append(File.generated(config, "index.md", content=text.replace("](docs/", "](")))
+    files.append(File.generated(config, "index.md", content=f"---\ntitle: Home\n---\n{text.replace('](docs/', '](')}"))
     return files
 
 
