@@ -25,8 +25,7 @@ from edge.errors import ConfigError
 class MappingConfig(Section, frozen=True):
     """[mapping]: the drive becomes a map while it is driven.
 
-    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none. keypoints: of each place,
-    where that camera has a `fov_deg`.
+    camera: [mapping.camera], a camera of its own; [camera] maps as well where there is none. keypoints: of each place.
     """
 
     plugin: ClassVar[str] = "edge_plugins.mapping.plugin:Mapping"

@@ -47,16 +47,16 @@ class DriveStore:
         retry_s: float = RETRY_S,
         fov_deg: float | None = None,
         lens: Lens = PINHOLE,
+        focal_sigma: float = 0.0,
     ) -> None:
         """Make maps of earlier drives, and go on with the last one if it is of `resume_min` ago, after a restart.
 
         header: how places are made. view: of the camera that maps. before_long: is called with the seconds that
-        reading or finishing a drive may take here. retry_s: see `PlaceLog`. fov_deg: horizontal, of the pictures; None
-        where they get no keypoints.
+        reading or finishing a drive may take here. retry_s: see `PlaceLog`. fov_deg, focal_sigma: see `LiveKeypoints`.
         """
         self.header, self._view, self._unix_time_s = header, view, unix_time_s
         self._writer = partial(PlaceLog, min_free_bytes=config.min_free_mb * 1e6, retry_s=retry_s)
-        self.keypoints = LiveKeypoints(fov_deg, lens, faces_back=view == "rear")
+        self.keypoints = LiveKeypoints(fov_deg, lens, focal_sigma, faces_back=view == "rear")
         self._log: PlaceLog | None = None
         self.last: MappedPlace | None = None
         """The newest place; None where the next one begins a drive."""

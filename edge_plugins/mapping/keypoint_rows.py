@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -30,6 +31,12 @@ ASPECT_PX = 1.0
 NO_KEYPOINTS = Keypoints(np.empty((0, 2), np.float32), np.empty(0, np.float32), np.empty((0, 64), np.int8), (1, 1))
 KeyOf = Callable[[int, int], KeypointsKey]
 """The key of a map by the height and width of its first picture."""
+
+
+ASSUMED_DEG, ASSUMED_SIGMA_DEG = 75.0, 10.0
+"""Where nobody says the field of view: phones have 65, a GoPro in Linear 86, webcams 60 to 78."""
+ASSUMED_FOCAL_SIGMA = math.radians(ASSUMED_SIGMA_DEG) / math.sin(math.radians(ASSUMED_DEG))
+ASSUMED = f"not known, and taken as {ASSUMED_DEG:g} ± {ASSUMED_SIGMA_DEG:g} degrees"
 
 
 def keypoints_key(

@@ -47,9 +47,11 @@ class _Row(NamedTuple):
 class LiveKeypoints:
     """Those of each place, which are added in their order by one thread."""
 
-    def __init__(self, fov_deg: float | None, lens: Lens, *, faces_back: bool) -> None:
-        """fov_deg: horizontal, of the pictures; None: there are none. faces_back: the camera that maps. ModelError."""
-        self._made = None if fov_deg is None else keypoints_key(1, 1, fov_deg, lens)
+    def __init__(self, fov_deg: float | None, lens: Lens, focal_sigma: float = 0.0, *, faces_back: bool) -> None:
+        """fov_deg: horizontal, of the pictures; None: there are none. focal_sigma: one standard deviation of the focal
+        length, as a share. faces_back: the camera that maps. ModelError.
+        """
+        self._made = None if fov_deg is None else keypoints_key(1, 1, fov_deg, lens, focal_sigma)
         self._faces_back = faces_back
         self._thread = ThreadPoolExecutor(1, "keypoints", _block_signals)
         self._pictures: list[Future[Keypoints]] = []
@@ -70,7 +72,7 @@ class LiveKeypoints:
         made = self._made
         if made is None:
             return header
-        return replace(header, keypoints=keypoints_key(*self._size, made.fov_deg, made.alone))
+        return replace(header, keypoints=keypoints_key(*self._size, made.fov_deg, made.alone, made.focal_sigma))
 
     def write_to(self, file: PlaceLog) -> None:
         """Write to a file, going on with its last drive if there is one."""

@@ -29,6 +29,7 @@ from edge.telemetry.position_history import ExposureQueue
 from edge_plugins.mapping import MappingConfig
 from edge_plugins.mapping.drive_store import DriveStore
 from edge_plugins.mapping.gps_consistency import GpsFreeDistance, GpsFreeOdometer
+from edge_plugins.mapping.keypoint_rows import ASSUMED, ASSUMED_DEG, ASSUMED_FOCAL_SIGMA
 from edge_plugins.mapping.live_map import LiveMap
 from edge_plugins.mapping.place_log_records import LogHeader
 from edge_plugins.mapping.status import MappingChanged, MappingStatus, MappingView
@@ -101,12 +102,21 @@ class Mapping(Plugin):
     def _open(self, mapping: MappingConfig, opened: ExitStack) -> None:
         config, camera, frames = self._parts.config, mapping.camera, self._parts.mapping_frames
         maps = config.camera if camera is UNSET else camera
-        fov_deg = maps.fov_deg if mapping.keypoints and maps.fov_deg is not UNSET else None
+        fov_deg, focal_sigma = (None if maps.fov_deg is UNSET else maps.fov_deg), 0.0
         if mapping.keypoints and fov_deg is None:
-            where = "camera" if camera is UNSET else "mapping.camera"
-            log.warning("[%s] fov_deg: is not set, so the map of this drive gets no keypoints", where)
+            fov_deg, focal_sigma = ASSUMED_DEG, ASSUMED_FOCAL_SIGMA
+            log.warning("[%s] fov_deg: %s", "camera" if camera is UNSET else "mapping.camera", ASSUMED)
         header = LogHeader(model_key(self._parts.network), RegionsKey.of(config.descriptor), config.sampling)
-        store = DriveStore(mapping, header, maps.view, before_long=_ask_for_time, fov_deg=fov_deg, lens=maps.alone)
+        fov_deg = fov_deg if mapping.keypoints else None
+        store = DriveStore(
+            mapping,
+            header,
+            maps.view,
+            before_long=_ask_for_time,
+            fov_deg=fov_deg,
+            lens=maps.alone,
+            focal_sigma=focal_sigma,
+        )
         keeps = config.camera.keep_pictures and maps.keep_pictures
         self.live = LiveMap(mapping, opened.enter_context(closing(store)), keeps_pictures=keeps)
         device: NewestFrame | None = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
 import shutil
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -25,7 +24,14 @@ from edge.reference_map import ReferenceMap, open_map
 from edge.reference_map.checksums import FileKey, sha256_of
 from edge.reference_map.keypoint_file import KeypointsKey
 from edge.reference_map.store import HEADER, KEYPOINTS, PLACES, encode_header
-from edge_plugins.mapping.keypoint_rows import KeyOf, KeypointRows, keypoints_key
+from edge_plugins.mapping.keypoint_rows import (
+    ASSUMED,
+    ASSUMED_DEG,
+    ASSUMED_FOCAL_SIGMA,
+    KeyOf,
+    KeypointRows,
+    keypoints_key,
+)
 from sim.datasets import USUAL_FOV
 from sim.maps.known_distances import spell_distances
 from sim.output import checked_option
@@ -34,10 +40,6 @@ from sim.traverse import driven_m, with_course
 log = logging.getLogger(__name__)
 
 WHERE = "set [camera] fov_deg in a config and name it by --config, or use --fov-deg"
-ASSUMED_DEG, ASSUMED_SIGMA_DEG = 75.0, 10.0
-"""Where nobody says the field of view: phones have 65, a GoPro in Linear 86, webcams 60 to 78."""
-ASSUMED_FOCAL_SIGMA = math.radians(ASSUMED_SIGMA_DEG) / math.sin(math.radians(ASSUMED_DEG))
-ASSUMED = f"not known, and taken as {ASSUMED_DEG:g} ± {ASSUMED_SIGMA_DEG:g} degrees"
 CHANGED = (PLACES, KEYPOINTS)
 """Files of a map."""
 

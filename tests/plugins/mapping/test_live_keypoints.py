@@ -39,9 +39,11 @@ BEHIND = 5
 """Places of 10 m, after which the points of a place are known."""
 
 
-def live(folder: Path, later_s: float = 0.0, *, fov_deg: float | None = FOV_DEG) -> LiveMap:
+def live(folder: Path, later_s: float = 0.0, *, fov_deg: float | None = FOV_DEG, focal_sigma: float = 0.0) -> LiveMap:
     config, header = MappingConfig(folder=str(folder), min_free_mb=0.0), LogHeader(MODEL, REGIONS, SamplingConfig())
-    return LiveMap(config, DriveStore(config, header, "rear", lambda: START_S + later_s, fov_deg=fov_deg))
+    return LiveMap(
+        config, DriveStore(config, header, "rear", lambda: START_S + later_s, fov_deg=fov_deg, focal_sigma=focal_sigma)
+    )
 
 
 def drive(mapped: LiveMap, rows: range, *, waits: bool = True) -> None:
@@ -73,12 +75,14 @@ def finished(folder: Path) -> ReferenceMap:
 
 
 def test_a_place_has_points_once_the_drive_has_gone_on_by_ten_meters(tmp_path: Path) -> None:
-    mapped = live(tmp_path)
+    mapped = live(tmp_path, focal_sigma=0.2)
     drive(mapped, range(PLACES))
     whole = MapSet.of(mapped.store.whole())
     points = [known(whole.keypoints_of(row)) for row in range(PLACES)]
     assert min(points[:-BEHIND]) >= 30 and points[-BEHIND:] == [0] * BEHIND, points
-    assert whole.headers[0].keypoints_key == keypoints_key(FEED.header.height, FEED.header.width, FOV_DEG)
+    assert whole.headers[0].keypoints_key == keypoints_key(
+        FEED.header.height, FEED.header.width, FOV_DEG, focal_sigma=0.2
+    )
     mapped.store.close()
     assert min(known_of(finished(tmp_path))) >= 20, "the last places have those of what lies before them"
 

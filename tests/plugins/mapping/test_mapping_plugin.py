@@ -286,7 +286,7 @@ def test_one_key_says_whether_anything_of_a_drive_keeps_a_picture(
         (msgspec.UNSET, True, ["[camera] fov_deg"]),
     ],
 )
-def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
+def test_a_field_of_view_that_is_not_set_is_assumed_and_that_is_said_once(
     placed_network: ToldNetwork,
     tmp_path: Path,
     parts: ExitStack,
@@ -304,8 +304,8 @@ def test_without_a_field_of_view_it_is_said_once_that_the_map_gets_no_keypoints(
     )
     rear = None if camera is msgspec.UNSET else Camera(world, ahead=False)
     opened(config, parts, world, Camera(world, ahead=True), rear)
-    found = [one.message for one in caplog.records if "keypoints" in one.message]
-    assert found == [f"{where}: is not set, so the map of this drive gets no keypoints" for where in said]
+    found = [one.message for one in caplog.records if "fov_deg" in one.message]
+    assert found == [f"{where}: not known, and taken as 75 ± 10 degrees" for where in said]
 
 
 @pytest.mark.parametrize("second_camera", [True, False])
