@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = {
     "edge": 1550,
-    "edge/camera": 850,
+    "edge/camera": 800,
     "edge/commands": 250,
     "edge/descriptor": 450,
     "edge/feed": 500,

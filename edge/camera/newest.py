@@ -73,8 +73,7 @@ class NewestFrame:
         self._early_ns: deque[int] = deque(maxlen=AGREEING)  # how far the last timestamps were in the future
         self._shape: tuple[int, ...] | None = None  # of the first image: a map fits one shape
         self._good_ns = 0
-        self._bad_why = ""
-        self._reopen_why = ""
+        self._bad_why = self._reopen_why = ""
         self._expected: tuple[str, int] = ("", 0)
         self._expect("opening", OPENING_S)
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back

@@ -33,8 +33,7 @@ class Preprocessor:
     def __init__(self, config: CameraConfig) -> None:
         """Read the mask. ConfigError if it cannot be used."""
         self._flip = FLIP_CODES.get(config.flip)
-        self._crop = config.crop
-        self._mask_name = config.mask
+        self._crop, self._mask_name = config.crop, config.mask
         self._mask = _read_mask(Path(config.mask)) if config.mask else None
         self._fitted: tuple[NDArray[np.uint8], NDArray[np.uint8]] | None = None
 

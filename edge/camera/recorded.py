@@ -28,9 +28,7 @@ class RecordedCamera:
         self.differences: tuple[str, ...] = ()
         self._feed = feed
         self._images: FeedImages | None = FeedImages(feed)
-        self._clock_ns = clock_ns
-        self._sleep = sleep
-        self._next = 0
+        self._clock_ns, self._sleep, self._next = clock_ns, sleep, 0
         stamps_ns = [row.stamp_ns for row in feed.rows]
         longest_ns = max((after - before for before, after in itertools.pairwise(stamps_ns)), default=0)
         self._offset_ns: int | None = None  # from the feed's time to `clock_ns`

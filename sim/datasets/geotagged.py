@@ -3,11 +3,13 @@
 Specified in EXIF 2.32 (CIPA DC-008), sections 4.6.5 and 4.6.6. Pictures come in the order of their times
 (DateTimeOriginal with its fraction of a second, taken as UTC); those of one second without fractions, in the order of
 their names, a nanosecond apart; and so those of a folder in which nothing has a time, `fps` a second. The field of view
-is known where all have one FocalLengthIn35mmFilm.
+is known where all have one FocalLengthIn35mmFilm. What Mapillary's tools write into ImageDescription replaces time and
+position.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 from collections.abc import Mapping
@@ -78,11 +80,22 @@ def read_exif(file: Path) -> tuple[TrackFix, float | None]:
             width, height = image.size[::-1] if exif.get(ExifTags.Base.Orientation) in LYING else image.size
             fov_deg = of_film(str(file), float(own.get(ExifTags.Base.FocalLengthIn35mmFilm) or 0), width, height)
             position = _position(exif.get_ifd(ExifTags.IFD.GPSInfo))
+            said = _mapillary(str(exif.get(ExifTags.Base.ImageDescription, "")))
     except (OSError, UnidentifiedImageError) as error:
         raise FeedError(f"{file}: cannot read this picture: {error}") from None
     except (ArithmeticError, IndexError, SyntaxError, TypeError, ValueError):
         raise FeedError(f"{file}: its EXIF data are damaged") from None
-    return replace(position, stamp_ns=stamp_ns), fov_deg
+    return replace(position, **{"stamp_ns": stamp_ns, **said}), fov_deg
+
+
+def _mapillary(description: str) -> dict[str, Any]:
+    """What Mapillary's tools say there (mapillary_tools, `ImageDescription`), by the fields of a fix."""
+    if not description.startswith("{") or "MAPLatitude" not in description:
+        return {}
+    tags = json.loads(description)
+    moment = datetime.strptime(tags.get("MAPCaptureTime"), "%Y_%m_%d_%H_%M_%S_%f").replace(tzinfo=timezone.utc)
+    stamp_ns = int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + moment.microsecond * 1000
+    return {"lat_deg": float(tags["MAPLatitude"]), "lon_deg": float(tags.get("MAPLongitude")), "stamp_ns": stamp_ns}
 
 
 def _stamp_ns(image: Mapping[int, Any], exif: Mapping[int, Any]) -> int:

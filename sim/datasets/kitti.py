@@ -35,9 +35,12 @@ def open_traverse(path: Path, options: ReadOptions) -> Traverse:
     poses_file = Path(options.positions) if options.positions else path.parents[1] / "poses" / f"{path.name}.txt"
     times_s = read_numbers(path / "times.txt", 1, "it comes with the sequence's calibration files")[:, 0]
     poses = read_numbers(poses_file, 12, "poses are published for sequences 00 to 10; --positions takes others")
+    # Of an excerpt, the names say which lines are those of its pictures.
+    numbers = [int(Path(name).stem) for name in names if Path(name).stem.isdigit()]
     for file, lines in ((path / "times.txt", len(times_s)), (poses_file, len(poses))):
-        if lines != len(names):
+        if lines != len(names) and not (len(numbers) == len(names) < lines and max(numbers) < lines):
             raise FeedError(f"{file}: {lines} lines for the {len(names)} pictures in {path / camera}")
+    times_s, poses = (lines if len(lines) == len(names) else lines[numbers] for lines in (times_s, poses))
     ground_m = poses.reshape(-1, 3, 4)[:, [0, 2], 3]
     ahead = poses.reshape(-1, 3, 4)[:, [0, 2], 2]
     # Poses of another source may have no rotations.

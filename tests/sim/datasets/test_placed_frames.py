@@ -55,6 +55,14 @@ def test_kitti_has_local_positions(kitti_path: Path, tmp_path: Path, sim_import:
     assert np.flatnonzero(errors_m[2] <= 1.2).tolist() == [1, 2, 3]
 
 
+def test_of_an_excerpt_of_kitti_the_names_say_which_lines_are_its(kitti_path: Path) -> None:
+    for number in (0, 1, 2, 9):
+        (kitti_path / f"image_2/{number:06d}.png").unlink()
+    rows = open_dataset("kitti", kitti_path).rows
+    assert [row.file[-5] for row in rows] == list("345678")
+    assert (rows[5].stamp_ns, rows[5].extra["local_x_m"], rows[5].distance_m) == (829_600_000, "1.500", 2.5)
+
+
 def test_kitti_is_found_from_inside_its_folder(kitti_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(kitti_path)
     assert open_dataset("kitti", Path()).name == "kitti-00-image_2"

@@ -79,6 +79,20 @@ def test_geotagged_pictures_are_put_in_the_order_of_their_times(tmp_path: Path) 
     assert (rows[2].alt_m, rows[2].heading_deg) == (None, None)  # a magnetic heading is another thing
 
 
+def test_what_mapillary_wrote_replaces_time_and_position(tmp_path: Path, refused: Refused) -> None:
+    told = {"MAPLatitude": 51.76, "MAPLongitude": -1.26, "MAPCaptureTime": "2024_05_01_10_00_00_250"}
+    for name, tags in (("a.jpg", told), ("b.jpg", {**told, "MAPCaptureTime": "2024_05_01_10_00_01_500"})):
+        exif = Image.Exif()
+        exif[ExifTags.Base.ImageDescription] = json.dumps(tags)
+        Image.new("RGB", (64, 48), (90, 90, 90)).save(tmp_path / name, exif=exif)
+    rows = open_dataset("geotagged", tmp_path).rows
+    assert [row.stamp_ns - 1_714_557_600_000_000_000 for row in rows] == [250_000_000, 1_500_000_000]
+    assert (rows[0].lat_deg, rows[0].lon_deg) == (51.76, -1.26)
+    exif[ExifTags.Base.ImageDescription] = '{"MAPLatitude": 51.76}'
+    Image.new("RGB", (64, 48), (90, 90, 90)).save(tmp_path / "b.jpg", exif=exif)
+    refused("geotagged", tmp_path, r"b\.jpg: its EXIF data are damaged")
+
+
 def test_geotagged_pictures_become_a_feed(tmp_path: Path, degrees_at: Degrees, sim_import: Callable[..., int]) -> None:
     for index in range(10):  # two a second, whose clock has no fractions
         geotag(tmp_path / f"drive/{index}.jpg", f"2024:05:01 10:00:{index // 2:02d}", degrees_at(0.0, 1.5 * index))
