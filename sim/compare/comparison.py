@@ -88,13 +88,13 @@ def _summary_row(runner: MethodRunner, pair: str, method: str, outcome: MethodRe
 
 
 MEANS_NOTE = (
-    "Accuracy: mean R@1 over all pairs. Honesty: mean R@P100, the share of the frames on the map that can be used"
-    " without a single wrong place among them. Pairs: R@1 and R@P100; of several roads the mean."
+    "R@1: the share of the frames on the map whose best match is right. R@P100: of those that can be used without a"
+    " single wrong place among them. Means over all pairs; of each kind of pair R@1, R@P100."
 )
 
 
 def means(runner: MethodRunner, results: Results) -> Table:
-    """A row for every method: accuracy and honesty over all pairs, and both on each kind of pair."""
+    """A row for every method: R@1 and R@P100 over all pairs, and on each kind of pair."""
     pairs = runner.plan.pairs
     kinds = list(dict.fromkeys(pair.kind or pair.name for pair in pairs))
     rows: list[list[Cell]] = []
@@ -104,9 +104,7 @@ def means(runner: MethodRunner, results: Results) -> Table:
         columns = [each[[(pair.kind or pair.name) == kind for pair in pairs]] for kind in kinds]
         time_ms = float(np.median([one.frame_ms for one in outcomes]))
         rows.append([text, *each.mean(axis=0).tolist(), *map(_mean_cell, columns), f"{time_ms:.1f}"])
-    return Table(
-        "means", "Accuracy and honesty", ("method", "accuracy", "honesty", *kinds, "CPU ms a frame"), rows, MEANS_NOTE
-    )
+    return Table("means", "R@1 and R@P100", ("method", "R@1", "R@P100", *kinds, "CPU ms a frame"), rows, MEANS_NOTE)
 
 
 def _mean_cell(each: NDArray[np.float64]) -> ScoreGroup:

@@ -312,8 +312,8 @@ def _together(scores: Sequence[Score]) -> str:
     return (
         "{sent} positions, {fused} of them poses that are fused; of {known} whose standard deviation the journal has,"
         " {beyond_3} beyond three and {beyond_4} beyond four of them; of {levels} with finite levels, {} beyond that"
-        f" along-track and {{}} cross-track; of resets that move the autopilot by {MOVES_M:.0f} m, by keypoint poses"
-        " {} are nearer to the truth than it was and {} further, by sequence matches {} and {}"
+        f" along-track and {{}} cross-track; resets by {MOVES_M:.0f} m or more: by keypoint poses {{}} brought the"
+        " autopilot nearer to the truth, {} did not; by sequence matches {}, {} did not"
     ).format(*over, *resets, **sums)
 
 
