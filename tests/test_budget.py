@@ -12,14 +12,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 1550,
+    "edge": 1600,
     "edge/camera": 800,
-    "edge/commands": 250,
-    "edge/descriptor": 450,
+    "edge/commands": 300,
+    "edge/descriptor": 500,
     "edge/feed": 500,
     "edge/health": 250,
     "edge/journal": 400,
-    "edge/keypoints": 750,
+    "edge/keypoints": 800,
     "edge/localization": 2950,
     "edge/recognition": 900,
     "edge/reference_map": 1500,

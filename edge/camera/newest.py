@@ -22,8 +22,7 @@ from edge.config import CameraConfig
 from edge.errors import FrameError, LookbackError, LostError, SetupError
 from edge.feed import Frame
 
-FIRST_BACK_OFF_S = 0.5
-LONGEST_BACK_OFF_S = 5.0
+FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.5, 5.0
 BAD_FRAMES_S = 2.0
 """A camera that gives only bad frames for this long is opened again."""
 OPENING_S = 30.0
@@ -58,10 +57,8 @@ class NewestFrame:
         A missing camera (CameraLost) is reported by `health` and opened again with back-off.
         reopens: whether a camera that gives only bad or frozen images is opened again; a recording would start over.
         """
-        self._open = open
+        self._open, self._reopens, self._clock_ns = open, reopens, clock_ns
         self._back_off = BackOff(round(first_back_off_s * 1e9), round(longest_back_off_s * 1e9))
-        self._reopens = reopens
-        self._clock_ns = clock_ns
         self._changed = threading.Condition()
         self._stop = threading.Event()
         self._opened = threading.Event()
@@ -216,8 +213,7 @@ class NewestFrame:
             except LostError as error:
                 self._set_state("lost", str(error))
                 return False
-            why = self._reopen_why or self._nothing_good()
-            if why:
+            if why := self._reopen_why or self._nothing_good():
                 self._reopen_why, self._last_stamp_ns = "", -1  # its clock may start over
                 self._set_state("lost", f"{why}; opened again")
                 return False

@@ -127,17 +127,18 @@ def solve_pnp(
     if len(seen) < FEWEST_POINTS:
         return None
     rays = Rays.of(points, seen, np.zeros((len(seen), 3)) if frames is None else frames, camera)
-    before, information = _before(known)
-    cameras = np.tile(before, (len(starts), 1))
+    before = _before(known)
+    cameras = np.tile(before[0], (len(starts), 1))
+    unknowns = cameras.shape[1]
     cameras[:, :3] = starts
     inverse = np.repeat(rays.inverse[np.newaxis], len(cameras), axis=0)
     first = KERNELS[:FIRST_STEPS] if len(cameras) > GO_ON else ()
-    then = KERNELS if len(before) > 4 or not first else KERNELS[-LAST_STEPS:]
+    then = KERNELS if unknowns > 4 or not first else KERNELS[-LAST_STEPS:]
     for step, kernel in enumerate((*first, *then), 1):
         off, jacobian, inverse = whitened(cameras, inverse, rays)
-        free = len(before) if step > len(first) else 4  # the camera near a pose: with it, more starts end elsewhere
+        free = unknowns if step > len(first) else 4  # the camera near a pose: with it, more starts end elsewhere
         further = FURTHER if kernel == KERNEL else 1.0
-        cameras[:, :free] += further * step_of(cameras, off, jacobian, kernel, before, information, free)[0]
+        cameras[:, :free] += further * step_of(cameras, off, jacobian, kernel, before, free)[0]
         if step == len(first):
             most_likely = np.argsort(costs_of(off, kernel))[:GO_ON]
             cameras, inverse = cameras[most_likely], inverse[most_likely]
@@ -147,14 +148,16 @@ def solve_pnp(
     agrees = np.square(off[best]).sum(axis=0) < (2 * KERNEL) ** 2
     if agrees.sum() < FEWEST_POINTS:
         return None
-    _, found = step_of(cameras, off, jacobian, KERNEL, before, information, len(before))
+    _, found = step_of(cameras, off, jacobian, KERNEL, before, unknowns)
     worse = float(agrees.mean()) ** (2 * (CAUTION if frames is None or not frames.any() else CAUTION_TOGETHER))
     likely = np.exp((costs[best] - costs) * len(seen) * KERNEL**2 / (2 * worse))
     away = (cameras - cameras[best])[:, :3]
     each = worse * _covariances(found) + away[:, :, np.newaxis] * away[:, np.newaxis]
     covariance = np.einsum("s,sij->ij", likely / likely.sum(), each)
     right_m, ahead_m, turn = cameras[best, :3].tolist()
-    alone = None if known is None else _alone(cameras[best, 4:], found[best], known, worse)
+    right = float((seen[agrees, 0] > 0).mean())
+    even = 2 * min(right, 1 - right)
+    alone = None if known is None else replace(_alone(cameras[best, 4:], found[best], known, worse), even=even)
     return RelativePose(right_m, ahead_m, turn, covariance, agrees, float(costs[best]), intrinsics=alone)
 
 

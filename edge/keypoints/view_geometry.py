@@ -82,10 +82,14 @@ def _straightened(bent: NDArray[np.float64], lens: Lens) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """By how much (2,) the logarithm of a focal length and k1 exceed those of a camera model; information: (2, 2)."""
+    """By how much (2,) the logarithm of a focal length and k1 exceed those of a camera model; information: (2, 2).
+
+    even: of a picture, twice the share of its points on the side of the middle that has fewer; of several the sum.
+    """
 
     values: NDArray[np.float64]
     information: NDArray[np.float64]
+    even: float = 1.0
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -129,16 +133,13 @@ class Projection:
         self.depth = cos_pitch * z - sin_pitch * b
         self.directions = np.stack([x, cos_pitch * b + sin_pitch * z], axis=-1) / self._z[..., np.newaxis]
 
-    def by_inverse(self) -> NDArray[np.float64]:
-        """Derivatives (..., 2) of the directions by the points' inverse distance."""
-        (right_m, ahead_m), (cos, sin) = self._camera_at, self._turn
-        return self._moved(sin * ahead_m - cos * right_m, np.asarray(-sin * right_m - cos * ahead_m))
-
     def by_point(self) -> NDArray[np.float64]:
         """Derivatives (..., 2, 3) by the points: direction and inverse distance."""
         (cos_pitch, sin_pitch), (u, v) = self._pitch, np.moveaxis(self.directions, -1, 0)
         by_b = np.stack([u * sin_pitch, cos_pitch + v * sin_pitch], axis=-1) / self._z[..., np.newaxis]
-        return np.stack([self._moved(*self._turn), by_b, self.by_inverse()], axis=-1)
+        (right_m, ahead_m), (cos, sin) = self._camera_at, self._turn
+        by_inverse = self._moved(sin * ahead_m - cos * right_m, -sin * right_m - cos * ahead_m)
+        return np.stack([self._moved(cos, sin), by_b, by_inverse], axis=-1)
 
     def by_camera(self) -> NDArray[np.float64]:
         """Derivatives (..., 2, 4) by the cameras: right, ahead, turn and pitch."""

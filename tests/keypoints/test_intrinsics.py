@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,15 +56,40 @@ def test_another_camera_is_found_and_no_pose_is_beyond_its_sigma(fov_deg: float,
 
 
 @pytest.mark.parametrize(("fov_deg", "k1"), [(70.0, 0.0), (90.0, 0.0), (80.0, -0.15)])
-def test_a_handful_of_pictures_is_enough_to_doubt_a_config(fov_deg: float, k1: float) -> None:
-    evidence, _ = drive(fov_deg, k1, 5)
-    assert evidence.doubt > WRONG
+def test_a_handful_of_pictures_is_enough_to_doubt_a_config_and_more_replace_it(fov_deg: float, k1: float) -> None:
+    assert drive(fov_deg, k1, 5)[0].doubt == WRONG
+    assert drive(fov_deg, k1, 14)[0].doubt > WRONG
+
+
+def test_no_camera_is_found_by_few_pictures_nor_by_those_with_points_on_one_side() -> None:
+    wrong = Intrinsics(np.array([0.0, -0.175]), np.diag([1e4, 1e4]))
+    right, evidence = Intrinsics(np.zeros(2), np.diag([2500.0, 2500.0])), UNSEEN.with_picture(wrong, share=0.0)
+    assert evidence.doubt < 0.1
+    for said in [wrong] * 5 + [right] * 40:
+        evidence = evidence.with_picture(said)
+        assert evidence.doubt <= WRONG
+    assert evidence.doubt < DOUBTFUL
+    for _ in range(200):
+        evidence = evidence.with_picture(replace(wrong, even=0.2))
+        assert evidence.doubt <= WRONG
+    camera = evidence.difference(CAMERA.fov_deg)
+    assert camera is not None and not camera.is_another
+
+
+def test_points_on_one_side_are_counted() -> None:
+    rng = np.random.default_rng(5)
+    world_m, at = street(rng, 120), (1.0, 0.5, 0.0, 0.0)
+    points, picture = row_points(rng, world_m, pixels=0.7, turned_deg=0.3), seen(world_m, at)
+    for shown, even in ((points.is_known, 0.7), (points.is_known & (picture[:, 0] > 0), 0.0)):
+        pose = solve_pnp(points[shown], picture[shown], CAMERA, known=UNSEEN.open)
+        assert pose is not None and pose.intrinsics is not None
+        assert pose.intrinsics.even == pytest.approx(even, abs=0.3 * (even > 0))
 
 
 def test_a_camera_as_configured_is_not_in_doubt_after_a_few_pictures() -> None:
     assert UNSEEN.difference(CAMERA.fov_deg) is None
     assert drive(80.0, 0.0, 1)[0].doubt < WRONG / 10
-    for pictures in (4, 30):
+    for pictures in (6, 30):
         evidence, off = drive(80.0, 0.0, pictures)
         assert evidence.doubt < DOUBTFUL
     camera = evidence.difference(CAMERA.fov_deg)
