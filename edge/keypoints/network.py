@@ -75,7 +75,7 @@ def _best(
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     """Pixels (K, 2), x and y, that are the most probable around them, and their scores (K,), the best first."""
     peaks = (heat == cv2.dilate(heat, _NEIGHBORS)) & (heat > LEAST_PROBABILITY)
-    at = np.argwhere(peaks)[:, ::-1]
+    at = np.stack(np.divmod(np.flatnonzero(peaks), heat.shape[1])[::-1], axis=1)  # faster than argwhere
     place = _on_map(at, heat.shape)
     low = np.floor(place).astype(np.intp)
     padded, share = np.pad(reliability, 1), place - low

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.geodesy import east_north
-from edge.keypoints.intrinsics import CameraDifference
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
 from edge.reference_map import Drives, MapSet
@@ -42,6 +42,9 @@ home on a rear camera's map (two roads, 240 frames) one within 8 m of the right 
 30 in .996. Its pose then says which of its neighbors is nearest."""
 AMONG = 200
 """Places by the newest frame alone that these are chosen from: others are neighbors, or were seen another way."""
+POSES_APART_M = 1.0
+"""Driven between two of them where the vehicle is reckoned to be: nearer pictures err alike, and each costs as much as
+three frames without keypoints."""
 LIKELY = 0.5
 """Confidence of keyframe matches from which their pose goes with a sequence match: on an unmapped road it was less."""
 CENTERED_M, RECKONED_M = 4.0, 10.0
@@ -82,20 +85,16 @@ class KeyframeMatcher:
 
     def __init__(self, map_set: MapSet, drives: Drives, config: Config, network: KeypointNetwork | None = None) -> None:
         """network: None for one that is opened when it is needed."""
-        self._verification, self._least = PlaceVerification(config), config.acceptance.confidence_from
+        self.verification, self._least = PlaceVerification(config), config.acceptance.confidence_from
         if network is not None:
-            self.use_network(network)
+            self.verification.network = network
         self.grow(map_set, drives)
         self.reset()
 
     def grow(self, map_set: MapSet, drives: Drives) -> None:
         """Match with a set from now on that has further places after those of the last one."""
-        self._verification.use_maps(map_set, drives)
+        self.verification.use_maps(map_set, drives)
         self._map_set, self._drives = map_set, drives
-
-    def use_network(self, network: KeypointNetwork) -> None:
-        """Find keypoints by this network."""
-        self._verification.network = network
 
     def reset(self) -> None:
         """No match so far counts."""
@@ -104,31 +103,23 @@ class KeyframeMatcher:
         """By each of the newest verifications, two places that it could not tell apart; none by one that could."""
         self._unverified, self._in_vain = IN_VAIN_EVERY, 0  # frames since a verification, verifications since a match
         self._reckoned: ReckonedPlace | None = None
+        self._seen_m = -math.inf  # driven at the newest match
         self._is_opposed = False  # to the views at the place that is believed
         self._newest: tuple[KeyframeMatch, KeyframeVote] | None = None  # of the newest frame, if it was verified
 
     @property
-    def is_possible(self) -> bool:
-        """Whether the maps have keypoints that compare with those of a picture."""
-        return self._verification.is_possible
-
-    @property
     def correspondences(self) -> Correspondences | None:
         """The points by which the newest frame shows the place that is believed; None where it was not verified."""
-        return self._verification.correspondences if self._newest is not None else None
+        return self.verification.correspondences if self._newest is not None else None
 
-    @property
-    def camera(self) -> CameraDifference | None:
-        """What keypoints said of the vehicle's camera, once they are enough."""
-        return self._verification.camera
-
-    def is_due(self) -> bool:
-        """Whether this frame is to be verified."""
+    def is_due(self, driven_m: float) -> bool:
+        """Whether this frame is to be verified; driven_m: by the odometer."""
         self._unverified += 1
         self._newest = None
         every = IN_VAIN_EVERY if self._in_vain >= PATIENCE else EVERY
-        is_due = self._reckoned is not None or self._unverified >= every
-        return is_due and self.is_possible and not self._is_opposed
+        is_far = abs(driven_m - self._seen_m) >= POSES_APART_M
+        is_due = self._unverified >= every if self._reckoned is None else is_far
+        return is_due and self.verification.is_possible and not self._is_opposed
 
     def verify(
         self, image: Image, nearest: NearestOf, course_rad: float | None, driven_m: float, uncertain_m: float
@@ -137,17 +128,19 @@ class KeyframeMatcher:
 
         driven_m, uncertain_m: odometer, its sigma. MapError as `costs`.
         """
-        middles = self._middles(course_rad, driven_m, uncertain_m)
-        places = middles or self._verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
+        verification, middles = self.verification, self._middles(course_rad, driven_m, uncertain_m)
+        places = middles or verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
         if not places:
             self._in_vain += 1
             return
         self._unverified = 0
-        seen = (self._verification.follow if middles else self._verification.verify)(image, places)
-        self._newest = None if seen is None else (seen, self._vote_of(seen, driven_m, uncertain_m))
-        self._kept.add(self._newest[1] if self._newest else None)
-        self._alike.append([self._vote_of(one, driven_m, uncertain_m) for one in self._verification.alike])
-        self._in_vain = self._in_vain + 1 if seen is None else 0
+        local = chain(middles, self._beside(middles[0], course_rad)) if middles else ()
+        seen = verification.follow(image, local) if middles else verification.verify(image, places)
+        vote = self._vote_of(seen, driven_m, uncertain_m, is_reckoned=bool(middles)) if seen else None
+        self._newest = (seen, vote) if seen and vote else None
+        self._kept.add(vote)
+        self._alike.append([self._vote_of(one, driven_m, uncertain_m) for one in self.verification.alike])
+        self._in_vain, self._seen_m = (self._in_vain + 1, self._seen_m) if seen is None else (0, driven_m)
 
     def answer(
         self, votes: PlaceBelief | None, prior_of: PriorOf | None, driven_m: float, slack_m: float
@@ -172,7 +165,7 @@ class KeyframeMatcher:
 
         driven_m, uncertain_m: odometer, its sigma.
         """
-        self._is_opposed = match is not None and self._verification.direction(match.place_index) != match.direction
+        self._is_opposed = match is not None and self.verification.direction(match.place_index) != match.direction
         keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m)
         if match is None or keyframes is None or keyframes.confidence < LIKELY:
             return
@@ -240,10 +233,9 @@ class KeyframeMatcher:
         windows_m = WINDOWS_M if sigma_m > CENTERED_M else WINDOWS_M[:1]
         there = (replace(belief, along_m=along_m + window_m) for window_m in windows_m)
         places = [self._drives.nearest(one.drive, one.along_m) for one in there if self._is_mapped(one)]
-        places += self._beside(places[0]) if places else []
-        return self._verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M) + DRIVES, 1)
+        return self.verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M), 1)
 
-    def _beside(self, place: int) -> list[int]:
+    def _beside(self, place: int, course_rad: float | None) -> Iterator[int]:
         """The nearest place of each other drive within BESIDE_M of one, the nearest first, DRIVES at most."""
         index, here, found = self._map_set.index, self._map_set.places[place], []
         lat_lon_deg = float(here["lat_deg"]), float(here["lon_deg"])
@@ -252,12 +244,16 @@ class KeyframeMatcher:
             away_m = np.nan_to_num(np.hypot(*east_north(rows["lat_deg"], rows["lon_deg"], lat_lon_deg).T), nan=np.inf)
             if drive != index.segment_of(place) and away_m.min() <= BESIDE_M:
                 found.append((float(away_m.min()), start + int(away_m.argmin())))
-        return [one for _, one in sorted(found)[:DRIVES]]
+        places = np.array([one for _, one in sorted(found)], np.intp)
+        yield from self.verification.candidates(places, course_rad, DRIVES, 1)
 
-    def _vote_of(self, seen: KeyframeMatch, driven_m: float, uncertain_m: float) -> KeyframeVote:
+    def _vote_of(
+        self, seen: KeyframeMatch, driven_m: float, uncertain_m: float, *, is_reckoned: bool = False
+    ) -> KeyframeVote:
         """A keyframe match as a vote for a point along the map's drive; the place's camera faces along it, or back."""
-        drive, direction = self._drives.drive_of(seen.place_index), self._verification.direction(seen.place_index)
-        along_m = self._drives.along_m(seen.place_index) + self._verification.facing(seen.place_index) * seen.ahead_m
+        drive, direction = self._drives.drive_of(seen.place_index), self.verification.direction(seen.place_index)
+        along_m = self._drives.along_m(seen.place_index) + self.verification.facing(seen.place_index) * seen.ahead_m
         odds = seen.confidence / (1 - seen.confidence)
-        beside = seen.right_m * self._verification.facing(seen.place_index), seen.turn_rad
-        return KeyframeVote(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, odds, *beside)
+        there = drive, along_m, direction, self._drives.lap_m(drive)
+        beside = seen.right_m * self.verification.facing(seen.place_index), seen.turn_rad
+        return KeyframeVote(*there, driven_m, uncertain_m, odds, *beside, is_reckoned)

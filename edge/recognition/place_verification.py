@@ -10,8 +10,8 @@ its camera faced as the vehicle's does.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from edge.config import Config, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
-from edge.keypoints import CameraModel, Keypoints
+from edge.keypoints import CameraModel, Keypoints, MapPoints
 from edge.keypoints.drive_points import cameras_beside
 from edge.keypoints.intrinsics import DOUBTFUL, SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
 from edge.keypoints.matching import mutual_matches
@@ -47,6 +47,8 @@ RIVALS = 6
 """Candidates elsewhere with most matches that a pose is sought by as well: the right place need not be among the first.
 By 3 of them, 6 of 250 frames home at night on that street are believed, 324 m off; by 6 none. A frame that looks for
 its place takes 1.16 times as long, 1.4 times as without any."""
+KEPT_PLACES = 16
+"""Whose points stay in memory, 32 kB each: the next but one local map has four of five places of this one."""
 AROUND_M = 0.0, -4.0, 4.0, -8.0, 8.0
 """Along the drive, to the places of a local map."""
 WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
@@ -64,6 +66,7 @@ class PlaceVerification:
         self._camera = None if isinstance(camera.fov_deg, UnsetType) else (camera.fov_deg, camera.alone)
         self._evidence: dict[tuple[float, Lens], CameraEvidence] = {}
         """What pictures said of each camera that the config, or a map where it has none, says the vehicle has."""
+        self._is_asked = False  # the newest picture, what camera it is of
         self.camera: CameraDifference | None = None
         """What pictures said of the vehicle's camera, once they are enough."""
         self._newest: tuple[Keypoints, int, RelativePose] | None = None
@@ -77,6 +80,7 @@ class PlaceVerification:
         self._keys = [key if key is not None and key.sha256 == self._made_by else None for key in keys]
         self.is_possible = any(self._keys)
         """Whether any of the maps has keypoints that compare with those of a picture."""
+        self._points = lru_cache(KEPT_PLACES)(self._read)
 
     @cached_property
     def _made_by(self) -> str:
@@ -135,22 +139,20 @@ class PlaceVerification:
             return None
         place, pose = found
         nearer = self._row_at(place, self.facing(place) * pose.ahead_m)
-        return self._seen(query, [nearer], self._from(nearer, place, pose), is_reckoned=False)
+        return self._seen(query, [nearer], self._from(nearer, place, pose))
 
-    def follow(self, image: NDArray[np.uint8], middles: Sequence[int]) -> KeyframeMatch | None:
+    def follow(self, image: NDArray[np.uint8], middles: Iterable[int]) -> KeyframeMatch | None:
         """The place that a picture shows, of the local maps around some places where the vehicle is reckoned to be.
 
-        As `verify`; no place elsewhere is tried.
+        As `verify`; no place elsewhere is tried. middles: at least one, and no further one than it takes.
         """
-        return self._seen(self._keypoints_of(image), middles, WIDE, is_reckoned=True)
+        return self._seen(self._keypoints_of(image), middles, WIDE)
 
     def _keypoints_of(self, image: NDArray[np.uint8]) -> Keypoints:
         self.alike, self._newest = (), None
         return self.network.extract(image, MOST_OF_FRAME)
 
-    def _seen(
-        self, query: Keypoints, middles: Sequence[int], starts: NDArray[np.float64], *, is_reckoned: bool
-    ) -> KeyframeMatch | None:
+    def _seen(self, query: Keypoints, middles: Iterable[int], starts: NDArray[np.float64]) -> KeyframeMatch | None:
         """The match by the first local map with enough support, or that with most; None where none has any."""
         tried = []
         for middle in middles:
@@ -162,37 +164,40 @@ class PlaceVerification:
         if pose is None or _support_of(pose) == 0.0:
             return None
         self._newest = query, place, pose
-        confidence = confidence_of(_support_of(pose), is_reckoned=is_reckoned)
         wide = self._by_any_camera(matches, place, pose).scaled(self._key(place).focal_sigma)
-        return _match(place, wide, confidence)
+        return _match(place, wide, _support_of(pose))
 
     def _by_any_camera(self, matches: PointMatches, place: int, pose: RelativePose) -> RelativePose:
         """A pose that is as wide as its camera is in doubt, by what earlier pictures say and by this one.
 
-        Solved for by any camera as well, since points that are off by the one so far would say that it is right.
+        Solved for by any camera as well, since points that are off by the one so far would say that it is right. Where
+        it is, every second picture is enough: neighbors err alike.
         """
         evidence = self._evidence_at(place)
+        self._is_asked = not (self._is_asked and evidence.is_confirmed)
+        if not self._is_asked:
+            return pose
         own = matches.pose(pose.start, evidence.open)
         if own is None or own.intrinsics is None:
             return pose
         camera = self._camera_at(place)
-        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share=_share_of(own) / SHARED)
+        share = min(1.0, _support_of(own) / ENOUGH) / SHARED
+        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share)
         self.camera = after.difference(camera[0]) or self.camera
-        doubt = evidence.with_picture(own.intrinsics, share=_share_of(own)).doubt
-        if evidence.doubt > WRONG or doubt < DOUBTFUL:
+        if evidence.doubt > WRONG or after.doubt < DOUBTFUL:
             return pose  # or already by the camera that was found
         other = matches.pose(pose.start, evidence.known)
-        return pose if other is None else pose.mixed(other, doubt)
+        return pose if other is None else pose.mixed(other, after.doubt)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
-        records = ((place, self._record(place)["descriptor"]) for place in places)
-        alike = sorted(((len(mutual_matches(query.descriptors, one)), place) for place, one in records), reverse=True)
+        seen = ((place, self._points(place)[0].descriptors) for place in places)
+        alike = sorted(((len(mutual_matches(query.descriptors, one)), place) for place, one in seen), reverse=True)
         tried: dict[int, RelativePose | None] = {}
 
         def support_at(place: int) -> float:
             if place not in tried:
-                tried[place] = self._pose(self._matched(query, [place]), place)
+                tried[place] = self._pose(self._matched(query, [(place, np.zeros(3))]), place)
             return _support_of(tried[place])
 
         for _, place in alike[:VERIFIED]:
@@ -207,7 +212,7 @@ class PlaceVerification:
         rival = max(rivals, key=support_at, default=best)
         if rival != best and support_at(rival) > MOST_ELSEWHERE * support_at(best):
             both = ((place, tried[place]) for place in (best, rival))
-            self.alike = tuple(_match(place, pose, confidence_of(_support_of(pose))) for place, pose in both if pose)
+            self.alike = tuple(_match(place, pose, _support_of(pose)) for place, pose in both if pose)
             return None
         return (best, pose) if (pose := tried[best]) else None
 
@@ -221,28 +226,26 @@ class PlaceVerification:
             return None
         query, place, pose = self._newest
         assert pose.pairs is not None  # of `PointMatches`
-        pairs = ((query, 0), (keypoints_of(self._record(place), self._key(place)), 2))
+        pairs = ((query, 0), (self._points(place)[0], 2))
         rows = pose.pairs[pose.inlier_mask & (pose.pairs[:, 1] == 0)]
         return Correspondences(place, np.hstack([one.xy[rows[:, side]] / one.size[::-1] for one, side in pairs]))
 
-    def _matched(self, query: Keypoints, places: Sequence[int]) -> PointMatches:
-        """With places of one drive, in the frame of the first of them."""
-        key = self._key(places[0])
-        records = [self._record(place) for place in places]
-        each = zip(records, self._cameras_beside(places), strict=True)
-        keyframes = [Keyframe(keypoints_of(record, key), points_of(record), at) for record, at in each]
+    def _matched(self, query: Keypoints, places: Sequence[tuple[int, NDArray[np.float64]]]) -> PointMatches:
+        """With places of one drive, each with its camera in the frame of the first of them."""
+        key = self._key(first := places[0][0])
+        keyframes = [Keyframe(*self._points(place), at) for place, at in places]
         height = round(key.width * query.size[0] / query.size[1])
-        return match_keyframes(query, keyframes, CameraModel(key.width, height, *self._camera_at(places[0])))
+        return match_keyframes(query, keyframes, CameraModel(key.width, height, *self._camera_at(first)))
 
     def _pose(self, matches: PointMatches, place: int, starts: NDArray[np.float64] = STARTS) -> RelativePose | None:
         """By the camera as it is known."""
         evidence = self._evidence_at(place)
         return matches.pose(starts, evidence.known if evidence.doubt > WRONG else None)
 
-    def _around(self, place: int) -> list[int]:
-        """The places of a local map, that in its middle first."""
+    def _around(self, place: int) -> list[tuple[int, NDArray[np.float64]]]:
+        """The places of a local map, that in its middle first, and their cameras in its frame (3,)."""
         rows = list(dict.fromkeys(self._row_at(place, along_m) for along_m in AROUND_M))
-        return [row for row, at in zip(rows, self._cameras_beside(rows), strict=True) if np.isfinite(at).all()]
+        return [(row, at) for row, at in zip(rows, self._cameras_beside(rows), strict=True) if np.isfinite(at).all()]
 
     def _cameras_beside(self, places: Sequence[int]) -> NDArray[np.float64]:
         """Places of a drive as cameras (n, 3) in the frame of the first of them; NaN where that is not known."""
@@ -272,8 +275,10 @@ class PlaceVerification:
         route_m = self._map_set.places["route_m"][first:end]
         return first + int(np.abs(route_m - route_m[place - first] - along_m).argmin())
 
-    def _record(self, place: int) -> NDArray[np.void]:
-        return self._map_set.keypoints_of(place)
+    def _read(self, place: int) -> tuple[Keypoints, MapPoints]:
+        """A place's keypoints, and the points of those."""
+        record = self._map_set.keypoints_of(place)
+        return keypoints_of(record, self._key(place)), points_of(record)
 
     def _key(self, place: int) -> KeypointsKey:
         key = self._keys[self._map_set.index.map_of(place)]
@@ -281,14 +286,9 @@ class PlaceVerification:
         return key
 
 
-def _match(place: int, pose: RelativePose, confidence: float) -> KeyframeMatch:
+def _match(place: int, pose: RelativePose, support: float) -> KeyframeMatch:
     where = pose.right_m, pose.ahead_m, pose.turn_rad, pose.covariance
-    return KeyframeMatch(place, *where, pose.inliers, confidence)
-
-
-def _share_of(pose: RelativePose) -> float:
-    """Of the support that is enough."""
-    return float(min(1.0, _support_of(pose) / ENOUGH))
+    return KeyframeMatch(place, *where, pose.inliers, confidence_of(support))
 
 
 def _support_of(pose: RelativePose | None) -> float:

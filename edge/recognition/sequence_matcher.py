@@ -171,7 +171,7 @@ class SequenceMatcher:
             key=lambda one: one.confidence,
             default=None,
         )
-        if image is not None and self._keyframes is not None and self._keyframes.is_due():
+        if image is not None and self._keyframes is not None and self._keyframes.is_due(self._consensus.driven_m):
             self._verify(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
         self._follow(believed)
@@ -211,7 +211,7 @@ class SequenceMatcher:
     @property
     def may_verify(self) -> bool:
         """Whether the maps have keypoints that compare with those of a picture."""
-        return self._keyframes is not None and self._keyframes.is_possible
+        return self._keyframes is not None and self._keyframes.verification.is_possible
 
     @property
     def correspondences(self) -> Correspondences | None:
@@ -221,13 +221,13 @@ class SequenceMatcher:
     @property
     def camera(self) -> CameraDifference | None:
         """What keypoints said of the vehicle's camera, once they are enough."""
-        return None if self._keyframes is None else self._keyframes.camera
+        return None if self._keyframes is None else self._keyframes.verification.camera
 
     def use_keypoints(self, network: KeypointNetwork) -> None:
         """Find keypoints by this network, not by one of its own."""
         self._keypoints = network
         if self._keyframes is not None:
-            self._keyframes.use_network(network)
+            self._keyframes.verification.network = network
 
     def _best_line(
         self, raw: NDArray[np.float32], travel: MotionPrior, step: float, usual: float, *, is_measured: bool

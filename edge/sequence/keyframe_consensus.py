@@ -1,7 +1,8 @@
 """The belief in a place by keyframe matches of single frames, and how it joins that of the votes. Pure.
 
-    support = inliers * share^2 of the pose by a local map; where the vehicle is reckoned to be, over FAINT
+    support = inliers * share^2 of the pose by a local map
     odds = (support / EVEN)^POWER, at most MOST_ODDS, of the strongest of two or more that agree; of one alone / ALONE
+    of two or more where the vehicle is reckoned to be: support over FAINT
 
 Inliers are such a share of all keypoint matches of the local map and the picture. Two keyframe matches agree if their
 poses are as far apart along the map's drive as was driven between them, and alike cross-track and in heading: right
@@ -45,7 +46,8 @@ MOST_ODDS = 22.0
 ENOUGH = EVEN * MOST_ODDS ** (1 / POWER)
 """Support beyond which more makes no place surer."""
 FAINT = 0.25
-"""Share of it that says as much where the vehicle is reckoned to be: two poses are believed from 1.7 on."""
+"""Share of it that says as much where the vehicle is reckoned to be: two poses are believed from 1.7 on. One alone is
+not: it would be from 2.0 on by a prior of GPS, where nothing is right."""
 KEPT_VOTES = 4
 """Verified frames that count, the newest among them."""
 AGREE_M, AGREE_RAD = 2.0, math.radians(10)
@@ -58,9 +60,9 @@ VOTES_M = 60.0
 PriorOf: TypeAlias = Callable[[int, float], float]
 
 
-def confidence_of(support: float, *, is_reckoned: bool = False) -> float:
-    """That one match alone is right, by the support of all keyframes. is_reckoned: where the vehicle must be."""
-    odds: float = min((support / (EVEN * FAINT if is_reckoned else EVEN)) ** POWER, MOST_ODDS) / ALONE
+def confidence_of(support: float) -> float:
+    """That one match alone is right, by the support of all keyframes."""
+    odds: float = min((support / EVEN) ** POWER, MOST_ODDS) / ALONE
     return odds / (1 + odds)
 
 
@@ -74,7 +76,8 @@ class KeyframeVote:
     """A keyframe match as a vote: the vehicle's point along a drive of the map, and its direction of travel.
 
     lap_m: see `PlaceVote`. at_m, uncertain_m: driven by then, and how uncertain that is. odds: by this match alone.
-    right_m, turn_rad: of the vehicle from the drive, seen along it, and clockwise.
+    right_m, turn_rad: of the vehicle from the drive, seen along it, and clockwise. is_reckoned: whether it was sought
+    where the vehicle must be.
     """
 
     drive: int
@@ -86,6 +89,12 @@ class KeyframeVote:
     odds: float
     right_m: float = 0.0
     turn_rad: float = 0.0
+    is_reckoned: bool = False
+
+    @property
+    def odds_agreed(self) -> float:
+        """Where another vote agrees."""
+        return min(self.odds * ALONE / (FAINT**POWER if self.is_reckoned else 1.0), MOST_ODDS)
 
     def now_m(self, driven_m: float) -> float:
         """Where it puts the vehicle after so much was driven."""
@@ -114,7 +123,7 @@ class KeyframeConsensus:
         best: tuple[float, KeyframeVote, list[KeyframeVote]] | None = None
         for newest in reversed(kept):
             group = [one for one in kept if _agree(newest, one, driven_m, positions_of)]
-            odds = max(one.odds for one in group) * (ALONE if len(group) > 1 else 1.0)
+            odds = max(one.odds_agreed for one in group) if len(group) > 1 else newest.odds
             odds *= prior_of(newest.drive, newest.now_m(driven_m)) if prior_of else 1.0
             if best is None or odds > best[0]:
                 best = odds, newest, group

@@ -271,6 +271,17 @@ def test_where_it_is_reckoned_every_frame_is_verified_by_the_drives_beside_as_we
         assert network.verified >= 55
 
 
+def test_the_next_pose_is_sought_after_a_meter(maps: Path, grid: Network) -> None:
+    drive, recognizer, network = Film("home_night", 60), opened(maps / "street", grid), _Counted()
+    recognizer.matcher.use_keypoints(network)
+    recognizer.observe(drive.images[0], 0, MotionPrior(7.0))
+    assert recognizer.verify_again(drive.images[0], S, MotionPrior(7.0)) is not None
+    for number, (at_m, verified) in enumerate(((7.5, 2), (7.9, 2), (8.1, 3), (9.0, 3), (9.2, 4)), 1):
+        match = recognizer.observe(drive.images[number % 2], (1 + number) * S, MotionPrior(at_m))
+        assert match is not None and match.accepted
+        assert network.verified == verified
+
+
 def test_another_road_is_never_believed_by_keyframes(maps: Path, grid: Network) -> None:
     answers = driven(opened(maps / "elsewhere", grid), Film("home_night"), 40)
     assert not [one for one in answers if one is not None and (one.accepted or one.seen is not None)]

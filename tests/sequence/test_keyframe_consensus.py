@@ -91,6 +91,17 @@ def test_dead_reckoning_makes_a_place_of_one_match_and_keeps_a_twin_from_being_b
     assert not is_believed(vote(100, 0), vote(104, 4), prior_of=lambda drive, along_m: LEAST)
 
 
+def test_one_match_where_it_is_reckoned_is_never_believed_by_a_faint_pose_and_two_that_agree_are() -> None:
+    """By the strongest support (2.3) of 228 local maps where none was right, and the highest odds of a prior."""
+    alone = confidence_of(2.3)
+    seen = [replace(vote(100 + at_m, at_m, alone / (1 - alone)), is_reckoned=True) for at_m in (0, 4)]
+    found = belief(seen[0], prior_of=lambda drive, along_m: 16.0)
+    assert found is not None and found.confidence < 0.5, "of which a pose would be published"
+    assert not is_believed(None, seen[0], replace(seen[1], along_m=110.0), prior_of=lambda drive, along_m: 16.0)
+    assert is_believed(*seen)
+    assert not is_believed(*(replace(one, is_reckoned=False) for one in seen))
+
+
 def test_of_one_place_the_surer_of_votes_and_keyframes_counts_and_two_places_speak_against_each_other() -> None:
     keyframes = PlaceBelief(0, 100.0, "forward", 0.95, is_believed=True)
     votes = replace(keyframes, confidence=0.6, is_believed=False)
