@@ -8,10 +8,10 @@ import numpy as np
 
 from edge.feed import Feed
 from edge.reference_map import MapSet
+from edge_plugins.mapping.keypoint_rows import ASSUMED
 from sim.datasets import USUAL_FOV
 from sim.evaluation.pose_errors import PoseErrors
 from sim.evaluation.recognition import Recognition, RecognitionScore
-from sim.maps.adding_keypoints import ASSUMED
 from sim.traverse import distances_m, driven_m
 
 
