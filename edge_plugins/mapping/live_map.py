@@ -100,9 +100,9 @@ class LiveMap:
     def _why_not(self, position: VehiclePosition | None, distance_m: float | None) -> str:
         """Why a place of this position may not be mapped, "" if it may."""
         if position is None:
-            return "the autopilot has no position"
+            return "autopilot has no position"
         if distance_m is None:
-            return "the distance driven is not known"
+            return "distance driven not known"
         return why_no_truth(position, self._config) or ("" if self._moves_alike(position) else GPS_MOVES)
 
     def _moves_alike(self, position: VehiclePosition) -> bool:

@@ -109,10 +109,10 @@ class Outage:
 def why_no_truth(position: VehiclePosition, config: MappingConfig) -> str:
     """Why a position may not enter a map, "" if it may."""
     if position.source == "place_fixes":
-        return "the position rests on recognized places"
+        return "position is by places"
     if position.source == "dead_reckoning" and config.without_gps == "continue":
-        return "" if position.sigma_m is not None else "the accuracy of the position is not known"
+        return "" if position.sigma_m is not None else "position error not known"
     if position.source in WORST_FIRST:
         return "no GPS"
     is_good = position.sigma_m is not None and position.sigma_m <= config.max_sigma_m
-    return "" if is_good else f"the position is not known to {config.max_sigma_m:g} m"
+    return "" if is_good else f"position not known to {config.max_sigma_m:g} m"

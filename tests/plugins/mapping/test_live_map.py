@@ -81,11 +81,11 @@ def test_places_become_searchable_a_fixed_distance_behind(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("position", "keys", "why"),
     [
-        (None, {}, "the autopilot has no position"),
+        (None, {}, "autopilot has no position"),
         (replace(GPS, source="dead_reckoning"), {}, "no GPS"),
-        (replace(GPS, source="dead_reckoning", sigma_m=None), {"without_gps": "continue"}, "the accuracy"),
+        (replace(GPS, source="dead_reckoning", sigma_m=None), {"without_gps": "continue"}, "position error not known"),
         (replace(GPS, source="dead_reckoning", sigma_m=40.0), {"without_gps": "continue"}, ""),
-        (replace(GPS, source="place_fixes"), {"without_gps": "continue"}, "rests on recognized places"),
+        (replace(GPS, source="place_fixes"), {"without_gps": "continue"}, "position is by places"),
         (replace(GPS, source="unknown"), {"without_gps": "continue"}, "no GPS"),
         (replace(GPS, sigma_m=8.0), {}, "not known to 5 m"),
         (replace(GPS, sigma_m=None), {}, "not known to 5 m"),
@@ -98,6 +98,7 @@ def test_what_is_no_truth_enters_no_map(
     mapped.add(raw_of(0), IMAGE, position, 0.0)
     assert mapped.status.places == (not why)
     assert why in mapped.status.why
+    assert len(f"Lookback not mapping: {mapped.status.why}") <= 50, "one line of the pilot's"
     mapped.store.close()
     assert bool(logs_in(tmp_path)) == (not why), "no file without a place"
 
