@@ -30,7 +30,7 @@ from sim.world.recording import record_drive
 from sim.world.scenario import Scenario
 
 PAGE = "page_home_night.png"
-PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 560), 8699, 14597
+PAGE_PX, PAGE_PORT, LINK_PORT = (1280, 760), 8699, 14597
 UNDER_WAY_S = 40.0
 """After the daemon's start, at 10 m/s: well beyond the first 100 m, which are never recognized."""
 OUT = Scenario(seed=7, length_m=400.0, view="rear")
@@ -52,7 +52,7 @@ port = {PAGE_PORT}
 ahead_reverse_same_m = 7.9
 [telemetry]
 connection = "udpin:127.0.0.1:{LINK_PORT}"
-emit = "external_position"
+emit = "auto"
 journal = "journal.jsonl"
 """
 SHOT_S = 25.0
@@ -126,7 +126,18 @@ def write_page_picture(folder: Path) -> None:
         build_map([read_feed(at / "out")], at / "map", *made_as, keypoints=key)
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         lookback = [sys.executable, "-m", "edge"]
-        following = ["dev", "sim", "autopilot", "--udp", f"127.0.0.1:{LINK_PORT}", "--follow", "home", "--no-gps"]
+        following = [
+            "dev",
+            "sim",
+            "autopilot",
+            "--udp",
+            f"127.0.0.1:{LINK_PORT}",
+            "--follow",
+            "home",
+            "--gps-lost-after",
+            "9",
+        ]
+        following += ["--firmware", "ardupilot-fused"]
         with ExitStack() as running:
             for command in (following, ["run", "lookback.toml"]):
                 process = subprocess.Popen([*lookback, *command], cwd=at, stdout=subprocess.DEVNULL)

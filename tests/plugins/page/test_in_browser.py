@@ -265,6 +265,7 @@ def test_where_gps_is_lost_its_largest_word_is_that_no_position_comes(tmp_path: 
         driver.get(f"http://127.0.0.1:{page.port}/")
         for given, headline, kind in (
             ((f"no position: {inexact}", "not healthy"), f"NO POSITION: {inexact}", "warn"),
+            (("no position: no reset is needed, 1 m apart", "not healthy"), "ON THE MAP", "good"),
             (
                 ("no position: the autopilot refuses positions", "unknown", 0),
                 "NO POSITION: the autopilot refuses",
