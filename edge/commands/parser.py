@@ -37,6 +37,7 @@ COMMANDS = {
     "model": "sim.model_tools.command",
     "shadow": "sim.shadow.command",
     "try": "sim.first_try.command",
+    "where": "sim.evaluation.where_command",
 }
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
 ones. Names only: edge imports nothing of sim."""

@@ -119,8 +119,7 @@ def _rounded(feeds: list[Path], exact: onnx.ModelProto, info: ModelInfo) -> onnx
     best = None
     for count in FLOAT_LAYERS:
         said = f"{info.calibration}, first {count} layers in float" if count else info.calibration
-        as_made = msgspec.structs.replace(info, calibration=said)
-        model = quantize.quantize(exact, ranges, as_made, float_layers=count)
+        model = quantize.quantize(exact, ranges, msgspec.structs.replace(info, calibration=said), float_layers=count)
         cosine = min(_agreement(exact, model, feed[:: -(-len(feed) // MAX_COMPARED)]) for feed in images)
         print(f"int8 with {count} layers in float: cosine to float after NSD {cosine:.4f}")
         if best is None or cosine > best[0]:
@@ -137,8 +136,7 @@ def _agreement(exact: onnx.ModelProto, rounded: onnx.ModelProto, images: list[ND
     """Mean cosine after NSD over the images."""
     described = []
     for model in (exact, rounded):
-        data = model.SerializeToString()
-        network = Network(ModelFile(Path("network"), data, onnx_graph.get_info(model)))
+        network = Network(ModelFile(Path("network"), model.SerializeToString(), onnx_graph.get_info(model)))
         described.append(np.stack([network.describe(image[np.newaxis]) for image in images]))
     return float(nsd_cosines(*described).mean())
 

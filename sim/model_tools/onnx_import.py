@@ -148,12 +148,10 @@ def _image_input(model: onnx.ModelProto, wanted: ImageInput) -> tuple[str, tuple
     if tensor.elem_type != onnx.TensorProto.FLOAT or len(shape) != 4:
         kind = str(onnx.TensorProto.DataType.Name(tensor.elem_type)).lower()
         raise ModelError(f"input {name!r} is {kind} {spelled}; float of 4 dimensions is needed")
-    found: Layout | None = "nchw" if shape[1] == 3 else "nhwc" if shape[3] == 3 else None
-    layout = wanted.layout or found
+    layout: Layout | None = wanted.layout or ("nchw" if shape[1] == 3 else "nhwc" if shape[3] == 3 else None)
     if layout is None:
         raise ModelError(f"input {name!r} has the shape {spelled}, with no axis of 3 channels; give --layout")
-    axis = 1 if layout == "nchw" else 3
-    if shape[axis] not in (3, None):
+    if shape[1 if layout == "nchw" else 3] not in (3, None):
         raise ModelError(f"input {name!r} has the shape {spelled}, which is not {layout} with 3 channels")
     given = shape[2:] if layout == "nchw" else shape[1:3]
     size = tuple(one or two for one, two in zip(given, wanted.size or (DEFAULT_SIZE,) * 2, strict=True))
@@ -227,8 +225,7 @@ def _run(model: onnx.ModelProto, image: str, size: tuple[int, int], layout: Layo
     """The shape of the tap for one image."""
     shape = (1, 3, *size) if layout == "nchw" else (1, *size, 3)
     try:
-        session = open_session(model.SerializeToString())
-        found = session.run(None, {image: np.zeros(shape, np.float32)})[0]
+        found = open_session(model.SerializeToString()).run(None, {image: np.zeros(shape, np.float32)})[0]
     except Exception as error:  # ONNX Runtime's own classes share only Exception
         raise ModelError(f"ONNX Runtime rejects it: {_line(error)}") from None
     if found.dtype != np.float32 or found.shape[:1] != (1,) or found.ndim < 2:
@@ -310,10 +307,8 @@ def _grid(size: tuple[int, ...], pool: tuple[int, int]) -> NDArray[np.float32]:
     """(H * W, cells): the share of each pixel of a map in each cell, of cells that cover it as evenly as they can."""
     shares = []
     for length, count in zip(size, pool, strict=True):
-        edges = np.arange(count + 1) * length / count
-        cells = [(int(np.floor(a)), int(np.ceil(b))) for a, b in pairwise(edges)]
-        share = np.array([[(a <= at < b) / (b - a) for a, b in cells] for at in range(length)])
-        shares.append(share)
+        cells = [(int(np.floor(a)), int(np.ceil(b))) for a, b in pairwise(np.arange(count + 1) * length / count)]
+        shares.append(np.array([[(a <= at < b) / (b - a) for a, b in cells] for at in range(length)]))
     return np.asarray(np.kron(shares[0], shares[1]), np.float32)
 
 

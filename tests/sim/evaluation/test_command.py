@@ -43,6 +43,28 @@ def test_the_numbers_are_those_of_replay(
     assert {path.name for path in report.iterdir()} == {"report.html", "recordings.csv", "precision_recall.png"}
 
 
+def test_a_single_picture_is_placed_by_its_inliers(
+    street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At 7.6 m between pictures a frame whose own place has 400 inliers was matched 17 m off by the sequence."""
+    again = write_traverse(tmp_path / "again", range(22), noise=8.0)
+    picture, drawn = sorted((again / "frames").iterdir())[20], tmp_path / "six.png"
+    assert main(["where", str(picture), "--map", str(street_map), "-o", str(drawn)]) == 0
+    first, *nearest = capsys.readouterr().out.splitlines()
+    assert first == f"{picture}: taken near place 20"
+    assert len(nearest) == 6 and nearest[0].startswith("  place 20: ")
+    assert nearest[0].endswith(" inliers, -26.999639, 153.000000")
+    image = cv2.imread(str(drawn))
+    assert image is not None and image.shape[0] == 240 and image.shape[1] == 7 * 320
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full((120, 160, 3), 128, np.uint8))
+    assert main(["where", str(blank), "--map", str(street_map)]) == 0
+    assert "shows no place for sure" in capsys.readouterr().out
+    assert main(["map", "build", str(again), "-o", str(tmp_path / "plain"), "--no-keypoints"]) == 0
+    assert main(["where", str(picture), "--map", str(tmp_path / "plain")]) == 78
+    assert "plain: no keypoints; add them with `lookback map keypoints`" in capsys.readouterr().err
+
+
 def test_local_meters_are_compared_only_with_those_from_the_same_origin(
     street_map: Path, write_traverse: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
