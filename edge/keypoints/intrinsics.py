@@ -163,14 +163,18 @@ class CameraEvidence:
 
     @cached_property
     def doubt(self) -> float:
-        """How probable it is that the config is wrong, by how likely what was said is where it is right and wrong."""
+        """How probable it is that the config is wrong, by how likely what was said is where it is right and wrong.
+
+        Hardly less than before any picture until FEWEST agree, and no more than even until then.
+        """
         logs = []
         for sigma in (CONFIGURED_SIGMA, UNKNOWN_SIGMA):
             spread = self.said.covariance + np.diag(np.square(sigma))
             chi2 = float(self.said.values @ np.linalg.solve(spread, self.said.values))
             logs.append((chi2 + float(np.linalg.slogdet(spread)[1])) / 2)
         doubt = 1 / (1 + RIGHT * math.exp(min(logs[1] - logs[0], 500.0)))
-        return doubt if self.said.even >= FEWEST else min(doubt, WRONG)
+        few = max(0.0, 1 - self.said.even / FEWEST)
+        return min(max(doubt, few / (1 + RIGHT)), WRONG) if few else doubt
 
     def difference(self, configured_deg: float) -> CameraDifference | None:
         """The pictures' camera, where the config's has a horizontal field of view; None: not known."""

@@ -254,6 +254,5 @@ class KeyframeMatcher:
         drive, direction = self._drives.drive_of(seen.place_index), self.verification.direction(seen.place_index)
         along_m = self._drives.along_m(seen.place_index) + self.verification.facing(seen.place_index) * seen.ahead_m
         odds = seen.confidence / (1 - seen.confidence)
-        there = drive, along_m, direction, self._drives.lap_m(drive)
-        beside = seen.right_m * self.verification.facing(seen.place_index), seen.turn_rad
-        return KeyframeVote(*there, driven_m, uncertain_m, odds, *beside, is_reckoned)
+        said = odds, seen.right_m * self.verification.facing(seen.place_index), seen.turn_rad, is_reckoned
+        return KeyframeVote(drive, along_m, direction, self._drives.lap_m(drive), driven_m, uncertain_m, *said)

@@ -181,13 +181,14 @@ class PlaceVerification:
         if own is None or own.intrinsics is None:
             return pose
         camera = self._camera_at(place)
-        share = min(1.0, _support_of(own) / ENOUGH) / SHARED
-        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share)
+        share = min(1.0, _support_of(own) / ENOUGH)
+        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share / SHARED)
         self.camera = after.difference(camera[0]) or self.camera
-        if evidence.doubt > WRONG or after.doubt < DOUBTFUL:
+        doubt = evidence.with_picture(own.intrinsics, share).doubt
+        if evidence.doubt > WRONG or doubt < DOUBTFUL:
             return pose  # or already by the camera that was found
         other = matches.pose(pose.start, evidence.known)
-        return pose if other is None else pose.mixed(other, after.doubt)
+        return pose if other is None else pose.mixed(other, doubt)
 
     def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
         """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""

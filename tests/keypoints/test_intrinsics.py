@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from edge.keypoints.intrinsics import DOUBTFUL, UNSEEN, WRONG, CameraEvidence
+from edge.keypoints.intrinsics import DOUBTFUL, RIGHT, UNSEEN, WRONG, CameraEvidence
 from edge.keypoints.pose import RelativePose, solve_pnp
 from edge.keypoints.view_geometry import Intrinsics, bend
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
@@ -88,8 +88,8 @@ def test_points_on_one_side_are_counted() -> None:
 
 def test_a_camera_as_configured_is_not_in_doubt_after_a_few_pictures() -> None:
     assert UNSEEN.difference(CAMERA.fov_deg) is None
-    assert drive(80.0, 0.0, 1)[0].doubt < WRONG / 10
-    for pictures in (6, 30):
+    assert drive(80.0, 0.0, 1)[0].doubt < 1 / (1 + RIGHT)
+    for pictures in (12, 30):
         evidence, off = drive(80.0, 0.0, pictures)
         assert evidence.doubt < DOUBTFUL
     camera = evidence.difference(CAMERA.fov_deg)
