@@ -237,7 +237,6 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     send_boot_s: Annotated[float, unit("s", "the autopilot's time since boot when it was sent")]
     age_s: Annotated[float, unit("s", "time from the moment of the position to sending")]
     distance_m: Distance
-    again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
     map: MapName = UNSET
     level_along_m: Annotated[
         float | None, unit("m", "protection level along-track, null where nothing bounds the position", 2)

@@ -67,7 +67,6 @@ def decide(
         wrong=wrong,
         level=level,
         is_needed=not limits.is_reset
-        or limits.again is not None
         or autopilot.sigma_m is None
         or known.is_led
         or is_off(own, place, gates.min_move_m),

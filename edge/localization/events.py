@@ -169,13 +169,12 @@ class FixRequest(Struct, frozen=True, tag="Limits"):
     at: of the newest exposure; of the newest keypoint pose; or of now, but for an autopilot of the newest pose where
     there are poses: each is a measurement of its own, what is predicted between them is none. oldest_s: its age at
     most. is_reset: whether the autopilot uses it as it is instead of weighing it. moves_autopilot: whether it goes
-    there; if not, neither its GPS nor its clock matters. again: one that was not answered, in place of the newest.
-    unable: why nothing is recognized at this moment, "" while it is.
+    there; if not, neither its GPS nor its clock matters. unable: why nothing is recognized at this moment, "" while it
+    is.
     """
 
     at: Moment = "exposure"
     oldest_s: float = math.inf
     is_reset: bool = False
     moves_autopilot: bool = True
-    again: Fix | None = None
     unable: str = ""

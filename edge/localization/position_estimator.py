@@ -305,11 +305,9 @@ class PositionEstimator:
 
     def _asked(self, t_ns: int, limits: FixRequest) -> FixCandidate:
         """What is asked for, without a place where there is none."""
-        tracker, again = self._tracker, limits.again
+        tracker = self._tracker
         if tracker is None or limits.unable or self._own.is_doubled:
             return FixCandidate()
-        if again is not None:
-            return FixCandidate(again.place, again.motion, again.pose_sigma_m)
         if limits.at == "pose" or (limits.at == "now" and limits.moves_autopilot and tracker.has_pose):
             return FixCandidate(*tracker.pose() or ())
         if limits.at == "now":

@@ -3,7 +3,7 @@
 ACCEPTED  of a position: its own must then move within MOVED_NS: a filter that is not in use accepts as well
 FAILED, TEMPORARILY_REJECTED, CANCELED  not now (GPS works, no origin, not dead reckoning): pause, longer each time
 DENIED, UNSUPPORTED  never: no more until the autopilot reboots
-no answer  send once more with the present age; PX4 1.15 never answers
+no answer  the next position goes when it is due; PX4 1.15 never answers
 
 Positions of a stream are not acknowledged: an autopilot that is far from them must come nearer within STREAM_NS.
 """
@@ -90,14 +90,13 @@ class Command(Exchange):
 class FixTransmission:
     """A position that was sent at `at_ns` of CLOCK_MONOTONIC.
 
-    own: the autopilot's position then, None where it had none. is_again: since the first was not answered. recorded_ns:
-    when one was recorded last, this or an earlier one.
+    own: the autopilot's position then, None where it had none. recorded_ns: when one was recorded last, this or an
+    earlier one.
     """
 
     fix: Fix
     at_ns: int
     own: VehiclePosition | None
-    is_again: bool = False
     recorded_ns: int = 0
 
     @property
@@ -198,29 +197,17 @@ class PositionUse:
             log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
             self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
 
-    def overdue(self, now_ns: int) -> FixTransmission | None:
-        """The position whose answer did not come in time, the first time; None while there is none."""
-        if not self.command.is_overdue(now_ns) or self.newest is None:
-            return None
-        if self.newest.is_again:
-            self.give_up()
-            return None
-        return self.newest
-
-    def give_up(self) -> None:
-        """A position that is not answered is not sent again."""
-        self.command.answered()
-        self._drop_followed()
-        if self.newest is not None:
-            self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
-
     def _drop_followed(self) -> None:
         """What was not accepted moves nothing."""
         if self._followed is not None and not self._followed[1]:
             self._followed = None
 
     def check(self, now_ns: int) -> None:
-        """Once it has had time, the autopilot's position must have moved to an accepted one."""
+        """Answers must have come in time, and the autopilot's position have moved to one that was accepted."""
+        if self.newest is not None and self.command.is_overdue(now_ns):
+            self.command.answered()
+            self._drop_followed()
+            self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
         sent, accepted_ns = self._followed or (None, 0)
         own = self._vehicle.position(now_ns)
         if sent is None or not accepted_ns or own is None or own.stamp_ns <= accepted_ns:

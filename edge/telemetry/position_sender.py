@@ -116,14 +116,11 @@ class PositionSender:
         return self._gates.doubted_gps == "switch" and self.enabled
 
     def due(self, now_ns: int) -> FixRequest | None:
-        """What holds for the position that is due now, None while none is; once more for one that was not answered."""
+        """What holds for the position that is due now, None while none is."""
         message, use = self._message_now, self.use
         if message is None:
             return None
         limits = FixRequest(message.moment, message.max_age_s, message.acknowledged)
-        overdue = use.overdue(now_ns)
-        if overdue is not None:
-            return replace(limits, again=overdue.fix)
         if message.moment == "pose":
             # Each pose is judged when it is new, and every second what keeps them away.
             if self._drive.pose_ns == self._judged_ns and now_ns - self._asked_ns < STEADY_RECORD_NS:
@@ -133,30 +130,27 @@ class PositionSender:
 
     def send(self, answer: Fix | NoFix, now_ns: int) -> list[Message]:
         """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
-        message, overdue, newest = self._message_now, self.use.overdue(now_ns), self.use.newest
+        message, newest = self._message_now, self.use.newest
         place = answer.place if isinstance(answer, Fix) else answer.fix
-        is_again = overdue is not None and place is overdue.place
-        if newest and place is not None and place.stamp_ns == newest.place.stamp_ns and not is_again:
+        if newest and place is not None and place.stamp_ns == newest.place.stamp_ns:
             return []  # the last exposure was sent already
         if place is not None and message is not None and message.moment != "exposure":
             if place.stamp_ns == self._judged_ns:
                 return []  # a pose is judged once, and grows old until the next one
             self._judged_ns = place.stamp_ns
-        messages: list[Message] = []
-        if isinstance(answer, Fix) and message is not None:
-            self._withheld, self._refused = None, NoFix(NO_PLACES)
-            # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
-            if message.moment == "pose" and not self.sources.is_without_gps:
-                self.sources.want(SET_WITHOUT_GPS, LOST)
-                self._judged_ns = None  # this one waits for it: there may be none after it
-                return []
-            is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and self._since_s(now_ns) < HOLE_S
-            messages = [] if is_wide else self._encode(answer, now_ns, message, again=is_again)
-        elif isinstance(answer, NoFix) and overdue is None:
+        if isinstance(answer, NoFix):
             self._withhold(answer)
-        if overdue is not None and not messages:
-            self.use.give_up()
-        return messages
+            return []
+        if message is None:
+            return []
+        self._withheld, self._refused = None, NoFix(NO_PLACES)
+        # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
+        if message.moment == "pose" and not self.sources.is_without_gps:
+            self.sources.want(SET_WITHOUT_GPS, LOST)
+            self._judged_ns = None  # this one waits for it: there may be none after it
+            return []
+        is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and self._since_s(now_ns) < HOLE_S
+        return [] if is_wide else self._encode(answer, now_ns, message)
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -187,7 +181,7 @@ class PositionSender:
             self._withheld = FixWithheld(fix.place, str(refused), refused.distance_m, fix.map)
             self._publisher.record(self._withheld)
 
-    def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
+    def _encode(self, fix: Fix, now_ns: int, message: PositionMessage) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
         vehicle, place = self._vehicle, self._moved_on(fix, now_ns)
         boot_s, own, newest = vehicle.boot_time_s(now_ns), vehicle.position(now_ns), self.use.newest
@@ -196,7 +190,7 @@ class PositionSender:
             return []
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
-        sent = FixTransmission(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
+        sent = FixTransmission(fix, now_ns, own, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
@@ -260,7 +254,6 @@ class PositionSender:
                 sending.boot_s,
                 sending.age_s,
                 distance_from(own, fix) if own else None,
-                sent.is_again,
                 fix.map,
                 *level_m(sent.fix.level),
                 fix.points,

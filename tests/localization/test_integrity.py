@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition, moved
@@ -74,18 +73,6 @@ def asked(later_ns: int = 0, **limits: Any) -> Callable[[Vehicle], Fix | NoFix]:
     return lambda one: one.ask(later_ns, **limits)
 
 
-def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | NoFix]:
-    """A position that was not answered, with something that is not known of it."""
-
-    def ask(one: Vehicle) -> Fix | NoFix:
-        fix = one.ask()
-        assert isinstance(fix, Fix)
-        changed = replace(fix, place=replace(fix.place, **place), motion=motion and fix.motion)
-        return one.ask(again=changed)
-
-    return ask
-
-
 def further(road: Road, off_m: float, at_m: float) -> PlaceMatch | None:
     return road.match(at_m + off_m, sharpness=0.06)
 
@@ -129,13 +116,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | NoFix], ...]] = {
     "standing": (reported(speed_mps=0.2),),
     "the innovation test fails": (elsewhere,),
     "impossibly far": (far_off,),
-    UNCONFIRMED: (
-        never_bounded,
-        sent_again(),
-        sent_again(True, lat_deg=None, lon_deg=None),
-        sent_again(True, lat_deg=math.nan),
-        sent_again(True, sigma_along_m=math.inf),
-    ),
+    UNCONFIRMED: (never_bounded,),
     ALERT: (lambda one: since_gps(one.road, 200.0, alert_limit_m=40.0).ask(),),
     NOT_NEEDED: (asked(is_reset=True),),
 }
@@ -163,7 +144,6 @@ def test_an_autopilot_is_reset_where_it_is_beyond_doubt_off(off_m: float, is_nee
     reset, other = one.ask(is_reset=True), one.ask()
     assert isinstance(reset, Fix) is is_needed and isinstance(other, Fix)
     assert reason(reset) in (None, NOT_NEEDED)
-    assert isinstance(one.ask(is_reset=True, again=other), Fix), "an answer that is awaited is not new"
 
 
 @pytest.mark.parametrize("far_m", [0.99, 1.01])

@@ -10,10 +10,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.config import GatesConfig
-from edge.journal.records import FixAnswered, FixSent, FixWithheld, SourceSetAnswered
+from edge.journal.records import FixSent, FixWithheld, SourceSetAnswered
 from edge.telemetry.encoders import SENSOR_ENABLE
 from edge.telemetry.firmware import GPS_SET
-from sim.vehicle.autopilot import SILENT
 from sim.vehicle.estimator import OdometryErrors
 from tests.files_written import wait_for_files
 from tests.telemetry.positions import AGREES, WRONG, spoofed
@@ -44,17 +43,6 @@ def lost_gps(open_rig: OpenRig) -> Rig:
     rig.autopilot.gps = False
     rig.run(5.0)
     return rig
-
-
-@pytest.mark.parametrize("since", ["GPS is back", "it is stale", "the vehicle is off the map"])
-def test_a_fix_without_an_answer_is_not_sent_again_since(since: str, lost_gps: Rig) -> None:
-    lost_gps.autopilot.reject_fixes_with = SILENT
-    assert lost_gps.send_position(lost_gps.fix(age_s=1.5 if since == "it is stale" else 0.5))
-    lost_gps.autopilot.gps = since == "GPS is back"
-    lost_gps.unable = "off the map" if "map" in since else ""
-    lost_gps.run(4.0)
-    assert [record.again for record in lost_gps.journalled(FixSent)] == [False]
-    assert [record.result for record in lost_gps.journalled(FixAnswered)] == ["NO_ANSWER"]
 
 
 @pytest.fixture

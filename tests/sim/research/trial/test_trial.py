@@ -169,7 +169,7 @@ def with_levels(along_m: float, cross_track_m: float) -> CourseRun:
         ),
         (course_rules.close, run_of(error_m=3.5), "median after 3.5 m"),
         (course_rules.close, run_of(after_m=np.array([])), "median after 5.0 m"),
-            (course_rules.close, run_of(track=replace(straight(), error_m=np.ones(600)), after_m=np.array([])), ""),
+        (course_rules.close, run_of(track=replace(straight(), error_m=np.ones(600)), after_m=np.array([])), ""),
         (course_rules.sends, run_of(), ""),
         (course_rules.sends, run_of(sent=NOTHING), "share sent 0.00"),
         (course_rules.resumes, run_of(), ""),
