@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import structs
 
 from edge.config import GatesConfig, RigConfig
-from edge.geodesy import along_and_across, east_north_of, moved, moved_left
+from edge.geodesy import along_and_across, east_north_of, moved_left
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import Name
@@ -68,17 +68,22 @@ class GpsVerdict:
     doubt: float | None = None
 
     @property
+    def off_m(self) -> tuple[float, float] | None:
+        """The offset, None where it is not known."""
+        return None if self.east_m is None or self.north_m is None else (self.east_m, self.north_m)
+
+    @property
     def distance_m(self) -> float | None:
         """Length of the offset."""
-        return None if self.east_m is None or self.north_m is None else math.hypot(self.east_m, self.north_m)
+        return None if self.off_m is None else math.hypot(*self.off_m)
 
     @property
     def where(self) -> str:
         """The offset in words, "" where it is not known."""
-        if self.east_m is None or self.north_m is None:
+        if self.off_m is None:
             return ""
-        point = COMPASS[round(math.degrees(math.atan2(self.east_m, self.north_m)) / 45) % 8]
-        return f"{math.hypot(self.east_m, self.north_m):.0f} m off to the {point}"
+        point = COMPASS[round(math.degrees(math.atan2(*self.off_m)) / 45) % 8]
+        return f"{math.hypot(*self.off_m):.0f} m off to the {point}"
 
 
 class GpsMonitor:
@@ -93,7 +98,6 @@ class GpsMonitor:
         self._has_agreed = self._has_gps = self._is_suspected = False
         self.verdict = GpsVerdict()
         """By the frames so far."""
-        self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
         self.is_faulty = False
         """Whether GPS was declared faulty, and has not been consistent since."""
         self.published = GpsVerdict()
@@ -193,37 +197,27 @@ class GpsMonitor:
         """Whether positions are published as if GPS were lost."""
         return (self.is_faulty and self._acts) or self._is_suspected
 
-    def use_verdict(self, *, follows_gps: bool, has_poses: bool) -> None:
+    @property
+    def is_wrong(self) -> bool:
+        """Whether where GPS has the vehicle says nothing of where it is, whatever is done about that."""
+        return self.is_faulty or self._is_suspected
+
+    def use_verdict(self, *, has_poses: bool) -> None:
         """Go by the newest verdict from now on; it stays "faulty" until GPS is consistent again.
 
-        follows_gps: whether the autopilot's own position still rests on GPS. has_poses: whether the autopilot could go
-        by keypoint poses instead. Then a suspicion is enough, since it costs nothing if it is false: by a
-        spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m beside their lane on four roads where
-        GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is left (flown on ArduPilot 4.6.3).
+        has_poses: whether the autopilot could go by keypoint poses instead. Then a suspicion is enough, since it costs
+        nothing if it is false: by a spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m beside
+        their lane on four roads where GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is left
+        (flown on ArduPilot 4.6.3).
         """
         self._is_suspected = self._switches and self.is_doubted and (self._is_suspected or has_poses)
         verdict = self.verdict
         self.is_faulty = verdict.state == "faulty" or (self.is_faulty and verdict.state != "consistent")
-        if not self.is_faulty:
-            self._error_m, self.published = None, verdict
-            return
-        if follows_gps and verdict.east_m is not None and verdict.north_m is not None:
-            self._error_m = verdict.east_m, verdict.north_m
-        self.published = replace(verdict, state="faulty", doubt=1.0)
-
-    def bound(self) -> None:
-        """The autopilot is where a position has put it: the error of GPS is no longer in it."""
-        self._error_m = None
+        self.published = replace(verdict, state="faulty", doubt=1.0) if self.is_faulty else verdict
 
     def believed(self, own: AutopilotState) -> AutopilotState:
-        """What the autopilot reports, without a GPS that is ignored, and without the error of GPS that it followed."""
-        if self.is_ignored:
-            own = structs.replace(own, gps="not healthy", gps_sigma_m=None)
-        position = own.position
-        if position is None or self._error_m is None:
-            return own
-        lat_deg, lon_deg = moved(position.lat_deg, position.lon_deg, -self._error_m[0], -self._error_m[1])
-        return structs.replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
+        """What the autopilot reports, without a GPS that is ignored."""
+        return structs.replace(own, gps="not healthy", gps_sigma_m=None) if self.is_ignored else own
 
 
 class UnseenRoad:

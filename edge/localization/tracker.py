@@ -21,7 +21,7 @@ from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
+from edge.localization.events import GPS_SIGMA_M, AutopilotState, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
@@ -81,14 +81,16 @@ MISLED_RAD = math.radians(15)
 """One standard deviation of the heading of an autopilot that followed a faulty GPS: 7 to 18 degrees on six drives."""
 
 
-class PoseFix(NamedTuple):
-    """A keypoint pose: its position, with the error of the map; the vehicle's motion then; and its standard deviation
-    in the direction where that is largest, without the error of the map.
+class FixCandidate(NamedTuple):
+    """A position that may be asked for, and the vehicle's motion at its moment; None: not known.
+
+    pose_sigma_m: of a keypoint pose, its standard deviation in the direction where that is largest, without the error
+    of the map, which is in `place`.
     """
 
-    place: PlaceFix
-    motion: Odometry
-    sigma_m: float
+    place: PlaceFix | None = None
+    motion: Odometry | None = None
+    pose_sigma_m: float | None = None
 
 
 class TrackScore:
@@ -149,7 +151,7 @@ class Tracker:
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
-        self._pose: PoseFix | None = None
+        self._pose: FixCandidate | None = None
         self._usual_off_m: Vector | None = None  # GPS from keypoint poses, and how many in a row are elsewhere
         self._departing = 0
         self.cross_track: tuple[float, float] | None = None
@@ -182,7 +184,7 @@ class Tracker:
             self._move(before, frame)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
-        gps_m = self._gps_m = self._gps(frame, own)
+        gps_m = self._gps_m = self._gps(frame)
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
@@ -206,11 +208,9 @@ class Tracker:
         self._choose_origin()
         return measured is not None and is_evidence
 
-    def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
+    def _gps(self, frame: ImageProcessed) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
         gps = frame.gps
-        if gps is None and own.gps_sigma_m is not None and own.position is not None:
-            gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
         for_all = gps.sigma_m * GPS_SHARE
@@ -389,7 +389,7 @@ class Tracker:
             self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
             self._posed_ns, self._pose = stamp_ns, self._pose_fix(measured, measured.pose)
 
-    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> PoseFix | None:
+    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> FixCandidate | None:
         """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None or self._agreeing < FIRST:
@@ -408,7 +408,7 @@ class Tracker:
             sigma_along_m=float(along_m),
             sigma_cross_track_m=float(cross_m),
         )
-        return PoseFix(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
+        return FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -476,17 +476,15 @@ class Tracker:
         exposure = self._exposure
         return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
 
-    def pose(self) -> PoseFix | None:
+    def pose(self) -> FixCandidate | None:
         """The newest keypoint pose that passed the innovation test, as did the one before it within HOLE_S.
 
         None before the first one, and once the vehicle is lost.
         """
         pose, exposure = self._pose, self.at_exposure()
-        return (
-            None
-            if pose is None or exposure is None
-            else pose._replace(place=replace(pose.place, disputed=exposure.disputed))
-        )
+        if pose is None or pose.place is None or exposure is None:
+            return None
+        return pose._replace(place=replace(pose.place, disputed=exposure.disputed))
 
     @property
     def _is_disputed(self) -> bool:

@@ -20,7 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from edge.backoff import BackOff, Exchange
 from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
-from edge.localization import AGREE_SIGMAS, Fix, FixFeedback, PlaceFix, PositionEstimator, offset_m
+from edge.localization import Fix, PlaceFix, offset_m
 from edge.telemetry.people import Publisher
 from edge.telemetry.vehicle import Vehicle
 
@@ -114,6 +114,11 @@ class FixTransmission:
         """Meters between them."""
         return math.hypot(*self.move_m)
 
+    @property
+    def is_far(self) -> bool:
+        """Whether the autopilot's own position should come nearer to it."""
+        return self.distance_m > FAR_SIGMAS * self.place.sigma_m
+
     def remaining_m(self, after: VehiclePosition) -> float:
         """How far the autopilot's position still is from it, without what was driven since then.
 
@@ -133,9 +138,8 @@ class FixTransmission:
 class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
-    def __init__(self, vehicle: Vehicle, drive: PositionEstimator, publisher: Publisher) -> None:
-        """drive: gets each position that was used."""
-        self._vehicle, self._drive, self._publisher = vehicle, drive, publisher
+    def __init__(self, vehicle: Vehicle, publisher: Publisher) -> None:
+        self._vehicle, self._publisher = vehicle, publisher
         self.new_session()
 
     def new_session(self) -> None:
@@ -144,10 +148,8 @@ class PositionUse:
         """The newest that was sent, None before the first."""
         self.command = Command()
         """That which carries one that is acknowledged."""
-        self._followed: tuple[FixTransmission, int] | None = None  # and when it was accepted; 0: not yet
-        self._stream: FixTransmission | None = (
-            None  # with which the positions of a stream are compared, until they are checked
-        )
+        self._followed: FixTransmission | None = None  # to which the autopilot's own position must come nearer
+        self._accepted_ns = 0  # when that was accepted; 0: not yet, or it is one of a stream
         self._unused = ""  # why a stream is not used, as it was published
 
     def expect(self, sent: FixTransmission, *, is_reset: bool, unused: str = "") -> None:
@@ -158,9 +160,8 @@ class PositionUse:
         before, self.newest = self.newest, sent
         if is_reset:
             self.command.ask(sent.at_ns)
-            # One that was accepted is followed to its end: the next position comes before that.
-            if sent.own is not None and (self._followed is None or not self._followed[1]):
-                self._followed = sent, 0
+            if not self._accepted_ns:  # one that was accepted is followed to its end: the next comes before that
+                self._followed = sent if sent.own is not None else None
         elif sent.own is not None:
             pauses_ns = MOVED_NS if sent.fix.pose_sigma_m is None else STREAM_NS
             self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > pauses_ns)
@@ -169,18 +170,12 @@ class PositionUse:
         if unused and unused != self._unused:
             log.error("the autopilot uses no positions: %s; see firmware_config", unused)
             self._publisher.warn(f"Lookback: positions unused: {unused}")
-        self._unused = unused
-        distance_m, sigma_m = sent.distance_m, sent.place.sigma_m
-        began = self._stream = sent if is_new else self._stream
+        self._unused, self._accepted_ns = unused, 0
+        began = self._followed = sent if is_new else self._followed
         if began is not None and sent.at_ns - began.at_ns >= STREAM_NS:
-            was_far = began.distance_m > FAR_SIGMAS * began.place.sigma_m
-            self._stream = None if was_far else sent
-            if was_far:
-                moved = distance_m <= max(sigma_m, began.distance_m / 2)
-                self._publish_check(sent.place, distance_m, "fixes sent", moved=moved)
-        # So near, an autopilot follows the stream.
-        if distance_m <= AGREE_SIGMAS * sigma_m:
-            self._drive.update(sent.at_ns, FixFeedback(sent.fix, distance_m))
+            self._followed = None if began.is_far else sent
+            if began.is_far:
+                self._publish_check(sent.place, sent.distance_m, "fixes sent", moved=began.moved(sent.distance_m))
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The autopilot has answered the newest position."""
@@ -190,37 +185,29 @@ class PositionUse:
             return
         self._publisher.record(FixAnswered(fix.place, result_name(result), fix.map))
         if verdict != "accepted":
-            self._drop_followed()
-        elif self._followed is not None and not self._followed[1]:  # its own position must move
-            self._followed = self._followed[0], now_ns
+            self._followed = self._followed if self._accepted_ns else None
+        elif self._followed is not None and not self._accepted_ns:  # its own position must move
+            self._accepted_ns = now_ns
         if verdict == "never":
             log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
             self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
-
-    def _drop_followed(self) -> None:
-        """What was not accepted moves nothing."""
-        if self._followed is not None and not self._followed[1]:
-            self._followed = None
 
     def check(self, now_ns: int) -> None:
         """Answers must have come in time, and the autopilot's position have moved to one that was accepted."""
         if self.newest is not None and self.command.is_overdue(now_ns):
             self.command.answered()
-            self._drop_followed()
+            self._followed = self._followed if self._accepted_ns else None
             self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
-        sent, accepted_ns = self._followed or (None, 0)
-        own = self._vehicle.position(now_ns)
-        if sent is None or not accepted_ns or own is None or own.stamp_ns <= accepted_ns:
+        sent, own = self._followed, self._vehicle.position(now_ns)
+        if sent is None or not self._accepted_ns or own is None or own.stamp_ns <= self._accepted_ns:
             return
         remaining_m = sent.remaining_m(own)
         moved = sent.moved(remaining_m)
-        if not moved and now_ns - accepted_ns < MOVED_NS:
+        if not moved and now_ns - self._accepted_ns < MOVED_NS:
             return
-        self._followed = None
+        self._followed, self._accepted_ns = None, 0
         self._publish_check(sent.place, remaining_m, "fix accepted", moved=moved)
-        if moved:
-            self._drive.update(now_ns, FixFeedback(sent.fix, remaining_m))
-        else:
+        if not moved:
             self.command.pause.failed(now_ns)
 
     def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:

@@ -20,6 +20,7 @@ from edge.localization import (
     AutopilotState,
     Discontinuity,
     Fix,
+    FixFeedback,
     FixRequest,
     GpsVerdict,
     NoFix,
@@ -27,7 +28,6 @@ from edge.localization import (
     PositionEstimator,
 )
 from edge.telemetry import LinkStatus
-from edge.telemetry.aiding_store import AidingStore
 from edge.telemetry.codec import MavlinkCodec, Message
 from edge.telemetry.firmware import GPS_SET
 from edge.telemetry.link import parse_connection
@@ -95,7 +95,8 @@ class AutopilotConnection:
         self.drive = drive = drive or PositionEstimator(Config(gates=gates))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
-        self._bound = AidingStore(config.journal, drive, clock_ns())
+        if config.emit != "report":  # a run before this one may have sent a position
+            drive.update(clock_ns(), FixFeedback(None))
         self._wheels = WheelStore(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
@@ -363,8 +364,6 @@ class AutopilotConnection:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()
         self._gps_news.warn_of_lost(self.vehicle.session, now_ns, is_bounded=self.drive.state.is_bounded)
-        if now_ns >= self._bound.due_ns:
-            self._bound.keep(now_ns)
         if now_ns >= self._wheels.due_ns:
             self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns, all_came=self.requests.parameters.are_over(now_ns)))

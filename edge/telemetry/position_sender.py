@@ -30,12 +30,11 @@ from edge.localization import (
     distance_from,
 )
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, FixTransmission, PositionUse
+from edge.telemetry.acknowledgements import MOVED_NS, FixTransmission, PositionUse
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import MessageContext
+from edge.telemetry.encoders import POSITION_MESSAGES, MessageContext, PositionMessage
 from edge.telemetry.firmware import GPS_SET, ON_THE_GROUND, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
-from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
 from edge.telemetry.source_selection import LOST, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
@@ -68,7 +67,7 @@ class PositionSender:
         self.why = ""
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
-        self.use = PositionUse(vehicle, drive, publisher)
+        self.use = PositionUse(vehicle, publisher)
         self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
@@ -235,7 +234,7 @@ class PositionSender:
         if sent.at_ns - self._reset_ns < MOVED_NS:
             return []
         if self._reset_ns:
-            self._is_led &= sent.distance_m > FAR_SIGMAS * sent.place.sigma_m
+            self._is_led &= sent.is_far
         if not self._is_led:
             return []
         self._reset_ns, message = sent.at_ns, POSITION_MESSAGES["external_position"]

@@ -5,19 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
-from edge.localization import Fix, PositionEstimator, ProtectionLevel
+from edge.localization import Fix, ProtectionLevel
 from edge.telemetry.acknowledgements import ANSWER_NS, FixTransmission, PositionUse
 from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.common import S
-from tests.telemetry.speaker import Speaker, connect
 
 
 def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTransmission:
@@ -29,36 +26,6 @@ def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTrans
         confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
     )  # fmt: skip
     return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)
-
-
-@pytest.mark.parametrize(("north_m", "follows"), [(8.0, True), (14.0, False)])
-def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follows: bool) -> None:
-    """One standard deviation is 2.8 m."""
-    speaker, drive = Speaker(), PositionEstimator(Config())
-    vehicle = connect(speaker)
-    vehicle.handle(speaker.fix(2000, 0.0, vn_mps=10.0, ve_mps=0.0), 2 * S)
-    own = vehicle.position(2 * S)
-    assert own is not None
-    drive.update(2 * S, vehicle.own(2 * S))
-    use = PositionUse(vehicle, drive, Publisher(lambda record: None, lambda text: None))
-    use.expect(sent(own, north_m), is_reset=False)
-    assert drive.state.own_sigma_m == (pytest.approx(north_m, abs=0.1) if follows else None)
-
-
-def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> None:
-    speaker, drive = Speaker(), PositionEstimator(Config())
-    vehicle = connect(speaker)
-    vehicle.handle(speaker.fix(2000, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
-    own = vehicle.position(2 * S)
-    assert own is not None
-    drive.update(2 * S, vehicle.own(2 * S))
-    use = PositionUse(vehicle, drive, Publisher(lambda record: None, lambda text: None))
-    use.expect(sent(own, 40.0), is_reset=True)
-    use.read_acknowledgement(mavlink.MAV_RESULT_ACCEPTED, 2 * S + 1)
-    vehicle.handle(speaker.fix(3000, 25.0, vn_mps=0.0, ve_mps=0.0), 3 * S)
-    drive.update(3 * S, vehicle.own(3 * S))
-    use.check(3 * S)
-    assert drive.state.own_sigma_m == pytest.approx(15.0, abs=0.1)
 
 
 BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
@@ -88,7 +55,7 @@ class Stream:
     def __init__(self) -> None:
         self.records: list[Record] = []
         publisher = Publisher(self.records.append, lambda text: None)
-        self.use = PositionUse(Vehicle(), PositionEstimator(Config()), publisher)
+        self.use = PositionUse(Vehicle(), publisher)
 
     def checked(self, distances_m: list[float], from_s: int = 100) -> list[tuple[int, bool]]:
         """After which second it was said whether the autopilot has come nearer."""

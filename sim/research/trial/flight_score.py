@@ -11,8 +11,8 @@ import numpy as np
 
 from edge.journal.records import FixSent, FrameUsed
 from edge.localization import Fix, NoFix
+from edge.localization.decide import NOT_NEEDED
 from edge.localization.events import UNBOUNDED
-from edge.localization.fix_rules import NOT_NEEDED
 from edge.telemetry.codec import Message
 from sim.research.trial.recorded_drive import RecordedDrive
 from sim.trial.records import Array
