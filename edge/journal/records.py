@@ -258,7 +258,7 @@ class FixAnswered(Record, frozen=True, tag="fix_answered"):
 
 
 class FixChecked(Record, frozen=True, tag="fix_checked"):
-    """Whether the autopilot's own position moved after it accepted one, or, far from a stream, came nearer in 10 s."""
+    """Whether an autopilot that was far from positions came nearer: by resets within 3 s, to a stream within 10 s."""
 
     place: Place
     moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]

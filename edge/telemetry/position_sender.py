@@ -67,7 +67,7 @@ class PositionSender:
         self.why = ""
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
-        self.use = PositionUse(vehicle, publisher)
+        self.use = PositionUse(publisher)
         self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
@@ -189,7 +189,8 @@ class PositionSender:
             return []
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
-        sent = FixTransmission(fix, now_ns, own, now_ns if is_recorded else recorded_ns)
+        distance_m = None if own is None else distance_from(own, fix.place)
+        sent = FixTransmission(fix, now_ns, distance_m, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id)
@@ -242,7 +243,7 @@ class PositionSender:
         return [message.encode(sent.place, sending)]
 
     def _record(self, sent: FixTransmission, message: PositionMessage, sending: MessageContext) -> None:
-        fix, own = sent.place, sent.own
+        fix = sent.place
         self._publisher.record(
             FixSent(
                 fix.place,
@@ -252,7 +253,7 @@ class PositionSender:
                 fix.sigma_m,
                 sending.boot_s,
                 sending.age_s,
-                distance_from(own, fix) if own else None,
+                sent.distance_m,
                 fix.map,
                 *level_m(sent.fix.level),
                 fix.points,
@@ -282,7 +283,7 @@ class PositionSender:
             self._choose(all_came=all_came)
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
         messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
-        self.use.check(now_ns)
+        self.use.check_answer(now_ns)
         return [*messages, *self._keep_up(now_ns), *self._stop_if_misled(now_ns)]
 
     def _stop_if_misled(self, now_ns: int) -> list[Message]:

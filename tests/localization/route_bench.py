@@ -393,7 +393,7 @@ class Bench(StandIn):
         """The autopilot fuses a position of a stream, and is reset by another."""
         place = fix.place
         self._score(place, off_m)
-        self.sent = FixTransmission(fix, self.t_ns, self.position)
+        self.sent = FixTransmission(fix, self.t_ns, None)
         self.use(fix)
         at = *_meters(place).tolist(), place.stamp_ns / 1e9, place.sigma_m
         if self.is_stream:

@@ -78,8 +78,7 @@ def test_px4_1_15_never_answers_and_gets_positions_nevertheless(open_rig: OpenRi
 def test_accepted_and_moved(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gps=False, drift_percent=8.0)
     rig.run(30.0)
-    assert rig.send_position(rig.fix())
-    rig.run(3.0)
+    offer_for(rig, 4.0)
     (checked,) = rig.journalled(FixChecked)
     assert checked.moved
     assert checked.remaining_m < 2.0
@@ -89,17 +88,17 @@ def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -
     rig = open_rig(emit="external_position", gates=LENIENT, firmware="ardupilot-plain", drift_percent=20.0)
     rig.run(4.0)
     rig.autopilot.gps = False
-    rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
-    assert rig.send_position(rig.fix())
-    rig.run(3.0)
-    (answered,) = rig.journalled(FixAnswered)
+    rig.run(9.0)  # the filter still aids, but the vehicle flies on DCM
+    offer_for(rig, 4.0)
+    answered = rig.journalled(FixAnswered)
     (checked,) = rig.journalled(FixChecked)
-    assert answered.result == "ACCEPTED"
+    assert {record.result for record in answered} == {"ACCEPTED"}
     assert not checked.moved
-    assert any("fix accepted, position" in message.text for message in rig.received("STATUSTEXT"))
+    assert any("fixes sent, position" in message.text for message in rig.received("STATUSTEXT"))
     rig.run(10.0)
     offer_for(rig, 6.0)
-    assert {record.result for record in rig.journalled(FixAnswered)[1:]} == {"FAILED"}, "it has stopped aiding"
+    later = rig.journalled(FixAnswered)[len(answered) :]
+    assert {record.result for record in later} == {"FAILED"}, "it has stopped aiding"
 
 
 def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) -> None:

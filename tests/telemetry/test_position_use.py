@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
-from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
 from edge.localization import Fix, ProtectionLevel
 from edge.telemetry.acknowledgements import ANSWER_NS, FixTransmission, PositionUse
@@ -17,36 +14,14 @@ from edge.telemetry.vehicle import Vehicle
 from tests.common import S
 
 
-def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTransmission:
-    """A position so many meters north of the autopilot's."""
-    lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
+def sent(at_s: int, far_m: float, sigma_m: float = 1.414) -> FixTransmission:
+    """A position so many meters from the autopilot's."""
     fix = PlaceFix(
-        stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_cross_track_m=sigma_m,
+        stamp_ns=at_s * S, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_cross_track_m=sigma_m,
         direction="forward", order="same", uniqueness=1.2, matches=9, segment=0, recording="drive",
-        confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
+        confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=0.0, lon_deg=10.0,
     )  # fmt: skip
-    return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)
-
-
-BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
-
-
-@pytest.mark.parametrize(
-    ("north_m", "remaining_m", "has_moved"),
-    [(50.0, 0.0, True), (30.5, 19.5, True), (29.0, 21.0, False), (10.0, 40.0, False)],
-)
-def test_a_jump_is_the_move_that_driving_does_not_explain(north_m: float, remaining_m: float, has_moved: bool) -> None:
-    fix = sent(BEFORE, 40.0)
-    lat_deg, _ = moved(0.0, 10.0, 0.0, north_m)
-    a_second_later = replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)
-    assert fix.remaining_m(a_second_later) == pytest.approx(remaining_m, abs=0.05)
-    assert fix.moved(fix.remaining_m(a_second_later)) is has_moved
-
-
-def test_a_jump_within_the_fixs_own_deviation_has_always_happened() -> None:
-    fix = sent(BEFORE, 4.0, sigma_m=5.0)
-    lat_deg, _ = moved(0.0, 10.0, 0.0, 10.0)
-    assert fix.moved(fix.remaining_m(replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)))
+    return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), at_s * S, far_m)
 
 
 class Stream:
@@ -55,14 +30,13 @@ class Stream:
     def __init__(self) -> None:
         self.records: list[Record] = []
         publisher = Publisher(self.records.append, lambda text: None)
-        self.use = PositionUse(Vehicle(), publisher)
+        self.use = PositionUse(publisher)
 
-    def checked(self, distances_m: list[float], from_s: int = 100) -> list[tuple[int, bool]]:
+    def checked(self, distances_m: list[float], from_s: int = 100, *, is_reset: bool = False) -> list[tuple[int, bool]]:
         """After which second it was said whether the autopilot has come nearer."""
         said = []
         for second, far_m in enumerate(distances_m):
-            own = replace(BEFORE, stamp_ns=(from_s + second) * S)
-            self.use.expect(sent(own, far_m, sigma_m=1.414), is_reset=False)
+            self.use.expect(sent(from_s + second, far_m), is_reset=is_reset)
             said += [(second, one.moved) for one in self.records if isinstance(one, FixChecked)]
             self.records.clear()
         return said
@@ -72,6 +46,11 @@ class Stream:
 def test_an_autopilot_that_is_far_from_a_stream_must_come_nearer(far_m: float, later_m: float, is_used: bool) -> None:
     """One standard deviation is 2 m."""
     assert Stream().checked([far_m] * 5 + [later_m] * 10) == [(10, is_used)]
+
+
+@pytest.mark.parametrize(("later_m", "is_used"), [(25.0, False), (3.0, True)])
+def test_resets_have_moved_it_after_3_s(later_m: float, is_used: bool) -> None:
+    assert Stream().checked([25.0] + [later_m] * 20, is_reset=True) == [(3, is_used)]
 
 
 def test_one_that_drifts_away_from_a_stream_does_not_use_it() -> None:
