@@ -34,7 +34,7 @@ from edge.localization.events import (
 from edge.localization.filter import CORRELATION_M
 from edge.localization.gps_monitor import GpsVerdict
 from edge.localization.gyro_heading import GyroHeading
-from edge.localization.integrity import distance_from, offset_m
+from edge.localization.integrity import distance_from
 from edge.localization.odometer_calibration import (
     AGREE_SIGMAS,
     MOST_DRIVES,
@@ -42,7 +42,7 @@ from edge.localization.odometer_calibration import (
     ScaleFactor,
     learned,
 )
-from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
+from edge.localization.position_estimator import Entry, PositionEstimator
 from edge.localization.tracker import HOLE_S
 
 __all__ = [
@@ -60,7 +60,6 @@ __all__ = [
     "DeadReckoning",
     "Discontinuity",
     "Entry",
-    "EstimatorState",
     "Fix",
     "FixFeedback",
     "FixRequest",
@@ -82,5 +81,4 @@ __all__ = [
     "ScaleFactor",
     "distance_from",
     "learned",
-    "offset_m",
 ]

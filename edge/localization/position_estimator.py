@@ -101,6 +101,7 @@ class PositionEstimator:
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
         self._is_recognized, self._velocity_error = False, 0.0
+        self._was_gps_wrong = False
         self._known: EstimatorState | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
@@ -162,7 +163,7 @@ class PositionEstimator:
             if self._tracker is not None:
                 position, heading_error = self._tracker.at_exposure(), self._tracker.heading_error
             of_own = aiding.own_sigma_m(self._own), aiding.is_bounded, aiding.rests_on_fixes
-            self._known = EstimatorState(position, gps.published, gps.is_ignored, *of_own, heading_error)
+            self._known = EstimatorState(position, gps.verdict, gps.is_ignored, *of_own, heading_error)
         return self._known
 
     def dead_reckoning_position(self, motion: Odometry | None) -> DeadReckoningPosition | None:
@@ -176,6 +177,7 @@ class PositionEstimator:
             return
         self._georeferencer = Georeferencer(Route(event.map_set), self._config)
         self._tracker = Tracker(self._georeferencer, self._config)
+        self._tracker.follows_gps = not self._gps.is_wrong
         self._gps.use_maps(self._georeferencer.route, self._config.rig)
 
     def _use_frame(self, frame: ImageProcessed) -> None:
@@ -233,12 +235,13 @@ class PositionEstimator:
 
     def _judge_gps(self) -> None:
         """Use the newest verdict on GPS; once it is wrong, the vehicle is where GPS has it, less its error."""
-        gps, was_wrong = self._gps, self._gps.is_wrong
+        gps, was_wrong = self._gps, self._was_gps_wrong
         has_poses = self._own.fuses_poses and self._tracker is not None and self._tracker.pose() is not None
-        gps.use_verdict(has_poses=has_poses)
+        gps.suspect(has_poses=has_poses)
+        self._was_gps_wrong = gps.is_wrong
         if gps.is_wrong and not was_wrong:
             # What GPS has contradicted so far is not contradicted any more.
-            self._aiding.call_gps(gps.published.off_m)
+            self._aiding.call_gps(gps.verdict.off_m)
             self._claims.contradict_nothing()
         elif gps.is_doubted:
             self._aiding.doubt_gps()

@@ -131,9 +131,9 @@ class Tracker:
         self._assumed = self._config.scale_error_percent / 100
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
-        """Whether GPS counts as a measurement: it was not declared faulty."""
-        self.may_leave_gps = self.has_left_gps = False
-        """Whether keypoint poses that contradict GPS are enough for that, and whether they were."""
+        """Whether GPS counts as a measurement: it was neither declared faulty nor left."""
+        self.may_leave_gps = False
+        """Whether keypoint poses that contradict GPS are enough to leave it."""
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self.reset()
 
@@ -147,7 +147,6 @@ class Tracker:
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
-        self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
@@ -177,9 +176,10 @@ class Tracker:
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
             self._track = self._exposure = self._pose = None
-        if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._georeferencer.length // 2:
+        has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
+        if has_stood or frame.missed > self._georeferencer.length // 2:
             self._georeferencer.clear()
-        self._at, self._last_ns = frame, frame.stamp_ns
+        self._at = frame
         if before is not None and before.motion is not None:
             self._move(before, frame)
         if frame.in_line:
@@ -281,10 +281,6 @@ class Tracker:
         self._exposure = self._pose = None  # the filter that followed GPS had the vehicle there
         self.bank.begin(state)
 
-    def follow_gps(self) -> None:
-        """It counts again."""
-        self.follows_gps, self.has_left_gps = True, False
-
     def doubt_scale(self) -> None:
         """What GPS has shown of the velocity's scale does not hold."""
         if self._is_shown:
@@ -368,7 +364,7 @@ class Tracker:
     def _leave_gps(self, measured: SequenceMatch, stamp_ns: int) -> None:
         """Begin where the poses are, with what is known of the vehicle, and nothing of what GPS said of the map."""
         right, errors = self.bank.right, measured.errors
-        self.has_left_gps, self._departing = True, 0
+        self._departing = 0
         slot = right.slot(measured.drive, errors)
         right.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
         right.set(slot.whole, 0.0, errors.whole)

@@ -22,7 +22,6 @@ from edge.localization import (
     Fix,
     FixFeedback,
     FixRequest,
-    GpsVerdict,
     NoFix,
     PlaceFix,
     PositionEstimator,
@@ -97,7 +96,7 @@ class AutopilotConnection:
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
         if config.emit != "report":  # a run before this one may have sent a position
             drive.update(clock_ns(), FixFeedback(None))
-        self._wheels = WheelStore(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
+        self._wheels = WheelStore(config.journal, vehicle, lambda: drive.state.gps.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news = GpsNews(publisher)
@@ -119,9 +118,9 @@ class AutopilotConnection:
         """Why there is no port, "" while there is none yet."""
         return self._port.why_closed if self.state == "closed" else ""
 
-    def judge_gps(self, verdict: GpsVerdict) -> None:
-        """What the places say of GPS now."""
-        disagreed = self._gps_news.verdict.state == "inconsistent"
+    def judge_gps(self) -> None:
+        """The places say something of GPS now."""
+        verdict, disagreed = self.drive.state.gps, self._gps_news.published == "inconsistent"
         is_ignored = self._gps_news.publish(verdict) and self.drive.state.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
@@ -158,7 +157,7 @@ class AutopilotConnection:
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
-        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
+        now_ns, verdict, sent = self.clock_ns(), self.drive.state.gps, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, cross_track_m = level_m(sent.fix.level) if sent else (None, None)
         scale = self.vehicle.velocity.shown.scale
@@ -367,7 +366,7 @@ class AutopilotConnection:
         if now_ns >= self._wheels.due_ns:
             self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns, all_came=self.requests.parameters.are_over(now_ns)))
-        self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
+        self.send(self._gps_news.values_due(self.drive.state.gps, self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
 
     def send(self, messages: list[Message]) -> None:

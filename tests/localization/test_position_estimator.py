@@ -14,7 +14,6 @@ from edge.config import GatesConfig
 from edge.geodesy import east_north_of
 from edge.localization import (
     Discontinuity,
-    EstimatorState,
     Fix,
     FixFeedback,
     FixRequest,
@@ -24,6 +23,7 @@ from edge.localization import (
     ProtectionLevel,
     ScaleFactor,
 )
+from edge.localization.position_estimator import EstimatorState
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import LENGTH, Road, Vehicle, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
@@ -194,7 +194,7 @@ def test_the_error_of_a_gps_that_is_wrong_is_not_believed_of_the_autopilot_that_
         one.off_m += 1.0
         one.go(2, gps=True)
     verdict, ignores = one.drive.state.gps, acts == "send"
-    assert verdict.north_m == pytest.approx(one.off_m, abs=12.0)
+    assert verdict.off_m is not None and verdict.off_m[1] == pytest.approx(one.off_m, abs=12.0)
     assert one.drive.state.ignores_gps is ignores
     answer = one.answers(2, gps=True)[0]
     assert isinstance(answer, Fix) is ignores

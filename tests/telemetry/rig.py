@@ -158,7 +158,7 @@ class Rig:
         """What the places say of GPS, after a frame."""
         self.connection.report_own()
         self.drive.judge(verdict)
-        self.connection.judge_gps(self.drive.state.gps)
+        self.connection.judge_gps()
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
