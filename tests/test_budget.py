@@ -20,11 +20,11 @@ ROOMS = {
     "edge/health": 300,
     "edge/journal": 400,
     "edge/keypoints": 750,
-    "edge/localization": 2750,
+    "edge/localization": 2700,
     "edge/recognition": 900,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
-    "edge/telemetry": 2950,
+    "edge/telemetry": 2900,
     "edge_plugins": 50,
     "edge_plugins/cameras": 450,
     "edge_plugins/doctor": 700,
@@ -54,7 +54,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_000,
+    "tests": 35_950,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

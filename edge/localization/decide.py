@@ -59,15 +59,11 @@ class GateInputs:
 
 
 class Rule(NamedTuple):
-    """A reason as the journal and the pilot have it, and when it holds.
-
-    detail: what else is said of it. lacks: for people, what is missing, in figures that change with every frame.
-    """
+    """A reason as the journal and the pilot have it, and when it holds; detail: what else is said of it."""
 
     reason: str
     holds: Callable[[GateInputs], bool]
     detail: Callable[[GateInputs], str] = lambda facts: ""
-    lacks: Callable[[GateInputs], str] = lambda facts: ""
 
 
 GPS_HEALTHY = "GPS is healthy"
@@ -99,21 +95,16 @@ RULES = (
     # One error would be sent again and again, and the filter believe it more each time.
     Rule(STANDING, lambda now: (now.autopilot.speed_mps or 0.0) < now.gates.min_speed_mps),
     Rule("the innovation test fails", lambda now: now.place is not None and now.place.disputed),
-    Rule(
-        "impossibly far",
-        lambda now: now.away_m > now.gates.max_move_m,
-        lacks=lambda now: f"{now.away_m:.0f} m",
-    ),
+    Rule("impossibly far", lambda now: now.away_m > now.gates.max_move_m),
     Rule(
         "not confirmed by another place yet",
         lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
-        lacks=lambda now: f"{now.away_m:.0f} m from dead reckoning" if now.away_m else "",
     ),
     Rule(
         "its protection level is above the alert limit",
         lambda now: not now.level.is_within(now.gates.alert_limit_m or math.inf),
     ),
-    Rule(NOT_NEEDED, lambda now: not now.is_needed, lacks=lambda now: f"{now.distance_m or 0.0:.1f} m apart"),
+    Rule(NOT_NEEDED, lambda now: not now.is_needed),
 )
 """In the order in which they are checked."""
 
@@ -121,8 +112,8 @@ RULES = (
 class NoFix(Struct, frozen=True, tag="Refusal"):
     """Why a position is withheld.
 
-    detail: what else is known of the reason. lacks: see `Rule`. fix: the position, None where there is none.
-    distance_m: from the autopilot's own position. level: see `Fix`. None: not known.
+    detail: what else is known of the reason. fix: the position, None where there is none. distance_m: from the
+    autopilot's own position. level: see `Fix`. None: not known.
     """
 
     reason: str
@@ -130,12 +121,6 @@ class NoFix(Struct, frozen=True, tag="Refusal"):
     fix: PlaceFix | None = None
     distance_m: float | None = None
     level: ProtectionLevel | None = None
-    lacks: str = ""
-
-    @property
-    def in_words(self) -> str:
-        """For people."""
-        return f"{self}, {self.lacks}" if self.lacks else str(self)
 
     def __str__(self) -> str:
         return f"{self.reason}: {self.detail}" if self.detail else self.reason
@@ -146,7 +131,7 @@ def refusal(facts: GateInputs, rules: Sequence[Rule]) -> NoFix | None:
     rule = next((one for one in rules if one.holds(facts)), None)
     if rule is None:
         return None
-    return NoFix(rule.reason, rule.detail(facts), facts.place, facts.distance_m, facts.level, rule.lacks(facts))
+    return NoFix(rule.reason, rule.detail(facts), facts.place, facts.distance_m, facts.level)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,6 @@ from edge.telemetry.vehicle import Vehicle
 STEADY_RECORD_NS = 1_000_000_000
 KEEP_UP_NS = 200_000_000  # ArduPilot calls a visual odometry unhealthy after 0.3 s (AP_VISUALODOM_TIMEOUT_MS)
 SENT_S = 10.0  # so long after a position, nobody asks why there is none
-SAID_NS = 10_000_000_000  # after which the pilot reads the figures of why none is sent anew
 DOUBTED = ("suspect", "inconsistent", "faulty")  # verdicts on GPS
 MISLED, STOP_NS = ("inconsistent", "faulty"), 3_000_000_000
 """Verdicts on GPS by which no vehicle may steer itself for longer; the pilot is asked, or it is stopped, as often."""
@@ -76,7 +75,6 @@ class PositionSender:
         self._judged_ns: int | None = None  # the moment of the newest position that was sent, or withheld
         self._kept_up_ns = 0  # when a sensor was last kept healthy without a pose
         self._refused = NoFix(NO_PLACES)
-        self._said = ("", 0, "")  # why, since when, and what people read of it
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -165,13 +163,7 @@ class PositionSender:
             return self.why
         if self.use.command.is_refused:
             return "the autopilot refuses positions"
-        if self._since_s(now_ns) < SENT_S:
-            return ""
-        why, at_ns, words = self._said
-        if why != str(self._refused) or now_ns - at_ns >= SAID_NS:
-            words = self._refused.in_words
-            self._said = str(self._refused), now_ns, words
-        return words
+        return "" if self._since_s(now_ns) < SENT_S else str(self._refused)
 
     def _withhold(self, refused: NoFix) -> None:
         fix, before = refused.fix, self._withheld

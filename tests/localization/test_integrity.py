@@ -182,19 +182,6 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     assert re.findall(r"^- \*\*(.+?)\*\*: ", explained, re.MULTILINE) == list(SITUATIONS)
 
 
-def test_people_read_what_is_missing(long_road: Road) -> None:
-    """How far the position is from dead reckoning, or from an autopilot that it need not reset."""
-    contradicted, one = Vehicle(long_road, exact()), since_gps(long_road)
-    near = one.ask(is_reset=True)
-    assert isinstance(near, NoFix) and re.fullmatch(NOT_NEEDED + r", [\d.]+ m apart", near.in_words)
-    contradicted.go(80, gps=True)
-    reckoned_off(contradicted, 60.0)
-    answer = contradicted.answers(2)[-1]
-    assert isinstance(answer, NoFix) and answer.in_words == f"{UNCONFIRMED}, 60 m from dead reckoning"
-    far = far_off(one)
-    assert isinstance(far, NoFix) and re.fullmatch(r"impossibly far, \d+ m", far.in_words)
-
-
 def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
     one = since_gps(long_road)
     assert str(one.ask(unable="the picture is dark")) == "nothing is recognized now: the picture is dark"

@@ -117,9 +117,7 @@ def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) ->
     why.append(rig.connection.why_no_position)
     rig.run(11.0)
     why.append(rig.connection.why_no_position)
-    assert why[1:] == ["", "the places do not agree yet"]
-    far_m = float(why[0].removeprefix("impossibly far, ").removesuffix(" m"))
-    assert far_m == pytest.approx(withheld.distance_m, abs=50.0), "it has driven on"
+    assert why == ["impossibly far", "", "the places do not agree yet"]
 
 
 def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig: OpenRig) -> None:
@@ -140,7 +138,7 @@ def test_an_autopilot_is_reset_only_where_it_is_off(open_rig: OpenRig, drift_per
     assert (offer_for(rig, 30.0) > 0) is is_reset
     assert bool(fixes_received(rig)) is is_reset
     assert {one.reason for one in rig.journalled(FixWithheld)} == {"no reset is needed"}
-    assert rig.connection.why_no_position.startswith("no reset is needed") is not is_reset
+    assert (rig.connection.why_no_position == "no reset is needed") is not is_reset
     least_m = min(rig.fix().sigma_along_m, rig.fix().sigma_cross_track_m) * 3
     assert all(one.distance_m is not None and one.distance_m > least_m for one in rig.journalled(FixSent))
 
