@@ -148,7 +148,7 @@ class Daemon:
         )
         self._drive.update(now_ns, frame)
         if in_line:
-            self._autopilot.judge_gps(self._drive.state.gps)
+            self._autopilot.judge_gps()
 
     def _recognize(self, frame: Frame, travel: MotionPrior, *, again: bool = False) -> PlaceMatch | None:
         """The recognizer's answer to a frame; a believed one only if the maps behind it are not damaged.

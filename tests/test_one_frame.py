@@ -46,12 +46,11 @@ autopilot's messages, encodes and sends, decides the daemon's health, and serves
 """
 READS = "telemetry/position_history.py"
 """Keeps the autopilot's positions."""
-USED_FRAME_FILES_MOST = 49
-"""A file counts once, if any function of it is called. Eight keep the evidence and decide by it, and one of them is the
+USED_FRAME_FILES_MOST = 46
+"""A file counts once, if any function of it is called. Five keep the evidence and decide by it, and one of them is the
 whole decision; a network says which regions of a picture it needs. Two believe a place with where the vehicle is
-reckoned to be, one moves it by its gyros, and one looks at keypoints. Two were split from long files: where
-GPS had the vehicle last is apart from what bounds a position, and comparing GPS with places from judging it."""
-TURN_FILES_MOST = 65
+reckoned to be, one moves it by its gyros, and one looks at keypoints."""
+TURN_FILES_MOST = 62
 """Of a turn that reads a local position as well. One selects the sources of an autopilot that fuses poses, and one is
 the table of what each autopilot can do."""
 MANY_ATTRIBUTES, SUCH_CLASSES_MOST = 10, 18

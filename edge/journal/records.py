@@ -237,7 +237,6 @@ class FixSent(Record, frozen=True, tag="fix_sent"):
     send_boot_s: Annotated[float, unit("s", "the autopilot's time since boot when it was sent")]
     age_s: Annotated[float, unit("s", "time from the moment of the position to sending")]
     distance_m: Distance
-    again: Annotated[bool, unit("", "whether this is the second try, because the first was not answered")] = False
     map: MapName = UNSET
     level_along_m: Annotated[
         float | None, unit("m", "protection level along-track, null where nothing bounds the position", 2)
@@ -259,7 +258,7 @@ class FixAnswered(Record, frozen=True, tag="fix_answered"):
 
 
 class FixChecked(Record, frozen=True, tag="fix_checked"):
-    """Whether the autopilot's own position moved after it accepted one, or, far from a stream, came nearer in 10 s."""
+    """Whether an autopilot that was far from positions came nearer: by resets within 3 s, to a stream within 10 s."""
 
     place: Place
     moved: Annotated[bool, unit("", "whether it went at least half of the way, or is within the fix's deviation")]

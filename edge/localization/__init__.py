@@ -6,16 +6,16 @@ picture says of it; `filter` is the Kalman filter of all that is unknown, `measu
 says of it, and `hypotheses` one such filter for each thing that may be wrong; `tracker` follows the vehicle with them,
 and `gps_monitor` says what follows for GPS; `dead_reckoning` integrates the vehicle's motion, `gyro_heading` how
 far a filter has turned its heading, and `odometer_calibration` says what GPS has shown of the wheels.
-`decide`, which is to be read first, says whether a position is published: by the `fix_rules`, which rest on the
-probability of another place (`integrity`, by the `evidence` observed, and by the `autopilot_covariance` without places,
-from an `odometry_datum` on), and on how far off it may be (`protection_level`).
+`decide`, which is to be read first, says whether a position is published: by its rules, which rest on the
+probability of another place and on how far off it may be (`integrity`): by the `evidence` observed, and by dead
+reckoning since the last `position_aiding`.
 """
 
 from __future__ import annotations
 
 from edge.journal.records import PlaceFix
-from edge.localization.autopilot_covariance import PERIOD_NS
 from edge.localization.dead_reckoning import MAX_SPEED_MPS, DeadReckoning, Integral, Odometry
+from edge.localization.decide import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix
 from edge.localization.events import (
     GPS_SIGMA_M,
     AutopilotState,
@@ -32,14 +32,12 @@ from edge.localization.events import (
     ProtectionLevel,
 )
 from edge.localization.filter import CORRELATION_M
-from edge.localization.fix_rules import GPS_HEALTHY, NO_PLACES, STANDING, TWO_AUTOPILOTS, NoFix
 from edge.localization.gps_monitor import GpsVerdict
 from edge.localization.gyro_heading import GyroHeading
-from edge.localization.integrity import distance_from, offset_m
+from edge.localization.integrity import distance_from
 from edge.localization.odometer_calibration import (
     AGREE_SIGMAS,
     MOST_DRIVES,
-    DriveScale,
     OdometerCalibration,
     ScaleFactor,
     learned,
@@ -56,13 +54,11 @@ __all__ = [
     "MAX_SPEED_MPS",
     "MOST_DRIVES",
     "NO_PLACES",
-    "PERIOD_NS",
     "STANDING",
     "TWO_AUTOPILOTS",
     "AutopilotState",
     "DeadReckoning",
     "Discontinuity",
-    "DriveScale",
     "Entry",
     "EstimatorState",
     "Fix",
@@ -86,5 +82,4 @@ __all__ = [
     "ScaleFactor",
     "distance_from",
     "learned",
-    "offset_m",
 ]

@@ -26,6 +26,7 @@ from edge.config import CameraConfig, Config, GatesConfig, RigConfig, SamplingCo
 from edge.errors import ConfigError, FeedError, reason
 from edge.files import BackgroundWorker
 from edge.journal.records import with_todays_keys
+from edge.localization.decide import NoFix
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
@@ -35,8 +36,7 @@ from edge.localization.events import (
     MapUpdate,
     OdometryUpdate,
 )
-from edge.localization.fix_rules import NoFix
-from edge.localization.position_estimator import Entry, FixResult, PositionEstimator, SnapshotRestore
+from edge.localization.position_estimator import Entry, FixResult, PositionEstimator
 from edge.reference_map import MapHeader, MapPlaces, PlaceIndex
 
 FORMAT = 2  # of the file
@@ -93,6 +93,10 @@ class PlaceTable(msgspec.Struct, frozen=True, dict=True):
         return PlaceIndex(self.headers)
 
 
+class _Restored(msgspec.Struct, frozen=True, tag="Restored"):
+    """What earlier versions kept over a restart, by which no position is estimated any more."""
+
+
 class _ListEntry(msgspec.Struct, frozen=True, array_like=True):
     t_ns: int
     entry: (
@@ -103,7 +107,7 @@ class _ListEntry(msgspec.Struct, frozen=True, array_like=True):
         | Discontinuity
         | MapUpdate
         | FixResult
-        | SnapshotRestore
+        | _Restored
     )
 
 
@@ -180,7 +184,7 @@ def read_drive(path: Path) -> tuple[Config, list[tuple[int, Entry]]]:
         written = list(map(read, chunks))
     except (StopIteration, msgspec.MsgspecError, ValueError) as error:
         raise FeedError(f"{path}: no list of a drive: {error}") from None
-    return header.config, [(one.t_ns, one.entry) for one in written]
+    return header.config, [(one.t_ns, one.entry) for one in written if not isinstance(one.entry, _Restored)]
 
 
 def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[int, FixResult, Fix | NoFix]]:
@@ -189,8 +193,6 @@ def replay(config: Config, entries: list[tuple[int, Entry]]) -> Iterator[tuple[i
     for t_ns, entry in entries:
         if isinstance(entry, FixResult):
             yield t_ns, entry, drive.fix(t_ns, entry.request)
-        elif isinstance(entry, SnapshotRestore):
-            drive.restore(t_ns, entry.kept)
         else:
             drive.update(t_ns, entry)
 

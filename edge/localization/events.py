@@ -23,7 +23,7 @@ from edge.sequence import PlaceMatch
 GpsState: TypeAlias = Literal["healthy", "not healthy", "unknown"]
 Moment: TypeAlias = Literal["exposure", "pose", "now"]
 BOUND_WRONG = 0.1
-"""Probability that the last aiding of the autopilot was wrong, where it was not a fix of ours: see `integrity`."""
+"""Probability that the last aiding was wrong, where it was not a fix of ours: see `integrity`."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,9 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     gps_why: why its state is unknown. gps_sigma_m: of `position` while GPS aids it, in each direction. motion: by its
     velocity at the position's moment. scale: what GPS has shown of the odometer by which the autopilot moves without
     it, see `OdometerCalibration`. accuracy_m: of the position, by its own word. driven_m: in all. is_aided: whether
-    anything besides our positions measures its velocity; runs_away: whether it is known that nothing does.
-    drives_itself: whether it steers the vehicle by that position, None where its mode is not known. fuses_poses:
-    whether it fuses keypoint poses as measurements. is_doubled: whether two autopilots have its ids. is_clock_known:
-    whether it is heard, and its boot clock is that of before. system_id, booted_ns: which autopilot it is, and when
-    that booted, on CLOCK_MONOTONIC.
+    anything besides our positions measures its velocity. drives_itself: whether it steers the vehicle by that position,
+    None where its mode is not known. fuses_poses: whether it fuses keypoint poses as measurements. is_doubled: whether
+    two autopilots have its ids. is_clock_known: whether it is heard, and its boot clock is that of before.
     """
 
     gps: GpsState = "unknown"
@@ -82,13 +80,10 @@ class AutopilotState(Struct, frozen=True, tag="Own"):
     speed_mps: float | None = None
     driven_m: float | None = None
     is_aided: bool = True
-    runs_away: bool = False
     drives_itself: bool | None = None
     fuses_poses: bool = False
     is_doubled: bool = False
     is_clock_known: bool = True
-    system_id: int | None = None
-    booted_ns: int | None = None
 
 
 class OdometryUpdate(Struct, frozen=True, tag="Moved"):
@@ -97,14 +92,10 @@ class OdometryUpdate(Struct, frozen=True, tag="Moved"):
     motion: Odometry | None
 
 
-class FixFeedback(Struct, frozen=True, tag="Used", rename={"remaining_m": "left_m"}):
-    """A position was sent. remaining_m: how far the autopilot's own is from it now; None: not known yet.
-
-    fix: None of one that was not ours to judge, as of a recorded drive.
-    """
+class FixFeedback(Struct, frozen=True, tag="Used"):
+    """A position was sent. fix: None of one that nobody knows, as by a run before this one."""
 
     fix: Fix | None
-    remaining_m: float | None = None
 
 
 class Discontinuity(Struct, frozen=True, tag="Break"):
@@ -151,9 +142,9 @@ UNBOUNDED = ProtectionLevel(math.inf, math.inf)
 class Fix(Struct, frozen=True, tag=True):
     """A position that may be published.
 
-    level: how far off it may be, see `protection_level`. bound_wrong: the probability that it is wrong as an aiding of
-    the autopilot, once that has used it. motion: see `ImageProcessed`, at its moment. pose_sigma_m: one standard
-    deviation, in each direction, of a keypoint pose without the error of the map; None of any other position.
+    level: how far off it may be, see `integrity`. bound_wrong: the probability that it is wrong as an aiding,
+    once it was sent. motion: see `ImageProcessed`, at its moment. pose_sigma_m: one standard deviation, in each
+    direction, of a keypoint pose without the error of the map; None of any other position.
     """
 
     place: PlaceFix
@@ -169,13 +160,12 @@ class FixRequest(Struct, frozen=True, tag="Limits"):
     at: of the newest exposure; of the newest keypoint pose; or of now, but for an autopilot of the newest pose where
     there are poses: each is a measurement of its own, what is predicted between them is none. oldest_s: its age at
     most. is_reset: whether the autopilot uses it as it is instead of weighing it. moves_autopilot: whether it goes
-    there; if not, neither its GPS nor its clock matters. again: one that was not answered, in place of the newest.
-    unable: why nothing is recognized at this moment, "" while it is.
+    there; if not, neither its GPS nor its clock matters. unable: why nothing is recognized at this moment, "" while it
+    is.
     """
 
     at: Moment = "exposure"
     oldest_s: float = math.inf
     is_reset: bool = False
     moves_autopilot: bool = True
-    again: Fix | None = None
     unable: str = ""

@@ -17,7 +17,7 @@ from edge.config import GatesConfig
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.filter import CORRELATION_M
-from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
+from edge.localization.position_aiding import DeadReckoningOffset, OdometryDatum
 
 STRETCH_WRONG = 5e-3
 """Probability that all of a segment is wrong: it was mapped wrongly, or its road resembles another."""
@@ -53,8 +53,8 @@ IndependentSegment: TypeAlias = list[Observation]
 class Evidence:
     """Observations that moved as the vehicle did, oldest first, and the most that has spoken against them.
 
-    likelihood: the least that `Innovation.likelihood` gave to a fix, 1 / m. may_be_shifted: whether all places
-    may be off alike.
+    likelihood: the least that `fix_likelihood` gave to a fix, 1 / m. may_be_shifted: whether all places may be off
+    alike.
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -70,7 +70,7 @@ class EvidenceHistory:
         self._kept: deque[Evidence] = deque(maxlen=HISTORIES)
 
     def contradict_nothing(self) -> None:
-        """The autopilot's position is aided anew: what contradicted it before was its own error."""
+        """The position is aided anew: what contradicted it before was its own error."""
         for evidence in self._kept:
             evidence.likelihood, evidence.may_be_shifted = math.inf, False
 
@@ -92,9 +92,10 @@ class EvidenceHistory:
         ):
             assert fix.lat_deg is not None and fix.lon_deg is not None
             drift = max(self._gates.drift_percent / 100, fix.velocity_error)
-            before = None if newest is None else newest.reckoned(fix, displacement, drift)
+            before = None if newest is None else newest.reckoned((fix.lat_deg, fix.lon_deg), displacement, drift)
+            of_map = fix.recording, fix.checked_m or 0.0
             where = fix.lat_deg, fix.lon_deg, fix.sigma_m, displacement
-            evidence.observations.append(Observation(*where, None, fix.recording, fix.checked_m or 0.0, before))
+            evidence.observations.append(Observation(*where, None, 0.0, False, *of_map, before))
             del evidence.observations[:-KEPT]
 
     def wrong(self, evidence: Evidence) -> float:
@@ -141,7 +142,8 @@ def _moved_alike(before: Observation, fix: PlaceFix, displacement: Odometry) -> 
     then = before.displacement
     driven_m = math.hypot(*displacement.since(then))
     most_m = alike_m(driven_m, fix.velocity_error) + displacement.unknown_since(then)
-    return before.reckoned(fix, displacement, 0.0).distance_m <= most_m
+    assert fix.lat_deg is not None and fix.lon_deg is not None
+    return before.reckoned((fix.lat_deg, fix.lon_deg), displacement, 0.0).distance_m <= most_m
 
 
 def _is_after_silence(before: Observation | None, displacement: Odometry) -> bool:

@@ -139,8 +139,7 @@ class Filter:
         self._gps_m, self.keeps_gps = GPS_M, False  # whether its error stays as it is
         self.by_gps = False
         """Whether the velocity is."""
-        self._drives: list[tuple[Hashable, DriveErrors]] = []  # by slot, see `slot`
-        self._order: list[int] = []  # slots, the one that was used longest ago first
+        self._drives: dict[Hashable, tuple[int, DriveErrors]] = {}  # number of the slot; the newest match is last
         self._is_doubtful = False
         for at, sigma in ((HEADING, heading_rad), (SCALE, scale), (GYRO, GYRO_RADPS), (COMPASS, COMPASS_RAD)):
             self.covariance[at, at] = sigma**2
@@ -151,7 +150,7 @@ class Filter:
         other = object.__new__(Filter)
         other.__dict__.update(self.__dict__)
         other.mean, other.covariance = self.mean.copy(), self.covariance.copy()
-        other._drives, other._order = self._drives.copy(), self._order.copy()
+        other._drives = self._drives.copy()
         return other
 
     @property
@@ -211,26 +210,23 @@ class Filter:
 
     def slot(self, drive: Hashable, errors: DriveErrors) -> Slot:
         """Of a drive, whose errors begin where the filter has not kept them."""
-        number = next((at for at, (name, _) in enumerate(self._drives) if name == drive), None)
-        if number is None:
-            number = self._begin_drive(drive, errors)
-        slot = _slot(number)
-        if errors is not self._drives[number][1]:
-            self._grow(slot, number, errors)
-        if not self._order or self._order[-1] != number:
-            self._order = [*(one for one in self._order if one != number), number]
-        return slot
+        known = self._drives.pop(drive, None)
+        if known is None:
+            number = self._begin_drive(errors)
+        else:
+            number, before = known
+            errors = before if errors is before else self._grown(_slot(number), before, errors)
+        self._drives[drive] = number, errors
+        return _slot(number)
 
-    def _begin_drive(self, drive: Hashable, errors: DriveErrors) -> int:
+    def _begin_drive(self, errors: DriveErrors) -> int:
         """Make room for a drive, in place of the one that was matched longest ago."""
         number = len(self._drives)
         if number < DRIVES:
-            self._drives.append((drive, errors))
             self.mean = np.append(self.mean, np.zeros(OF_DRIVE))
             self.covariance = np.pad(self.covariance, (0, OF_DRIVE))
         else:
-            number = self._order[0]
-            self._drives[number] = drive, errors
+            number, _ = self._drives.pop(next(iter(self._drives)))
         slot = _slot(number)
         covariance = np.zeros((OF_DRIVE, OF_DRIVE))
         covariance[:2, :2], covariance[2:4, 2:4] = errors.map_m**2 * np.eye(2), errors.whole
@@ -238,9 +234,8 @@ class Filter:
         self.set(slot.all, 0.0, covariance)
         return number
 
-    def _grow(self, slot: Slot, number: int, errors: DriveErrors) -> None:
-        """At another place of a drive, its map may be less certain, or off by something else."""
-        name, before = self._drives[number]
+    def _grown(self, slot: Slot, before: DriveErrors, errors: DriveErrors) -> DriveErrors:
+        """Errors of a drive from another place on, where its map may be less certain, or off by something else."""
         crept_m2 = abs(errors.crept_m2 - before.crept_m2)
         if crept_m2 >= CREEPS_M2:
             self.covariance[slot.whole, slot.whole] += crept_m2 / 2 * np.eye(2)
@@ -252,12 +247,12 @@ class Filter:
             self.covariance[slot.whole, slot.whole] += errors.whole - before.whole
         else:
             errors = replace(errors, whole=before.whole)
-        self._drives[number] = name, errors
+        return errors
 
     @property
     def newest(self) -> Slot | None:
         """Of the drive that was matched last."""
-        return _slot(self._order[-1]) if self._order else None
+        return _slot(next(reversed(self._drives.values()))[0]) if self._drives else None
 
     def truly(self, moved_m: Vector, doubtful_m: Vector) -> Vector:
         """Meters (2,) of a displacement without the errors that were found."""
@@ -302,7 +297,7 @@ class Filter:
             noise[GYRO] = BIAS_RADPS**2 * step.seconds
         change[GPS] += step.seconds * self.mean[DRAG]
         of_map, of_line = math.exp(-driven_m / MAP_M), math.exp(-driven_m / LINE_M)
-        for number, (_, errors) in enumerate(self._drives):
+        for number, errors in self._drives.values():
             slot = _slot(number)
             changes(slot.map, of_map, errors.map_m)
             changes(slot.changes, of_line, errors.changes_m)

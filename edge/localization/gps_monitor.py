@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 from msgspec import structs
 
 from edge.config import GatesConfig, RigConfig
-from edge.geodesy import along_and_across, east_north_of, moved, moved_left
+from edge.geodesy import along_and_across, east_north_of, moved_left
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import Name
@@ -58,27 +58,26 @@ MOST_PLACES = 2
 class GpsVerdict:
     """What the places say of GPS now.
 
-    east_m, north_m: GPS less places, by the newest matches; None where there are none. doubt: evidence that GPS is
+    off_m: GPS less places by the newest matches, east and north; None where there are none. doubt: evidence that GPS is
     faulty, as a share of what it takes to declare it so: 0 to 1, None where nothing is known.
     """
 
     state: GpsVerdictState = "cannot say"
-    east_m: float | None = None
-    north_m: float | None = None
+    off_m: tuple[float, float] | None = None
     doubt: float | None = None
 
     @property
     def distance_m(self) -> float | None:
         """Length of the offset."""
-        return None if self.east_m is None or self.north_m is None else math.hypot(self.east_m, self.north_m)
+        return None if self.off_m is None else math.hypot(*self.off_m)
 
     @property
     def where(self) -> str:
         """The offset in words, "" where it is not known."""
-        if self.east_m is None or self.north_m is None:
+        if self.off_m is None:
             return ""
-        point = COMPASS[round(math.degrees(math.atan2(self.east_m, self.north_m)) / 45) % 8]
-        return f"{math.hypot(self.east_m, self.north_m):.0f} m off to the {point}"
+        point = COMPASS[round(math.degrees(math.atan2(*self.off_m)) / 45) % 8]
+        return f"{math.hypot(*self.off_m):.0f} m off to the {point}"
 
 
 class GpsMonitor:
@@ -90,14 +89,9 @@ class GpsMonitor:
         self._unseen_road: UnseenRoad | None = None
         self._state: GpsVerdictState = "cannot say"
         self._compared_m = self._agreed_m = self._gap_m = 0.0
-        self._has_agreed = self._has_gps = self._is_suspected = False
+        self._has_agreed = self._is_suspected = False
         self.verdict = GpsVerdict()
-        """By the frames so far."""
-        self._error_m: tuple[float, float] | None = None  # east, north: what the autopilot has followed
-        self.is_faulty = False
-        """Whether GPS was declared faulty, and has not been consistent since."""
-        self.published = GpsVerdict()
-        """What the places say of GPS, "faulty" until it is consistent again."""
+        """What the places say of GPS by the frames so far, "faulty" until it is consistent again."""
 
     def use_maps(self, route: Route, rig: RigConfig) -> None:
         """Compare with the places of other maps; what is known of GPS stays."""
@@ -121,13 +115,13 @@ class GpsMonitor:
         doubt = min(1.0, max(gps, of_map) / self._call)
         self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= SUSPECT else 0.0)
         is_unseen = self._unseen_road.is_unseen(gps / SUSPECT)
-        before, off_m, before_off = self.verdict.state, tracker.gps_off_m, self._has_gps
+        before, off_m = self.verdict, tracker.gps_off_m
         self._count(driven_m, is_compared=is_compared and off_m is not None)
-        if self._state == "faulty" or tracker.has_left_gps:
+        if not tracker.follows_gps:
             is_far = off_m is not None and float(np.hypot(*off_m)) > NEAR_SIGMAS * GPS_SIGMA_M and tracker.has_pose
             if off_m is not None and self._agrees_again(tracker, driven_m, is_compared=is_compared):
                 self._state = "consistent"
-                tracker.follow_gps()
+                tracker.follows_gps = True
             elif self._state != "faulty":
                 self._state, self._agreed_m = ("faulty" if is_far else "suspect"), self._agreed_m * (not is_far)
         elif max(gps, of_map) >= self._call or (is_unseen and gps >= SUSPECT):
@@ -145,18 +139,15 @@ class GpsMonitor:
             self._state = "cannot say"
         if off_m is not None and self._state in ("inconsistent", "map faulty"):
             off_m = tracker.gps_from_places_m
-        elif off_m is None and before_off:
+        elif off_m is None and before.off_m is not None:
             self._has_agreed = True  # GPS was right until then, unless something else says otherwise
-        self._has_gps = tracker.gps_off_m is not None
-        east_m, north_m = (None, None) if off_m is None else (float(off_m[0]), float(off_m[1]))
         state: GpsVerdictState = "not recognized" if is_unseen and self._state != "faulty" else self._state
         if off_m is None and state != "faulty":
             state = "cannot say"
-        if self._state == "faulty" and off_m is None:
-            east_m, north_m = self.verdict.east_m, self.verdict.north_m
         known = None if state == "cannot say" else 1.0 if state == "faulty" else doubt
-        self.verdict = GpsVerdict(state, east_m, north_m, known)
-        return state in ("inconsistent", "faulty") and before not in ("inconsistent", "faulty")
+        last_m = before.off_m if state == "faulty" else None
+        self.verdict = GpsVerdict(state, last_m if off_m is None else (float(off_m[0]), float(off_m[1])), known)
+        return state in ("inconsistent", "faulty") and before.state not in ("inconsistent", "faulty")
 
     def _faulty_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
         """GPS, or the map, if they have agreed before, and own motion in which GPS has no part tells them apart.
@@ -191,39 +182,25 @@ class GpsMonitor:
     @property
     def is_ignored(self) -> bool:
         """Whether positions are published as if GPS were lost."""
-        return (self.is_faulty and self._acts) or self._is_suspected
+        return (self._state == "faulty" and self._acts) or self._is_suspected
 
-    def use_verdict(self, *, follows_gps: bool, has_poses: bool) -> None:
-        """Go by the newest verdict from now on; it stays "faulty" until GPS is consistent again.
+    @property
+    def is_wrong(self) -> bool:
+        """Whether where GPS has the vehicle says nothing of where it is, whatever is done about that."""
+        return self._state == "faulty" or self._is_suspected
 
-        follows_gps: whether the autopilot's own position still rests on GPS. has_poses: whether the autopilot could go
-        by keypoint poses instead. Then a suspicion is enough, since it costs nothing if it is false: by a
-        spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m beside their lane on four roads where
-        GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is left (flown on ArduPilot 4.6.3).
+    def suspect(self, *, has_poses: bool) -> None:
+        """Go by a suspicion from now on, where the autopilot could go by keypoint poses instead.
+
+        It costs nothing if it is false. By a spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m
+        beside their lane on four roads where GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is
+        left (flown on ArduPilot 4.6.3).
         """
         self._is_suspected = self._switches and self.is_doubted and (self._is_suspected or has_poses)
-        verdict = self.verdict
-        self.is_faulty = verdict.state == "faulty" or (self.is_faulty and verdict.state != "consistent")
-        if not self.is_faulty:
-            self._error_m, self.published = None, verdict
-            return
-        if follows_gps and verdict.east_m is not None and verdict.north_m is not None:
-            self._error_m = verdict.east_m, verdict.north_m
-        self.published = replace(verdict, state="faulty", doubt=1.0)
-
-    def bound(self) -> None:
-        """The autopilot is where a position has put it: the error of GPS is no longer in it."""
-        self._error_m = None
 
     def believed(self, own: AutopilotState) -> AutopilotState:
-        """What the autopilot reports, without a GPS that is ignored, and without the error of GPS that it followed."""
-        if self.is_ignored:
-            own = structs.replace(own, gps="not healthy", gps_sigma_m=None)
-        position = own.position
-        if position is None or self._error_m is None:
-            return own
-        lat_deg, lon_deg = moved(position.lat_deg, position.lon_deg, -self._error_m[0], -self._error_m[1])
-        return structs.replace(own, position=replace(position, lat_deg=lat_deg, lon_deg=lon_deg))
+        """What the autopilot reports, without a GPS that is ignored."""
+        return structs.replace(own, gps="not healthy", gps_sigma_m=None) if self.is_ignored else own
 
 
 class UnseenRoad:

@@ -1,100 +1,91 @@
 """How probable it is that a position is of another place, and how far off it may be: one argument.
 
 The autopilot has no such checks, and a wrong position does more harm than none. Two hypotheses explain a fix that is
-`distance_m` from where the autopilot believes to be:
+`distance_m` from where the vehicle is by dead reckoning since its last aiding, by GPS or by a fix (`position_aiding`):
 
-    right   the place is right, and the autopilot is wrong by that distance: as its own covariance says, or, where its
-            last aiding was wrong, by anything
+    right   the place is right, and dead reckoning is wrong by that distance: as its sigma says, or, where the aiding
+            was wrong, by anything
     wrong   the place is another one: probability `place_wrong`, anywhere within SPREAD_M; or, while GPS was the last
-            to aid the autopilot, the map as a whole is shifted, or, where dead reckoning since GPS or since the last
-            matches has the vehicle beside the road, its street looks the same (MAP_SHIFTED, ELSEWHERE_M)
+            aiding, the map as a whole is shifted, or, where dead reckoning since GPS or since the last matches has the
+            vehicle beside the road, its street looks the same (MAP_SHIFTED, ELSEWHERE_M)
 
 `place_wrong` is STRETCH_WRONG for each independent segment (`evidence`). Evidence is gathered from every
-match, whether or not a position may be published then. docs/integrity.md is the whole argument, with the tests that
-could refute it.
+match, whether or not a position may be published then.
+
+A protection level is exceeded with at most the stated probability in an hour of driving. Three hypotheses share it:
+
+    right   the place is right: the errors are those of the filter, one every CORRELATION_M of driving
+    shifted its segment of the map is shifted by no more than what passes for the vehicle's own motion: the errors are
+            that, and those of the filter
+    wrong   all independent segments that speak for the place are wrong. Then only dead reckoning without places bounds
+            the position: from where GPS had it last, by the vehicle's own velocity. As in RAIM by solution separation,
+            the level is the distance from there, plus the error bound of that position.
+
+Where neither bounds the position at that risk, it has no protection level (infinite). docs/integrity.md is the whole
+argument, with the tests that could refute it, and what was counted.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import sys
 from functools import reduce
+from statistics import NormalDist
 
 from edge.config import GatesConfig
 from edge.geodesy import VehiclePosition, along_and_across, east_north_of
 from edge.journal.records import PlaceFix
-from edge.localization.autopilot_covariance import AutopilotCovariance
-from edge.localization.dead_reckoning import Odometry
+from edge.localization.dead_reckoning import SLOW_MPS
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, AutopilotState, ProtectionLevel
-from edge.localization.evidence import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory
+from edge.localization.evidence import (
+    SAME_RECORDING,
+    SPREAD_M,
+    STRETCH_WRONG,
+    Evidence,
+    EvidenceHistory,
+    alike_m,
+)
+from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import ELSEWHERE_M
 from edge.localization.odometer_calibration import AGREE_SIGMAS
-from edge.localization.odometry_datum import DeadReckoningOffset
-from edge.localization.protection_level import UNNOTICED_M, FaultProbabilities, protection_level
+from edge.localization.position_aiding import DeadReckoningOffset
 
 ONE_MORE = BOUND_WRONG / STRETCH_WRONG
-"""The last aiding of the autopilot was wrong with probability BOUND_WRONG; after a fix, with ONE_MORE times that of the
-fix: a fix that moves the autopilot away must rest on one independent segment more."""
+"""An aiding by GPS was wrong with probability BOUND_WRONG, one by a fix with ONE_MORE times that of the fix: a fix that
+is away from it must rest on one independent segment more."""
 CARRIED = 1e-3
 """Least probability, a judgment, that the vehicle was carried or towed since. Without it, one that was set 30 m ahead
 while it rolled was never believed again, though every keypoint pose showed it."""
 MAP_SHIFTED = 1e-4
 """Probability that a map is shifted as a whole, or that a street beside looks the same, by ELSEWHERE_M then: a
 judgment, see docs/integrity.md."""
+MODEL_ERROR = 1.2
+"""Times by which errors may be larger than the filter states: counted on simulated drives."""
+SHARE = 0.125
+"""Of the risk: of a shifted map, and in each of the two directions of errors on a right segment and on a shifted one.
+Wrong places have three of them."""
+UNNOTICED_M = alike_m(CORRELATION_M, 0.0)
+"""Two observations in a row are one evidence if they differ by no more than that: 9 m. The test allows more for the
+velocity's error, which takes that up itself."""
 
 
-@dataclass(frozen=True)
-class Innovation:
-    """The autopilot's own position against a place, and the cross-track distance of dead reckoning from the road.
-
-    distance_m: None where one of them is not known. sigma_m: of the autopilot's, None if unbounded. by_gps,
-    fault_probability: whether GPS aided it last, and the probability that the aiding was wrong. cross_track: see
-    `Tracker`.
+def fix_likelihood(
+    fix: PlaceFix, innovation: DeadReckoningOffset | None, cross_track: tuple[float, float] | None
+) -> tuple[float, bool]:
+    """Likelihood of a position by dead reckoning, 1 / m, infinite where that is not known; whether all places may be
+    off. cross_track: distance from the road by dead reckoning, see `Tracker`.
     """
-
-    distance_m: float | None
-    sigma_m: float | None
-    by_gps: bool
-    fault_probability: float
-    cross_track: tuple[float, float] | None
-
-    def likelihood(self, place: PlaceFix) -> tuple[float, bool]:
-        """Likelihood of the position by both, 1 / m, infinite without aiding; whether all places may be off."""
-        likelihood, is_shift = math.inf, False
-        if self.distance_m is not None and self.sigma_m is not None:
-            likelihood = likelihood_of(self.distance_m, math.hypot(self.sigma_m, place.sigma_m), self.fault_probability)
-            is_shift = self.by_gps and self.distance_m > AGREE_SIGMAS * place.sigma_m
-        if self.cross_track is not None:
-            likelihood, is_shift = min(likelihood, likelihood_of(*self.cross_track, STRETCH_WRONG)), True
-        return likelihood, is_shift
-
-    def contradicts(self, place: PlaceFix) -> bool:
-        """Whether they are further apart than both are uncertain."""
-        return (self.distance_m or 0.0) > AGREE_SIGMAS * math.hypot(self.sigma_m or math.inf, place.sigma_m)
-
-
-def innovation_of(
-    place: PlaceFix,
-    motion: Odometry | None,
-    own: AutopilotState,
-    bound: AutopilotCovariance,
-    cross_track: tuple[float, float] | None,
-) -> Innovation:
-    """Of an autopilot's position without aiding, as after a reboot: by GPS and motion since."""
-    sigma_m = bound.sigma_m(own)
-    reckoned = None if sigma_m is not None else bound.dead_reckoning_offset(place, motion, own)
-    if reckoned is not None:
-        return Innovation(reckoned.distance_m, reckoned.sigma_m, True, BOUND_WRONG, cross_track)
-    # One that nothing aids has run away, or is ours.
-    is_known = own.position is not None and own.is_aided and place.is_position
-    distance_m = distance_from(own.position, place) if own.position is not None and is_known else None
-    aiding = bound.aiding
-    by_gps, wrong = (aiding.by_gps, aiding.fault_probability) if aiding else (False, BOUND_WRONG)
-    return Innovation(distance_m, sigma_m, by_gps, wrong, cross_track)
+    likelihood, is_shift = math.inf, False
+    if innovation is not None:
+        likelihood = likelihood_of(innovation.distance_m, math.hypot(innovation.sigma_m, fix.sigma_m), innovation.wrong)
+        is_shift = innovation.by_gps and innovation.distance_m > AGREE_SIGMAS * fix.sigma_m
+    if cross_track is not None:
+        likelihood, is_shift = min(likelihood, likelihood_of(*cross_track, STRETCH_WRONG)), True
+    return likelihood, is_shift
 
 
 def likelihood_of(distance_m: float, sigma_m: float, bound_wrong: float) -> float:
-    """Density per meter of an autopilot's error; bound_wrong: probability that its uncertainty does not hold."""
+    """Density per meter of an error; bound_wrong: probability that its standard deviation does not hold."""
     normal = math.exp(-((distance_m / sigma_m) ** 2) / 2) / (sigma_m * math.sqrt(math.tau))
     return (1 - bound_wrong) * normal + bound_wrong / SPREAD_M
 
@@ -108,8 +99,8 @@ def wrong_probability(place_wrong: float, likelihood: float, *, may_be_shifted: 
 def another_place(evidence: Evidence, place_wrong: float, likelihood: float, *, may_be_shifted: bool) -> float:
     """Probability that a position is of another place than its evidence; infinite where nothing was observed.
 
-    An autopilot that drifted since, and came near a shifted map by chance, does not confirm it. A position that is not
-    known says nothing against a place, and nothing for it.
+    Dead reckoning that drifted since, and came near a shifted map by chance, does not confirm it. Where nothing has
+    aided it, it says nothing against a place, and nothing for it.
     """
     if not evidence.observations:
         return math.inf
@@ -122,10 +113,10 @@ def level_of(
     evidence: Evidence,
     history: EvidenceHistory,
     reckoned: DeadReckoningOffset | None,
-    speed_mps: float,
+    speed_mps: float | None,
     gates: GatesConfig,
 ) -> ProtectionLevel:
-    """By the places of one evidence and by dead reckoning without places, whatever the autopilot believes now.
+    """By the places of one evidence and by dead reckoning without places.
 
     All independent segments may be wrong, by the same amount: else they would not agree. Or the newest alone is, from
     one of its observations on: then the one before it bounds the position. Infinite where nothing was observed.
@@ -137,16 +128,52 @@ def level_of(
     shifted = MAP_SHIFTED
     if reckoned is not None:
         shifted *= _likelihood(reckoned, fix, ELSEWHERE_M) / _likelihood(reckoned, fix)
-    all_wrong = FaultProbabilities(
-        _wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix), shifted, BOUND_WRONG
-    )
+    all_wrong = _wrong(STRETCH_WRONG**count * alike ** (count - 1), reckoned, fix)
     before = [one.before for one in history.wrong_together(evidence.observations) if one.before is not None]
-    hypotheses = [
-        (all_wrong, reckoned),
-        *((FaultProbabilities(_wrong(STRETCH_WRONG, one, fix), 0.0, 0.0), one) for one in before),
-    ]
-    limits = speed_mps, gates.risk_per_hour, SAME_RECORDING * gates.confirm_m
+    hypotheses = [(all_wrong, shifted, reckoned), *((_wrong(STRETCH_WRONG, one, fix), 0.0, one) for one in before)]
+    limits = speed_mps or 0.0, gates.risk_per_hour, SAME_RECORDING * gates.confirm_m
     return reduce(ProtectionLevel.or_more, (protection_level(fix, *one, *limits) for one in hypotheses))
+
+
+def protection_level(
+    fix: PlaceFix,
+    place_wrong: float,
+    map_wrong: float,
+    reckoned: DeadReckoningOffset | None,
+    speed_mps: float,
+    risk_per_hour: float,
+    segment_m: float,
+) -> ProtectionLevel:
+    """Of a fix.
+
+    place_wrong, map_wrong: fault probabilities, that all places of it are other ones, and that its map is shifted as a
+    whole. reckoned: None where nothing but places bounds the position. segment_m: meters of driving within which
+    places are wrong together; a map that is shifted is so for the whole drive.
+    """
+    driven_m = 3600 * max(speed_mps, SLOW_MPS)
+    by_errors = MODEL_ERROR * _sigmas(SHARE * risk_per_hour * CORRELATION_M / driven_m)
+    of_segment = risk_per_hour * segment_m / driven_m
+    by_shift = MODEL_ERROR * _sigmas(SHARE * of_segment / STRETCH_WRONG)
+    along_m, cross_m = (
+        max(by_errors * sigma_m, UNNOTICED_M + by_shift * sigma_m)
+        for sigma_m in (fix.sigma_along_m, fix.sigma_cross_track_m)
+    )
+    # Of the probability of being wrong, what may exceed the level: from 1 on, nothing else needs to bound the position.
+    by_place = 3 * SHARE * of_segment / max(place_wrong, sys.float_info.min)
+    allowed = min(by_place, SHARE * risk_per_hour / max(map_wrong, sys.float_info.min))
+    if allowed >= 1:
+        return ProtectionLevel(along_m, cross_m)
+    if reckoned is None or allowed <= reckoned.wrong or fix.heading_deg is None:
+        return UNBOUNDED
+    by_reckoning_m = _sigmas((allowed - reckoned.wrong) / (1 - reckoned.wrong) / 2) * reckoned.sigma_m
+    off_along_m, off_cross_m = along_and_across((reckoned.east_m, reckoned.north_m), fix.heading_deg)
+    further = abs(off_along_m) + by_reckoning_m, abs(off_cross_m) + by_reckoning_m
+    return ProtectionLevel(max(along_m, further[0]), max(cross_m, further[1]))
+
+
+def _sigmas(probability: float) -> float:
+    """Standard deviations that a normal error exceeds in either direction with that probability."""
+    return -NormalDist().inv_cdf(min(probability, 1.0) / 2)
 
 
 def _likelihood(reckoned: DeadReckoningOffset, fix: PlaceFix, further_m: float = 0.0) -> float:

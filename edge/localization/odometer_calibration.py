@@ -56,21 +56,14 @@ class ScaleFactor(NamedTuple):
         return math.hypot(self.sigma, self.varies)
 
 
-class DriveScale(NamedTuple):
-    """What one drive has found: by which share its odometer measured too little, and one standard deviation of that."""
-
-    mean: float
-    sigma: float
-
-
-def learned(drives: Sequence[DriveScale]) -> ScaleFactor | None:
+def learned(drives: Sequence[ScaleFactor]) -> ScaleFactor | None:
     """What earlier drives of a vehicle show of the next one, the newest last; None of fewer than two that agree.
 
     Only those since the newest one that disagrees with the last one count, by AGREE_SIGMAS and CHANGES: what was found
     before a tire was changed is void. By how much it varies from drive to drive is what they vary by beyond their
     standard deviations (a random-effects model), in which CHANGES counts as one more drive.
     """
-    newest = np.array(drives[-MOST_DRIVES:]).reshape(-1, 2)[::-1]
+    newest = np.array([one[:2] for one in drives[-MOST_DRIVES:]]).reshape(-1, 2)[::-1]
     off = np.abs(newest[:, 0] - newest[:1, 0])
     agrees = off <= AGREE_SIGMAS * np.hypot(np.hypot(newest[:, 1], newest[:1, 1]), CHANGES)
     count = int(np.argmin([*agrees, False]))
@@ -108,7 +101,7 @@ class OdometerCalibration:
     def __init__(self) -> None:
         self.learned: ScaleFactor | None = None
         """By earlier drives, see `learned`; counts while this drive's receiver does not contradict it."""
-        self.found: DriveScale | None = None
+        self.found: ScaleFactor | None = None
         """By this drive alone, None before LEARNED_M are compared."""
         self.is_changed = False
         """Whether this drive contradicts what was learned, as after a change of tires."""
@@ -200,7 +193,7 @@ class OdometerCalibration:
         varies = max(0.0, off_m2) / float(np.sum(spans[:, 0] ** 2))
         mean, sigma = float(scale) - 1, math.sqrt(covariance[0, 0] + varies / len(spans))
         if float(np.sum(spans[:, 0])) >= LEARNED_M:
-            self.found = DriveScale(mean, sigma)
+            self.found = ScaleFactor(mean, sigma)
         before = self.learned
         self.is_changed = before is not None and abs(mean - before.mean) > AGREE_SIGMAS * math.hypot(
             sigma, before.later

@@ -2,12 +2,11 @@
 
     update(t_ns, event)   the only way in: see `events`
     fix(t_ns, limits)     a position, or why there is none; asking changes nothing
-    snapshot, restore     what is known of the autopilot's position, over a restart of this program
 
 All of it, in the order in which it came, is the list of the drive, which listeners get.
 
     ImageProcessed -> tracker -> GPS by the places -> observed evidence
-    AutopilotState -> aiding and covariance of the autopilot's own position
+    AutopilotState -> what aided the vehicle's position last
     fix            -> `decide` -> Fix | NoFix
 
 Pure: no link, no clock, no file. Daemon, trial and the replays of recorded drives use it alike.
@@ -20,16 +19,15 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from msgspec import Struct
 
 from edge.config import Config
 from edge.geodesy import heading_between
 from edge.journal.records import PlaceFix
-from edge.localization.autopilot_covariance import AutopilotCovariance
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.decide import StateEstimate, decide
+from edge.localization.decide import RULES, NoFix, Rule, StateEstimate, decide
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
@@ -42,18 +40,16 @@ from edge.localization.events import (
     OdometryUpdate,
 )
 from edge.localization.evidence import EvidenceHistory
-from edge.localization.fix_rules import RULES, NoFix, Rule
 from edge.localization.gps_monitor import GpsMonitor, GpsVerdict
-from edge.localization.integrity import innovation_of
+from edge.localization.integrity import fix_likelihood
+from edge.localization.position_aiding import PositionAiding
 from edge.localization.sequence_match import Georeferencer
-from edge.localization.tracker import Tracker
+from edge.localization.tracker import FixCandidate, Tracker
 from edge.reference_map import Route
 from edge.sequence import DeadReckoningPosition
 
 KEPT_HEADINGS, HEADINGS_APART_NS = 128, 250_000_000
 """Of the autopilot: as many as come within 3 s at 40 Hz, and how far from an exposure the nearest may be."""
-CALLED_SIGMA_M = 10.0
-"""Of the autopilot's position less the error of GPS, when GPS is declared faulty."""
 
 
 class FixResult(Struct, frozen=True, tag="Asked", rename={"request": "limits"}):
@@ -63,24 +59,10 @@ class FixResult(Struct, frozen=True, tag="Asked", rename={"request": "limits"}):
     answer: Fix | NoFix
 
 
-class SnapshotRestore(Struct, frozen=True, tag="Restored"):
-    """A snapshot of an earlier run."""
-
-    kept: bytes
-
-
-Entry: TypeAlias = Event | FixResult | SnapshotRestore
+Entry: TypeAlias = Event | FixResult
 """Of the list of a drive."""
 Listener: TypeAlias = Callable[[int, Entry], object]
 """Gets an entry, and its time in ns of CLOCK_MONOTONIC."""
-
-
-class FixCandidate(NamedTuple):
-    """A position that is asked for; see `StateEstimate`."""
-
-    place: PlaceFix | None = None
-    motion: Odometry | None = None
-    pose_sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -112,13 +94,14 @@ class PositionEstimator:
         self._tracker: Tracker | None = None
         self._gps = GpsMonitor(config.gates)
         self._claims = EvidenceHistory(config.gates)
-        self._bound = AutopilotCovariance(config.gates.drift_percent / 100)
+        self._aiding = PositionAiding(config.gates.drift_percent / 100)
         self._own = AutopilotState()
         self._headings: deque[tuple[int, float]] = deque(maxlen=KEPT_HEADINGS)  # the autopilot's: stamp, degrees
         self._moved: Odometry | None = None
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
         self._is_recognized, self._velocity_error = False, 0.0
+        self._was_gps_wrong = False
         self._known: EstimatorState | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
@@ -133,14 +116,15 @@ class PositionEstimator:
             case OdometryUpdate():
                 self._moved = event.motion
             case FixFeedback():
-                self._use_used(t_ns, event)
+                self._aiding.use_fix(t_ns, event.fix, self._own)
+                self._claims.contradict_nothing()
             case Discontinuity(kind="reboot"):
-                self._bound.restart()
+                self._aiding.restart()
                 self._headings.clear()
             case Discontinuity():
                 self._is_recognized = False
                 if event.kind == "carried":
-                    self._bound.carry()
+                    self._aiding.doubt_gps()
                 if self._tracker is not None:
                     self._tracker.reset()
                 self._gps.reset()
@@ -153,16 +137,6 @@ class PositionEstimator:
         answer = decide(t_ns, known, limits, self._config.gates, rules)
         self._publish(t_ns, FixResult(limits, answer))
         return answer
-
-    def snapshot(self) -> bytes:
-        """The aiding of the autopilot's own position, b"" for none."""
-        return self._bound.snapshot()
-
-    def restore(self, t_ns: int, kept: bytes) -> None:
-        """Go on with a snapshot of before a restart of this program, if the autopilot has not rebooted since."""
-        self._publish(t_ns, SnapshotRestore(kept))
-        self._known = None
-        self._bound.restore(kept)
 
     def _publish(self, t_ns: int, entry: Entry) -> None:
         for listener in self._listeners:
@@ -178,25 +152,23 @@ class PositionEstimator:
     def pose_ns(self) -> int | None:
         """The exposure of the newest keypoint pose that may be a measurement, None without one."""
         pose = None if self._tracker is None else self._tracker.pose()
-        return None if pose is None else pose.place.stamp_ns
+        return None if pose is None or pose.place is None else pose.place.stamp_ns
 
     @property
     def state(self) -> EstimatorState:
         """What the events so far show."""
         if self._known is None:
-            bound, gps, own = self._bound, self._gps, self._own
+            aiding, gps = self._aiding, self._gps
             position, heading_error = None, None
             if self._tracker is not None:
                 position, heading_error = self._tracker.at_exposure(), self._tracker.heading_error
-            own_sigma_m = bound.sigma_m(own)
-            is_bounded = bound.aiding is not None
-            of_own = own_sigma_m, is_bounded, bound.rests_on_fixes
-            self._known = EstimatorState(position, gps.published, gps.is_ignored, *of_own, heading_error)
+            of_own = aiding.own_sigma_m(self._own), aiding.is_bounded, aiding.rests_on_fixes
+            self._known = EstimatorState(position, gps.verdict, gps.is_ignored, *of_own, heading_error)
         return self._known
 
     def dead_reckoning_position(self, motion: Odometry | None) -> DeadReckoningPosition | None:
         """Where the vehicle is at a displacement by GPS and its motion alone; None where that cannot be relied on."""
-        return self._bound.dead_reckoning_position(motion, self._gps.believed(self._own))
+        return self._aiding.dead_reckoning_position(motion, self._own)
 
     def _use_maps(self, event: MapUpdate) -> None:
         """Follow the vehicle along their drives; what is known of GPS and of the autopilot stays."""
@@ -205,6 +177,7 @@ class PositionEstimator:
             return
         self._georeferencer = Georeferencer(Route(event.map_set), self._config)
         self._tracker = Tracker(self._georeferencer, self._config)
+        self._tracker.follows_gps = not self._gps.is_wrong
         self._gps.use_maps(self._georeferencer.route, self._config.rig)
 
     def _use_frame(self, frame: ImageProcessed) -> None:
@@ -227,7 +200,7 @@ class PositionEstimator:
         elif self._own.gps == "not healthy":  # else its filter may still go by GPS
             tracker.lose_gps(None if self._gps.is_doubted else self._own.scale)
         fix = self._tracker.at_exposure()
-        self._bound.drift = self._drift(fix)
+        self._aiding.drift = self._drift(fix)
         if fix is not None and fix.stamp_ns == frame.stamp_ns:
             self._exposed = frame.motion
             # By votes alone: dead reckoning would else be evidence for a place that it made credible.
@@ -245,7 +218,7 @@ class PositionEstimator:
         return math.radians(heading_between(before_deg, after_deg, (stamp_ns - before_ns) / (after_ns - before_ns)))
 
     def _drift(self, fix: PlaceFix | None) -> float:
-        """Of the autopilot's own position, by what GPS and places have shown of its velocity; fix: the newest."""
+        """Of dead reckoning, by what GPS and places have shown of the velocity; fix: the newest."""
         shown = None if self._tracker is None else self._tracker.velocity_errors
         if fix is not None:
             self._velocity_error = fix.velocity_error
@@ -256,62 +229,39 @@ class PositionEstimator:
         if motion is None or not fix.is_position or fix.disputed:
             return
         known = self._estimate(FixCandidate(fix, motion))
-        likelihood, is_shift = innovation_of(
-            fix, motion, known.autopilot, known.covariance, known.cross_track
-        ).likelihood(fix)
+        innovation = known.aiding.innovation(fix, motion, known.autopilot)
+        likelihood, is_shift = fix_likelihood(fix, innovation, known.cross_track)
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
 
     def _judge_gps(self) -> None:
-        """Use the newest verdict on GPS; where GPS is ignored from now on, the places aid the autopilot."""
-        ignored, bound = self._gps.is_ignored, self._bound.aiding
-        is_lost, is_bound_by_gps = self._own.gps_sigma_m is None, bound is not None and bound.by_gps
+        """Use the newest verdict on GPS; once it is wrong, the vehicle is where GPS has it, less its error."""
+        gps, was_wrong = self._gps, self._was_gps_wrong
         has_poses = self._own.fuses_poses and self._tracker is not None and self._tracker.pose() is not None
-        self._gps.use_verdict(follows_gps=is_bound_by_gps or not is_lost, has_poses=has_poses)
-        is_no_bound = is_lost and is_bound_by_gps and self._gps.is_faulty
-        if is_no_bound or (self._gps.is_ignored and not ignored):
+        gps.suspect(has_poses=has_poses)
+        self._was_gps_wrong = gps.is_wrong
+        if gps.is_wrong and not was_wrong:
             # What GPS has contradicted so far is not contradicted any more.
-            self._bind(CALLED_SIGMA_M)
-            self._bound.by_gps = None
+            self._aiding.call_gps(gps.verdict.off_m)
+            self._claims.contradict_nothing()
+        elif gps.is_doubted:
+            self._aiding.doubt_gps()
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own
         position, newest_ns = own.position, self._headings[-1][0] if self._headings else -1
         if position is not None and position.heading_deg is not None and position.stamp_ns > newest_ns:
             self._headings.append((position.stamp_ns, position.heading_deg))
-        believed = self._gps.believed(own)
-        self._bound.move(own)
-        if believed.gps_sigma_m is not None:
-            self._bind(believed.gps_sigma_m, by_gps=True)
-            self._bound.anchor(believed)
-        self._bound.trust(believed, is_doubted=self._gps.is_doubted)
-        kept_m = self._bound.keep(t_ns, own, is_by_gps=believed.gps_sigma_m is not None)
-        if kept_m is not None and own.is_aided:
-            self._bind(kept_m)
-            self._gps.bound()
-
-    def _use_used(self, t_ns: int, used: FixFeedback) -> None:
-        if used.remaining_m is None or used.fix is None:
-            self._bound.sent(t_ns)
-        elif self._own.is_aided:  # it is where the position has put it; of one that nothing aids, nobody knows
-            place = used.fix.place
-            sigma_m = max(place.sigma_along_m, place.sigma_cross_track_m, used.remaining_m)
-            self._bound.bind(sigma_m, self._own, used.fix.bound_wrong)
+        if own.gps_sigma_m is not None and not self._gps.is_wrong:
+            self._aiding.use_gps(t_ns, own, is_doubted=self._gps.is_doubted)
             self._claims.contradict_nothing()
-            self._gps.bound()
-
-    def _bind(self, sigma_m: float, *, by_gps: bool = False) -> None:
-        self._bound.bind(sigma_m, self._own, by_gps=by_gps)
-        self._claims.contradict_nothing()
 
     def _asked(self, t_ns: int, limits: FixRequest) -> FixCandidate:
         """What is asked for, without a place where there is none."""
-        tracker, again = self._tracker, limits.again
+        tracker = self._tracker
         if tracker is None or limits.unable or self._own.is_doubled:
             return FixCandidate()
-        if again is not None:
-            return FixCandidate(again.place, again.motion, again.pose_sigma_m)
         if limits.at == "pose" or (limits.at == "now" and limits.moves_autopilot and tracker.has_pose):
-            return FixCandidate(*tracker.pose() or ())
+            return tracker.pose() or FixCandidate()
         if limits.at == "now":
             return FixCandidate(tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved)
         return FixCandidate(tracker.at_exposure(), self._exposed)
@@ -319,5 +269,4 @@ class PositionEstimator:
     def _estimate(self, asked: FixCandidate) -> StateEstimate:
         is_blurred = self._is_recognized and self._tracker is not None and self._tracker.at_exposure() is None
         own, cross_track = self._gps.believed(self._own), None if self._tracker is None else self._tracker.cross_track
-        is_led = own.position != self._own.position
-        return StateEstimate(*asked, own, self._bound, self._claims, cross_track, is_blurred, is_led)
+        return StateEstimate(*asked, own, self._aiding, self._claims, cross_track, is_blurred)

@@ -21,7 +21,7 @@ from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
+from edge.localization.events import GPS_SIGMA_M, AutopilotState, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
@@ -82,14 +82,16 @@ MISLED_RAD = math.radians(15)
 """One standard deviation of the heading of an autopilot that followed a faulty GPS: 7 to 18 degrees on six drives."""
 
 
-class PoseFix(NamedTuple):
-    """A keypoint pose: its position, with the error of the map; the vehicle's motion then; and its standard deviation
-    in the direction where that is largest, without the error of the map.
+class FixCandidate(NamedTuple):
+    """A position that may be asked for, and the vehicle's motion at its moment; None: not known.
+
+    pose_sigma_m: of a keypoint pose, its standard deviation in the direction where that is largest, without the error
+    of the map, which is in `place`.
     """
 
-    place: PlaceFix
-    motion: Odometry
-    sigma_m: float
+    place: PlaceFix | None = None
+    motion: Odometry | None = None
+    pose_sigma_m: float | None = None
 
 
 class TrackScore:
@@ -130,9 +132,9 @@ class Tracker:
         self._assumed = self._config.scale_error_percent / 100
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
-        """Whether GPS counts as a measurement: it was not declared faulty."""
-        self.may_leave_gps = self.has_left_gps = False
-        """Whether keypoint poses that contradict GPS are enough for that, and whether they were."""
+        """Whether GPS counts as a measurement: it was neither declared faulty nor left."""
+        self.may_leave_gps = False
+        """Whether keypoint poses that contradict GPS are enough to leave it."""
         self._is_bound = self._is_shown = False  # by GPS: the position, and the scale of the velocity without it
         self.reset()
 
@@ -146,11 +148,10 @@ class Tracker:
         self._at: ImageProcessed | None = None
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
-        self._last_ns = 0
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
         self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
-        self._pose: PoseFix | None = None
+        self._pose: FixCandidate | None = None
         self._usual_off_m: Vector | None = None  # GPS from keypoint poses, and how many in a row are elsewhere
         self._departing = 0
         self.cross_track: tuple[float, float] | None = None
@@ -176,14 +177,15 @@ class Tracker:
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
             self._track = self._exposure = self._pose = None
-        if frame.stamp_ns - self._last_ns > STOOD_NS or frame.missed > self._georeferencer.length // 2:
+        has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
+        if has_stood or frame.missed > self._georeferencer.length // 2:
             self._georeferencer.clear()
-        self._at, self._last_ns = frame, frame.stamp_ns
+        self._at = frame
         if before is not None and before.motion is not None:
             self._move(before, frame)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
-        gps_m = self._gps_m = self._gps(frame, own)
+        gps_m = self._gps_m = self._gps(frame)
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
@@ -207,11 +209,9 @@ class Tracker:
         self._choose_origin()
         return measured is not None and is_evidence
 
-    def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
+    def _gps(self, frame: ImageProcessed) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
         gps = frame.gps
-        if gps is None and own.gps_sigma_m is not None and own.position is not None:
-            gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
         for_all = gps.sigma_m * GPS_SHARE
@@ -281,10 +281,6 @@ class Tracker:
         self.follows_gps = self._is_shown = False
         self._exposure = self._pose = None  # the filter that followed GPS had the vehicle there
         self.bank.begin(state)
-
-    def follow_gps(self) -> None:
-        """It counts again."""
-        self.follows_gps, self.has_left_gps = True, False
 
     def doubt_scale(self) -> None:
         """What GPS has shown of the velocity's scale does not hold."""
@@ -369,7 +365,7 @@ class Tracker:
     def _leave_gps(self, measured: SequenceMatch, stamp_ns: int) -> None:
         """Begin where the poses are, with what is known of the vehicle, and nothing of what GPS said of the map."""
         right, errors = self.bank.right, measured.errors
-        self.has_left_gps, self._departing = True, 0
+        self._departing = 0
         slot = right.slot(measured.drive, errors)
         right.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
         right.set(slot.whole, 0.0, errors.whole)
@@ -390,7 +386,7 @@ class Tracker:
             self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
             self._posed_ns, self._pose = stamp_ns, self._pose_fix(measured, measured.pose)
 
-    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> PoseFix | None:
+    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> FixCandidate | None:
         """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None or self._agreeing < FIRST:
@@ -409,7 +405,7 @@ class Tracker:
             sigma_along_m=float(along_m),
             sigma_cross_track_m=float(cross_m),
         )
-        return PoseFix(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
+        return FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -477,17 +473,15 @@ class Tracker:
         exposure = self._exposure
         return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
 
-    def pose(self) -> PoseFix | None:
+    def pose(self) -> FixCandidate | None:
         """The newest keypoint pose that passed the innovation test, as did the one before it within HOLE_S.
 
         None before the first one, and once the vehicle is lost.
         """
         pose, exposure = self._pose, self.at_exposure()
-        return (
-            None
-            if pose is None or exposure is None
-            else pose._replace(place=replace(pose.place, disputed=exposure.disputed))
-        )
+        if pose is None or pose.place is None or exposure is None:
+            return None
+        return pose._replace(place=replace(pose.place, disputed=exposure.disputed))
 
     @property
     def _is_disputed(self) -> bool:

@@ -6,11 +6,10 @@ again when it is lost. `vehicle` reads those: with `boot_clock` for the autopilo
 `position_history` has its position at an exposure.
 
 Out: `firmware` is what each autopilot can do. `link_protocol` requests what is read, and says what measures the
-velocity without GPS. `position_sender` sends positions by the messages of `position_messages`; `acknowledgements` says
-what an answer means and follows what the autopilot makes of each position, and `source_selection` selects whether its
-filter uses GPS. `aiding_store` keeps the autopilot's last position aiding over a restart, `wheel_store` what drives
-show of the wheels. `steering` is by what the vehicle steers. `people` is for people, and `encoders` writes all that is
-sent. `autopilot` joins all into the one object that the daemon polls.
+velocity without GPS. `position_sender` sends positions; `acknowledgements` says what an answer means and follows what
+the autopilot makes of each position, and `source_selection` selects whether its filter uses GPS. `wheel_store` keeps
+what drives show of the wheels. `steering` is by what the vehicle steers. `people` is for people, and `encoders` writes
+all that is sent. `autopilot` joins all into the one object that the daemon polls.
 """
 
 from __future__ import annotations

@@ -1,28 +1,26 @@
-"""What the autopilot makes of what it is sent: what an answer means, and whether a position then moves its own.
+"""What the autopilot makes of what it is sent: what an answer means, and whether positions then move its own.
 
-ACCEPTED  of a position: its own must then move within MOVED_NS: a filter that is not in use accepts as well
+ACCEPTED  but a filter that is not in use accepts as well
 FAILED, TEMPORARILY_REJECTED, CANCELED  not now (GPS works, no origin, not dead reckoning): pause, longer each time
 DENIED, UNSUPPORTED  never: no more until the autopilot reboots
-no answer  send once more with the present age; PX4 1.15 never answers
+no answer  the next position goes when it is due; PX4 1.15 never answers
 
-Positions of a stream are not acknowledged: an autopilot that is far from them must come nearer within STREAM_NS.
+An autopilot that is far from what it is sent must come nearer: to a stream, which is not acknowledged, within
+STREAM_NS, and by resets within RESETS_NS.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.backoff import BackOff, Exchange
-from edge.geodesy import VehiclePosition, east_north_of
 from edge.journal.records import FixAnswered, FixChecked
-from edge.localization import AGREE_SIGMAS, Fix, FixFeedback, PlaceFix, PositionEstimator, offset_m
+from edge.localization import Fix, PlaceFix
 from edge.telemetry.people import Publisher
-from edge.telemetry.vehicle import Vehicle
 
 Verdict: TypeAlias = Literal["accepted", "not now", "never", "wait"]
 
@@ -30,27 +28,24 @@ BACK_OFF_FIRST_NS = 1_000_000_000
 BACK_OFF_LAST_NS = 30_000_000_000
 ANSWER_NS = 1_000_000_001  # more than a second
 NO_ANSWER = "NO_ANSWER"
-CANCELED = 6  # MAV_RESULT_CANCELLED, which this dialect has no name for
 
 MOVED_NS = 1_500_000_000
-"""How long after ACCEPTED the position may take to move; and how long a stream may pause, unless it is of poses."""
-STREAM_NS = 10_000_000_000
-"""How long an autopilot that is far from the positions of a stream may take to come nearer."""
+"""How long a stream may pause, unless it is of poses, and be the same."""
+STREAM_NS, RESETS_NS = 10_000_000_000, 3_000_000_000
+"""How long an autopilot may take to come nearer to positions of a stream, and to those that it is reset by."""
 FAR_SIGMAS = 2.0
 """Standard deviations of a position beyond which the autopilot's own should come nearer to it."""
 log = logging.getLogger(__name__)
 
 VERDICTS: dict[int, Verdict] = {
     mavlink.MAV_RESULT_ACCEPTED: "accepted",
-    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
     mavlink.MAV_RESULT_DENIED: "never",
     mavlink.MAV_RESULT_UNSUPPORTED: "never",
-    mavlink.MAV_RESULT_FAILED: "not now",
     mavlink.MAV_RESULT_IN_PROGRESS: "wait",
-    CANCELED: "not now",
     mavlink.MAV_RESULT_COMMAND_LONG_ONLY: "never",
     mavlink.MAV_RESULT_COMMAND_INT_ONLY: "never",
 }
+"""Of a MAV_RESULT; of any other, "not now"."""
 
 
 def result_name(result: int, kind: str = "MAV_RESULT", prefix: str = "MAV_RESULT_") -> str:
@@ -90,14 +85,13 @@ class Command(Exchange):
 class FixTransmission:
     """A position that was sent at `at_ns` of CLOCK_MONOTONIC.
 
-    own: the autopilot's position then, None where it had none. is_again: since the first was not answered. recorded_ns:
-    when one was recorded last, this or an earlier one.
+    distance_m: from the autopilot's own position then, None where it had none. recorded_ns: when one was recorded last,
+    this or an earlier one.
     """
 
     fix: Fix
     at_ns: int
-    own: VehiclePosition | None
-    is_again: bool = False
+    distance_m: float | None
     recorded_ns: int = 0
 
     @property
@@ -106,37 +100,16 @@ class FixTransmission:
         return self.fix.place
 
     @property
-    def move_m(self) -> tuple[float, float]:
-        """Meters east and north from the autopilot's position to it; by how much that should jump."""
-        return (0.0, 0.0) if self.own is None else offset_m(self.own, self.place)
-
-    @property
-    def distance_m(self) -> float:
-        """Meters between them."""
-        return math.hypot(*self.move_m)
-
-    def remaining_m(self, after: VehiclePosition) -> float:
-        """How far the autopilot's position still is from it, without what was driven since then.
-
-        Driven by the mean of both velocities, since a vehicle turns and brakes meanwhile.
-        """
-        own = self.own or after
-        between_s = (after.stamp_ns - own.stamp_ns) / 1e9
-        east_m, north_m = east_north_of(after.lat_deg, after.lon_deg, (own.lat_deg, own.lon_deg))
-        driven_m = (own.east_mps + after.east_mps) / 2 * between_s, (own.north_mps + after.north_mps) / 2 * between_s
-        return math.dist((east_m - driven_m[0], north_m - driven_m[1]), self.move_m)
-
-    def moved(self, remaining_m: float) -> bool:
-        """Whether so little remains that the autopilot has come nearer: half, or one standard deviation."""
-        return remaining_m <= max(self.place.sigma_m, self.distance_m / 2)
+    def is_far(self) -> bool:
+        """Whether the autopilot's own position should come nearer to it."""
+        return (self.distance_m or 0.0) > FAR_SIGMAS * self.place.sigma_m
 
 
 class PositionUse:
     """What is expected of the autopilot after a position, and whether it happens."""
 
-    def __init__(self, vehicle: Vehicle, drive: PositionEstimator, publisher: Publisher) -> None:
-        """drive: gets each position that was used."""
-        self._vehicle, self._drive, self._publisher = vehicle, drive, publisher
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
         self.new_session()
 
     def new_session(self) -> None:
@@ -147,44 +120,41 @@ class PositionUse:
         """When the autopilot's own position last agreed with one that was sent, or moved to it."""
         self.command = Command()
         """That which carries one that is acknowledged."""
-        self._followed: tuple[FixTransmission, int] | None = None  # and when it was accepted; 0: not yet
-        self._stream: FixTransmission | None = (
-            None  # with which the positions of a stream are compared, until they are checked
-        )
+        self._first: FixTransmission | None = None  # from which on the autopilot must come nearer; None: that was said
         self._unused = ""  # why a stream is not used, as it was published
 
     def expect(self, sent: FixTransmission, *, is_reset: bool, unused: str = "") -> None:
-        """A position is sent now: keep what it should be answered, and how far it should move the autopilot's own.
+        """A position is sent now: keep what it should be answered, and whether the autopilot has come nearer by now.
 
         is_reset: it is acknowledged; else it is one of a stream. unused: why the autopilot will not use that.
         """
         before, self.newest = self.newest, sent
         if is_reset:
             self.command.ask(sent.at_ns)
-            # One that was accepted is followed to its end: the next position comes before that.
-            if sent.own is not None and (self._followed is None or not self._followed[1]):
-                self._followed = sent, 0
-        elif sent.own is not None:
-            pauses_ns = MOVED_NS if sent.fix.pose_sigma_m is None else STREAM_NS
-            self._follow_stream(sent, unused, is_new=before is None or sent.at_ns - before.at_ns > pauses_ns)
-
-    def _follow_stream(self, sent: FixTransmission, unused: str, *, is_new: bool) -> None:
-        if unused and unused != self._unused:
+        elif unused and unused != self._unused:
             log.error("the autopilot uses no positions: %s; see firmware_config", unused)
             self._publisher.warn(f"Lookback: positions unused: {unused}")
         self._unused = unused
-        distance_m, sigma_m = sent.distance_m, sent.place.sigma_m
-        began = self._stream = sent if is_new else self._stream
-        if began is not None and sent.at_ns - began.at_ns >= STREAM_NS:
-            was_far = began.distance_m > FAR_SIGMAS * began.place.sigma_m
-            self._stream = None if was_far else sent
-            if was_far:
-                moved = distance_m <= max(sigma_m, began.distance_m / 2)
-                self._publish_check(sent.place, distance_m, "fixes sent", moved=moved)
-        # So near, an autopilot follows the stream.
-        if distance_m <= AGREE_SIGMAS * sigma_m:
+        pause_ns = STREAM_NS if is_reset or sent.fix.pose_sigma_m is not None else MOVED_NS
+        if before is None or sent.at_ns - before.at_ns > pause_ns:
+            self._first = sent
+        first = self._first
+        if first is not None and sent.at_ns - first.at_ns >= (RESETS_NS if is_reset else STREAM_NS):
+            self._first = None if first.is_far else sent
+            if first.is_far:
+                self._check(first, sent)
+        if sent.distance_m is not None and not sent.is_far:
             self.confirmed_ns = sent.at_ns
-            self._drive.update(sent.at_ns, FixFeedback(sent.fix, distance_m))
+
+    def _check(self, first: FixTransmission, sent: FixTransmission) -> None:
+        """Half of the way, or one standard deviation: so near an autopilot has come that uses them."""
+        place, off_m = sent.place, sent.distance_m or 0.0
+        moved = off_m <= max(place.sigma_m, (first.distance_m or 0.0) / 2)
+        self._publisher.record(FixChecked(place.place, moved, off_m, place.map))
+        if moved:
+            self.confirmed_ns = sent.at_ns
+        else:
+            self._publisher.warn(f"Lookback: fixes sent, position {off_m:.0f} m off")
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The autopilot has answered the newest position."""
@@ -193,54 +163,14 @@ class PositionUse:
         if verdict == "wait" or fix is None:
             return
         self._publisher.record(FixAnswered(fix.place, result_name(result), fix.map))
-        if verdict != "accepted":
-            self._drop_followed()
-        elif self._followed is not None and not self._followed[1]:  # its own position must move
-            self._followed = self._followed[0], now_ns
+        if verdict != "accepted":  # what was not accepted moves nothing
+            self._first = None
         if verdict == "never":
             log.error("the autopilot answered %s: positions are off until it reboots", result_name(result))
             self._publisher.warn(f"Lookback: positions {result_name(result)}, off")
 
-    def overdue(self, now_ns: int) -> FixTransmission | None:
-        """The position whose answer did not come in time, the first time; None while there is none."""
-        if not self.command.is_overdue(now_ns) or self.newest is None:
-            return None
-        if self.newest.is_again:
-            self.give_up()
-            return None
-        return self.newest
-
-    def give_up(self) -> None:
-        """A position that is not answered is not sent again."""
-        self.command.answered()
-        self._drop_followed()
-        if self.newest is not None:
+    def check_answer(self, now_ns: int) -> None:
+        """A position whose answer has not come in time has none."""
+        if self.newest is not None and self.command.is_overdue(now_ns):
+            self.command.answered()
             self._publisher.record(FixAnswered(self.newest.place.place, NO_ANSWER, self.newest.place.map))
-
-    def _drop_followed(self) -> None:
-        """What was not accepted moves nothing."""
-        if self._followed is not None and not self._followed[1]:
-            self._followed = None
-
-    def check(self, now_ns: int) -> None:
-        """Once it has had time, the autopilot's position must have moved to an accepted one."""
-        sent, accepted_ns = self._followed or (None, 0)
-        own = self._vehicle.position(now_ns)
-        if sent is None or not accepted_ns or own is None or own.stamp_ns <= accepted_ns:
-            return
-        remaining_m = sent.remaining_m(own)
-        moved = sent.moved(remaining_m)
-        if not moved and now_ns - accepted_ns < MOVED_NS:
-            return
-        self._followed = None
-        self._publish_check(sent.place, remaining_m, "fix accepted", moved=moved)
-        if moved:
-            self.confirmed_ns = now_ns
-            self._drive.update(now_ns, FixFeedback(sent.fix, remaining_m))
-        else:
-            self.command.pause.failed(now_ns)
-
-    def _publish_check(self, fix: PlaceFix, off_m: float, what: str, *, moved: bool) -> None:
-        self._publisher.record(FixChecked(fix.place, moved, off_m, fix.map))
-        if not moved:
-            self._publisher.warn(f"Lookback: {what}, position {off_m:.0f} m off")

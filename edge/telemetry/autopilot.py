@@ -20,22 +20,21 @@ from edge.localization import (
     AutopilotState,
     Discontinuity,
     Fix,
+    FixFeedback,
     FixRequest,
-    GpsVerdict,
     NoFix,
     PlaceFix,
     PositionEstimator,
 )
 from edge.telemetry import LinkStatus
-from edge.telemetry.aiding_store import AidingStore
 from edge.telemetry.codec import MavlinkCodec, Message
+from edge.telemetry.encoders import CARRIERS
 from edge.telemetry.firmware import GPS_SET
 from edge.telemetry.link import parse_connection
 from edge.telemetry.link_protocol import Requests, VelocityAid
 from edge.telemetry.people import GpsNews, PeopleLink, Publisher, ReportLink
 from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
-from edge.telemetry.position_messages import CARRIERS
 from edge.telemetry.position_sender import DOUBTED, PositionSender, level_m
 from edge.telemetry.session import Session
 from edge.telemetry.steering import Steering, SteeringMonitor
@@ -97,8 +96,9 @@ class AutopilotConnection:
         self.drive = drive = drive or PositionEstimator(Config(gates=gates))
         publisher = Publisher(record, self._warn)
         self.positions = PositionSender(config, gates, vehicle, drive, publisher)
-        self._bound = AidingStore(config.journal, drive, clock_ns())
-        self._wheels = WheelStore(config.journal, vehicle, lambda: self._gps_news.verdict.state in DOUBTED)
+        if config.emit != "report":  # a run before this one may have sent a position
+            drive.update(clock_ns(), FixFeedback(None))
+        self._wheels = WheelStore(config.journal, vehicle, lambda: drive.state.gps.state in DOUBTED)
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news, self._steering = GpsNews(publisher), SteeringMonitor(vehicle, publisher)
@@ -120,9 +120,9 @@ class AutopilotConnection:
         """Why there is no port, "" while there is none yet."""
         return self._port.why_closed if self.state == "closed" else ""
 
-    def judge_gps(self, verdict: GpsVerdict) -> None:
-        """What the places say of GPS now."""
-        disagreed = self._gps_news.verdict.state == "inconsistent"
+    def judge_gps(self) -> None:
+        """The places say something of GPS now."""
+        verdict, disagreed = self.drive.state.gps, self._gps_news.published == "inconsistent"
         is_ignored = self._gps_news.publish(verdict) and self.drive.state.ignores_gps
         if is_ignored and not self.velocity_aid.is_known(self.clock_ns()):
             self._warn("Lookback: no velocity aid, sends no position")
@@ -159,7 +159,7 @@ class AutopilotConnection:
 
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
-        now_ns, verdict, sent = self.clock_ns(), self._gps_news.verdict, self.positions.use.newest
+        now_ns, verdict, sent = self.clock_ns(), self.drive.state.gps, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, cross_track_m = level_m(sent.fix.level) if sent else (None, None)
         scale, steering = self.vehicle.velocity.shown.scale, self._steering.state if self.state == "up" else Steering()
@@ -370,14 +370,12 @@ class AutopilotConnection:
         if self.positions.enabled:
             self.velocity_aid.warn_without(all_came=self.requests.parameters.are_over(now_ns))
         self.report_own()
-        if now_ns >= self._bound.due_ns:
-            self._bound.keep(now_ns)
         if now_ns >= self._wheels.due_ns:
             self._wheels.keep(now_ns)
         self.send(self.positions.follow_up(now_ns, all_came=self.requests.parameters.are_over(now_ns)))
         is_selected = self.positions.sources.in_use == GPS_SET
         self._steering.update(now_ns, self.drive.state, self.positions.use.confirmed_ns, is_selected=is_selected)
-        self.send(self._gps_news.values_due(self.vehicle.boot_ms(now_ns), now_ns))
+        self.send(self._gps_news.values_due(self.drive.state.gps, self.vehicle.boot_ms(now_ns), now_ns))
         self._people.send_line(now_ns)
 
     def send(self, messages: list[Message]) -> None:

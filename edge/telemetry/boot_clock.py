@@ -76,10 +76,6 @@ class BootClock:
         """Whether a stamp of it came, and none of another clock since."""
         return self.offset_ns is not None and self._another_ns is None
 
-    def has_ended_by(self, then_ns: int) -> bool:
-        """Whether the first stamp of another clock, of those that nothing contradicted, had come by then."""
-        return self._another_ns is not None and self._another_ns <= then_ns
-
     def _is_of_another(self, boot_ms: int, now_ns: int) -> bool:
         """Whether it is before the newest stamp, or ahead of the clock, by more than messages overtake each other."""
         boot_ns = self.boot_ns(now_ns)

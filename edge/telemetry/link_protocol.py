@@ -17,9 +17,9 @@ from edge.config import TelemetryConfig
 from edge.localization import PlaceFix
 from edge.telemetry import encoders
 from edge.telemetry.codec import FusionStatus, Message
+from edge.telemetry.encoders import POSITION_MESSAGES
 from edge.telemetry.firmware import AIRSPEED, NO_AID, VISION
 from edge.telemetry.people import Publisher
-from edge.telemetry.position_messages import POSITION_MESSAGES
 from edge.telemetry.session import Origin, Session
 from edge.telemetry.vehicle import Vehicle
 from edge.telemetry.vehicle_velocity import Aid
@@ -209,7 +209,7 @@ class VelocityAid:
         is_any = is_by_gps or not is_needed or self.is_known(now_ns)
         is_camera = not is_by_gps and self.sends and self.without_gps == VISION
         is_drifting_camera = is_camera and self._vehicle.session.firmware.camera_drifts
-        return Aid(is_any, not is_any and self.without_gps is not None, is_drifting_camera, may_be_gps)
+        return Aid(is_any, is_drifting_camera, may_be_gps)
 
     def warn_without(self, *, all_came: bool) -> None:
         """Once in a session, where none is known. all_came: whether no further parameter will."""

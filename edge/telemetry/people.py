@@ -118,28 +118,29 @@ class ReportLink(PeopleLink):
 
 
 class GpsNews:
-    """The newest of what the places say of GPS, and what was published of it."""
+    """What was published of what the places say of GPS."""
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
-        self.verdict = GpsVerdict()
-        self._published = ""
+        self.published = ""
+        """The newest state, "" before the first."""
         self._values_ns = 0
 
     def publish(self, verdict: GpsVerdict) -> bool:
         """Publish a verdict where it is another one; True where GPS was just declared faulty."""
-        self.verdict, before = verdict, self._published
+        before = self.published
         if verdict.state == before or (not before and verdict.state == "cannot say"):
             return False
-        self._published = verdict.state
-        self._publisher.record(GpsJudged(verdict.state, verdict.east_m, verdict.north_m, verdict.doubt))
+        self.published = verdict.state
+        east_m, north_m = verdict.off_m or (None, None)
+        self._publisher.record(GpsJudged(verdict.state, east_m, north_m, verdict.doubt))
         if verdict.state in GPS_TEXTS and (verdict.state != "consistent" or before == "faulty"):
             self._publisher.warn(GPS_TEXTS[verdict.state].format(verdict.where))
         return verdict.state == "faulty"
 
-    def values_due(self, boot_ms: int, now_ns: int) -> list[Message]:
+    def values_due(self, verdict: GpsVerdict, boot_ms: int, now_ns: int) -> list[Message]:
         """The values for ground stations and scripts, once a second from the first answer on."""
-        if not self._published or now_ns < self._values_ns:
+        if not self.published or now_ns < self._values_ns:
             return []
         self._values_ns = now_ns + VALUES_NS
-        return encoders.gps_values(self.verdict.doubt, self.verdict.distance_m, boot_ms)
+        return encoders.gps_values(verdict.doubt, verdict.distance_m, boot_ms)

@@ -30,19 +30,17 @@ from edge.localization import (
     distance_from,
 )
 from edge.telemetry import encoders
-from edge.telemetry.acknowledgements import FAR_SIGMAS, MOVED_NS, FixTransmission, PositionUse
+from edge.telemetry.acknowledgements import MOVED_NS, FixTransmission, PositionUse
 from edge.telemetry.codec import Message
-from edge.telemetry.encoders import MessageContext
+from edge.telemetry.encoders import POSITION_MESSAGES, MessageContext, PositionMessage
 from edge.telemetry.firmware import GPS_SET, ON_THE_GROUND, SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
-from edge.telemetry.position_messages import POSITION_MESSAGES, PositionMessage
 from edge.telemetry.source_selection import LOST, SourceSelection
 from edge.telemetry.vehicle import Vehicle
 
 STEADY_RECORD_NS = 1_000_000_000
 KEEP_UP_NS = 200_000_000  # ArduPilot calls a visual odometry unhealthy after 0.3 s (AP_VISUALODOM_TIMEOUT_MS)
 SENT_S = 10.0  # so long after a position, nobody asks why there is none
-SAID_NS = 10_000_000_000  # after which the pilot reads the figures of why none is sent anew
 DOUBTED = ("suspect", "inconsistent", "faulty")  # verdicts on GPS
 MISLED, STOP_NS = ("inconsistent", "faulty"), 3_000_000_000
 """Verdicts on GPS by which no vehicle may steer itself for longer; the pilot is asked, or it is stopped, as often."""
@@ -68,7 +66,7 @@ class PositionSender:
         self.why = ""
         remembered = Path(telemetry.journal).with_suffix(".sources") if telemetry.journal else None
         self.sources = SourceSelection(vehicle, publisher, remembered)
-        self.use = PositionUse(vehicle, drive, publisher)
+        self.use = PositionUse(publisher)
         self._reset_ns = 0  # when a stream was helped by a reset last; 0 before
         self._is_led = True  # by a GPS that was taken away
         self._withheld: FixWithheld | None = None  # as recorded
@@ -77,7 +75,6 @@ class PositionSender:
         self._judged_ns: int | None = None  # the moment of the newest position that was sent, or withheld
         self._kept_up_ns = 0  # when a sensor was last kept healthy without a pose
         self._refused = NoFix(NO_PLACES)
-        self._said = ("", 0, "")  # why, since when, and what people read of it
 
     def new_session(self) -> None:
         """The link came up, or the autopilot rebooted: it may be another one, and has lost all that was sent before."""
@@ -116,14 +113,11 @@ class PositionSender:
         return self._gates.doubted_gps == "switch" and self.enabled
 
     def due(self, now_ns: int) -> FixRequest | None:
-        """What holds for the position that is due now, None while none is; once more for one that was not answered."""
+        """What holds for the position that is due now, None while none is."""
         message, use = self._message_now, self.use
         if message is None:
             return None
         limits = FixRequest(message.moment, message.max_age_s, message.acknowledged)
-        overdue = use.overdue(now_ns)
-        if overdue is not None:
-            return replace(limits, again=overdue.fix)
         if message.moment == "pose":
             # Each pose is judged when it is new, and every second what keeps them away.
             if self._drive.pose_ns == self._judged_ns and now_ns - self._asked_ns < STEADY_RECORD_NS:
@@ -133,34 +127,31 @@ class PositionSender:
 
     def send(self, answer: Fix | NoFix, now_ns: int) -> list[Message]:
         """The messages that carry the position which was due, if there is one; else why there is none is recorded."""
-        message, overdue, newest = self._message_now, self.use.overdue(now_ns), self.use.newest
+        message, newest = self._message_now, self.use.newest
         place = answer.place if isinstance(answer, Fix) else answer.fix
-        is_again = overdue is not None and place is overdue.place
-        if newest and place is not None and place.stamp_ns == newest.place.stamp_ns and not is_again:
+        if newest and place is not None and place.stamp_ns == newest.place.stamp_ns:
             return []  # the last exposure was sent already
         if place is not None and message is not None and message.moment != "exposure":
             if place.stamp_ns == self._judged_ns:
                 return []  # a pose is judged once, and grows old until the next one
             self._judged_ns = place.stamp_ns
-        messages: list[Message] = []
-        if isinstance(answer, Fix) and message is not None:
-            self._withheld, self._refused = None, NoFix(NO_PLACES)
-            # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
-            if message.moment == "pose" and not self.sources.is_without_gps:
-                known = self._drive.state
-                # One that is ignored counts again only once it is consistent.
-                self.sources.want(SET_WITHOUT_GPS, known.gps.state if known.ignores_gps else LOST)
-                self._judged_ns = None  # this one waits for it: there may be none after it
-                self._hole_ns = now_ns
-                return []
-            hole_s = min(self._since_s(now_ns), (now_ns - self._hole_ns) / 1e9)
-            is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and hole_s < HOLE_S
-            messages = [] if is_wide else self._encode(answer, now_ns, message, again=is_again)
-        elif isinstance(answer, NoFix) and overdue is None:
+        if isinstance(answer, NoFix):
             self._withhold(answer)
-        if overdue is not None and not messages:
-            self.use.give_up()
-        return messages
+            return []
+        if message is None:
+            return []
+        self._withheld, self._refused = None, NoFix(NO_PLACES)
+        # Poses alone are for set 2: while GPS is its source, they would move what its filter has for them.
+        if message.moment == "pose" and not self.sources.is_without_gps:
+            known = self._drive.state
+            # One that is ignored counts again only once it is consistent.
+            self.sources.want(SET_WITHOUT_GPS, known.gps.state if known.ignores_gps else LOST)
+            self._judged_ns = None  # this one waits for it: there may be none after it
+            self._hole_ns = now_ns
+            return []
+        hole_s = min(self._since_s(now_ns), (now_ns - self._hole_ns) / 1e9)
+        is_wide = (answer.pose_sigma_m or 0.0) > message.widest_m and hole_s < HOLE_S
+        return [] if is_wide else self._encode(answer, now_ns, message)
 
     def _period_s(self, message: PositionMessage) -> float:
         return self._gates.min_interval_s if message.period_s is None else message.period_s
@@ -176,13 +167,7 @@ class PositionSender:
             return self.why
         if self.use.command.is_refused:
             return "the autopilot refuses positions"
-        if self._since_s(now_ns) < SENT_S:
-            return ""
-        why, at_ns, words = self._said
-        if why != str(self._refused) or now_ns - at_ns >= SAID_NS:
-            words = self._refused.in_words
-            self._said = str(self._refused), now_ns, words
-        return words
+        return "" if self._since_s(now_ns) < SENT_S else str(self._refused)
 
     def _withhold(self, refused: NoFix) -> None:
         fix, before = refused.fix, self._withheld
@@ -191,7 +176,7 @@ class PositionSender:
             self._withheld = FixWithheld(fix.place, str(refused), refused.distance_m, fix.map)
             self._publisher.record(self._withheld)
 
-    def _encode(self, fix: Fix, now_ns: int, message: PositionMessage, *, again: bool) -> list[Message]:
+    def _encode(self, fix: Fix, now_ns: int, message: PositionMessage) -> list[Message]:
         """Encode a fix that may be sent, and keep what is needed to follow it up."""
         vehicle, place = self._vehicle, self._moved_on(fix, now_ns)
         boot_s, own, newest = vehicle.boot_time_s(now_ns), vehicle.position(now_ns), self.use.newest
@@ -200,7 +185,8 @@ class PositionSender:
             return []
         recorded_ns = newest.recorded_ns if newest else 0
         is_recorded = message.acknowledged or now_ns - recorded_ns >= STEADY_RECORD_NS
-        sent = FixTransmission(fix, now_ns, own, again, now_ns if is_recorded else recorded_ns)
+        distance_m = None if own is None else distance_from(own, fix.place)
+        sent = FixTransmission(fix, now_ns, distance_m, now_ns if is_recorded else recorded_ns)
         session, sensor_id, unused = vehicle.session, self._telemetry.sensor_id, ""
         if not message.acknowledged:
             unused = session.firmware.unused_because(session.parameters, message.name, sensor_id, session.kind)
@@ -245,7 +231,7 @@ class PositionSender:
         if sent.at_ns - self._reset_ns < MOVED_NS:
             return []
         if self._reset_ns:
-            self._is_led &= sent.distance_m > FAR_SIGMAS * sent.place.sigma_m
+            self._is_led &= sent.is_far
         if not self._is_led:
             return []
         self._reset_ns, message = sent.at_ns, POSITION_MESSAGES["external_position"]
@@ -253,7 +239,7 @@ class PositionSender:
         return [message.encode(sent.place, sending)]
 
     def _record(self, sent: FixTransmission, message: PositionMessage, sending: MessageContext) -> None:
-        fix, own = sent.place, sent.own
+        fix = sent.place
         self._publisher.record(
             FixSent(
                 fix.place,
@@ -263,8 +249,7 @@ class PositionSender:
                 fix.sigma_m,
                 sending.boot_s,
                 sending.age_s,
-                distance_from(own, fix) if own else None,
-                sent.is_again,
+                sent.distance_m,
                 fix.map,
                 *level_m(sent.fix.level),
                 fix.points,
@@ -294,7 +279,7 @@ class PositionSender:
             self._choose(all_came=all_came)
         self._choose_sources(works=self._vehicle.session.gps.receiver_state(now_ns) == "healthy")
         messages = [] if self.sources.wanted is None else self.sources.due(now_ns)
-        self.use.check(now_ns)
+        self.use.check_answer(now_ns)
         return [*messages, *self._keep_up(now_ns), *self._stop_if_misled(now_ns)]
 
     def _stop_if_misled(self, now_ns: int) -> list[Message]:

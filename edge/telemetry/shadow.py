@@ -8,7 +8,7 @@ What stays of GPS is the autopilot's speed and heading, which GPS aids.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -35,6 +35,8 @@ PERIOD_NS, AGAIN_NS = 1_000_000_000, 200_000_000
 """Between two records; how soon it is asked again where no new picture was placed since the last one."""
 LIMITS = FixRequest(oldest_s=5.0, moves_autopilot=False)
 """As old as an autopilot takes positions."""
+OF_PLACE = "lat_deg", "lon_deg", "heading_deg", "sigma_along_m", "sigma_cross_track_m", "direction", "order", "map"
+"""What a record has of its position."""
 
 
 class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
@@ -63,13 +65,6 @@ class ShadowPosition(Record, frozen=True, tag="shadow", omit_defaults=True):
     map: MapName = UNSET
 
 
-class _PendingRecord(NamedTuple):
-    stamp_ns: int
-    speed_mps: float
-    driven_m: float | None
-    answer: Fix | str
-
-
 class Shadow:
     """Gets each entry of a drive's list, and writes a `ShadowPosition` for each second of driving."""
 
@@ -80,7 +75,7 @@ class Shadow:
         self._was_bound = False
         self._due_ns = self._last_ns = 0
         self._history: PositionHistory | None = None
-        self._waiting: ExposureQueue[_PendingRecord]
+        self._waiting: ExposureQueue[ShadowPosition]
 
     def update(self, t_ns: int, entry: Entry) -> None:
         """Follow the drive, without GPS from when it has aided the autopilot once."""
@@ -112,14 +107,15 @@ class Shadow:
         if now_ns < self._due_ns or speed_mps is None or speed_mps < self._min_speed_mps:
             return
         answer = self.fix(now_ns, unable())
-        stamp_ns = answer.place.stamp_ns if isinstance(answer, Fix) else now_ns
+        place = answer.place if isinstance(answer, Fix) else None
+        stamp_ns = now_ns if place is None else place.stamp_ns
         if stamp_ns <= self._last_ns:
             self._due_ns = now_ns + AGAIN_NS
             return
         self._last_ns, self._due_ns = stamp_ns, now_ns + PERIOD_NS
-        driven_m = motion.driven_m(now_ns)
-        waiting = _PendingRecord(stamp_ns, speed_mps, driven_m, answer if isinstance(answer, Fix) else str(answer))
-        self._waiting.add(stamp_ns, waiting)
+        found = ShadowPosition(stamp_ns, speed_mps, motion.driven_m(now_ns), "" if place else str(answer))
+        of_place = {name: getattr(place, name) for name in OF_PLACE} if place else {}
+        self._waiting.add(stamp_ns, replace(found, **of_place))
 
     def close(self) -> None:
         """Write what still waits for a position of the autopilot."""
@@ -127,26 +123,11 @@ class Shadow:
 
     def _write(self, *, all_of_them: bool = False) -> None:
         if self._history is not None:
-            for waiting, position in self._waiting.known(all_of_them=all_of_them):
-                self._record(_compared(waiting, position))
+            for found, own in self._waiting.known(all_of_them=all_of_them):
+                self._record(found if own is None else _beside(found, own))
 
 
-def _compared(one: _PendingRecord, own: VehiclePosition | None) -> ShadowPosition:
-    found = ShadowPosition(one.stamp_ns, one.speed_mps, one.driven_m)
-    if own is not None:
-        gps = {"gps_lat_deg": own.lat_deg, "gps_lon_deg": own.lon_deg}
-        found = replace(found, **gps, gps_sigma_m=own.sigma_m, gps_source=own.source)
-    if not isinstance(one.answer, Fix):
-        return replace(found, withheld=one.answer)
-    place = one.answer.place
-    return replace(
-        found,
-        lat_deg=place.lat_deg,
-        lon_deg=place.lon_deg,
-        heading_deg=place.heading_deg,
-        sigma_along_m=place.sigma_along_m,
-        sigma_cross_track_m=place.sigma_cross_track_m,
-        direction=place.direction,
-        order=place.order,
-        map=place.map,
-    )
+def _beside(found: ShadowPosition, own: VehiclePosition) -> ShadowPosition:
+    """A position, and where GPS has the vehicle."""
+    gps = {"gps_lat_deg": own.lat_deg, "gps_lon_deg": own.lon_deg}
+    return replace(found, **gps, gps_sigma_m=own.sigma_m, gps_source=own.source)

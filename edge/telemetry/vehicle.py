@@ -158,7 +158,6 @@ class Vehicle:
     def own(self, now_ns: int) -> AutopilotState:
         """All that the position estimator needs of it, as of now."""
         position, gps, motion = self.position(now_ns), self.session.gps, self.motion
-        boot_ns = self.session.clock.boot_ns(now_ns)
         return AutopilotState(
             gps=gps.state(now_ns),
             gps_why=gps.why(now_ns),
@@ -170,13 +169,10 @@ class Vehicle:
             speed_mps=motion.speed_mps(now_ns),
             driven_m=motion.driven_m(now_ns),
             is_aided=self.velocity.aid.is_any,
-            runs_away=self.velocity.aid.runs_away,
             drives_itself=self.drives_itself,
             fuses_poses=self.fuses_poses,
             is_doubled=self.is_doubled,
             is_clock_known=self.session.clock.is_known and self._read_ns - self._heard_ns <= LINK_SILENT_NS,
-            system_id=self.system_id,
-            booted_ns=None if boot_ns is None else now_ns - boot_ns,
         )
 
     def _read_heartbeat(self, message: Message, now_ns: int) -> bool:
@@ -198,10 +194,7 @@ class Vehicle:
 
     def _start_session(self, *, is_same_vehicle: bool) -> None:
         before = self.session
-        arrived_ns = before.heard_ns.get(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0)
-        is_of_this = before.clock.has_ended_by(arrived_ns)  # a version may come before the reboot is sure
-        version = before.version if is_of_this else None
-        self.session = Session(before.number + 1, before.autopilot, before.kind, version)
+        self.session = Session(before.number + 1, before.autopilot, before.kind)
         self.velocity.end_leg(is_same_vehicle=is_same_vehicle)
 
     def _stamp_ns(self, message: Message, now_ns: int) -> int | None:

@@ -44,13 +44,11 @@ class Aid:
     """What measures the autopilot's velocity now.
 
     is_any: whether something besides our positions does. Where nothing does, the vehicle moves the way it heads at the
-    speed of its wheels, or at that which the camera measures. runs_away: whether it is known that nothing does.
-    is_drifting_camera: whether only our camera does, see `Firmware.camera_drifts`. may_be_gps: whether GPS may have a
-    part in it.
+    speed of its wheels, or at that which the camera measures. is_drifting_camera: whether only our camera does, see
+    `Firmware.camera_drifts`. may_be_gps: whether GPS may have a part in it.
     """
 
     is_any: bool = True
-    runs_away: bool = False
     is_drifting_camera: bool = False
     may_be_gps: bool = True
 
@@ -88,7 +86,7 @@ class VehicleVelocity:
         self._wheels = self._own = self._seen = None
         self._tilt = 0, 0.0, 0.0
         self._speeds.clear()
-        self.aid = replace(self.aid, is_any=True, runs_away=False)
+        self.aid = replace(self.aid, is_any=True)
 
     def _own_speed(self, now_ns: int) -> float | None:
         """By the wheels, else by odometry, else by the camera; None where nothing measures it."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 
 from edge.files import PersistentFile
-from edge.localization import MOST_DRIVES, DriveScale, OdometerCalibration, ScaleFactor, learned
+from edge.localization import MOST_DRIVES, OdometerCalibration, ScaleFactor, learned
 from edge.telemetry.vehicle import Vehicle
 
 LOST = "what earlier drives found of the wheels is lost"
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 class KeptDrive(NamedTuple):
-    """What a drive has found, see `DriveScale`, with wheels that counted as so large; 0: not known."""
+    """What a drive has found, see `ScaleFactor`, with wheels that counted as so large; 0: not known."""
 
     mean: float
     sigma: float
@@ -74,7 +74,7 @@ class WheelStore:
         self._was_changed = shown.is_changed
         if shown.found is None or self._is_doubted():
             return
-        drives = [*self._before[1 - MOST_DRIVES :], KeptDrive(*shown.found, radius_m)]
+        drives = [*self._before[1 - MOST_DRIVES :], KeptDrive(shown.found.mean, shown.found.sigma, radius_m)]
         if drives != self._drives.get(vehicle.system_id):
             self._drives = {**self._drives, vehicle.system_id: drives}
             self._file.write_behind(Wheels(self._drives))
@@ -89,15 +89,15 @@ def _kept(journal: str) -> dict[int, list[KeptDrive]]:
     return {} if kept is None else kept.drives
 
 
-def _for_radius(drives: Iterable[KeptDrive], radius_m: float) -> list[DriveScale]:
+def _for_radius(drives: Iterable[KeptDrive], radius_m: float) -> list[ScaleFactor]:
     return [
-        DriveScale((1 + mean) * was_m / radius_m - 1, sigma * was_m / radius_m)
+        ScaleFactor((1 + mean) * was_m / radius_m - 1, sigma * was_m / radius_m)
         for mean, sigma, was_m in drives
         if was_m
     ]
 
 
-def drives_of(journal: str, vehicle: Vehicle) -> list[DriveScale]:
+def drives_of(journal: str, vehicle: Vehicle) -> list[ScaleFactor]:
     """What the drives of a vehicle have found, for the radius of its wheels now; none where that is not known."""
     radius_m = vehicle.session.parameters.get(WHEEL_RADIUS, 0.0)
     return _for_radius(_kept(journal).get(vehicle.system_id or 0, []), radius_m) if radius_m > 0 else []

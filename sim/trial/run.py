@@ -65,7 +65,7 @@ class TrialDrive:
 
     def run(self, driven: Callable[[float], object] = lambda meters: None) -> TrialRun:
         """driven: called with each few meters of the drive with the daemon, which needs nearly all of the time."""
-        for suffix in (".jsonl", ".bound", ".height"):
+        for suffix in (".jsonl", ".height"):
             self.journal.with_suffix(suffix).unlink(missing_ok=True)  # of an earlier drive
         with TemporaryDirectory(dir=self.journal.parent) as passing, closing(Cable()) as link:
             map_path = Path(passing) / "map"

@@ -124,7 +124,7 @@ def test_no_docstring_comment_message_or_page_has_a_word_that_the_glossary_repla
 
 
 NO_MESSAGE = {"relative pose", "pose measurement", "datum", "gyro-derived heading", "autopilot state", "filter bank"}
-NO_MESSAGE |= {"fault probabilities", "discontinuity", "kidnapped"}
+NO_MESSAGE |= {"position aiding", "discontinuity", "kidnapped"}
 """Terms of code and docs alone: no message, help or comment of the config speaks of such a thing."""
 
 

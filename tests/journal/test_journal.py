@@ -236,7 +236,7 @@ EVERY_KIND: tuple[Record, ...] = (
     PositionMessageChosen("report", "[telemetry] emit = report"),
     FixWithheld(4, "standing"),
     VehicleMisled("faulty", True),
-    FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, True, "tile-3"),
+    FixSent(4, "external_position", -27.0, 153.0, 2.0, 12.5, 0.25, None, "tile-3"),
     FixAnswered(4, "ACCEPTED"),
     FixChecked(4, True, 0.5),
     GpsJudged("faulty", -3.5, 12.0, 1.0),

@@ -118,8 +118,6 @@ class StandIn:
             gps="healthy" if has_gps else "not healthy",
             gps_sigma_m=GPS_SIGMA_M if has_gps else None,
             motion=self.motion,
-            system_id=1,
-            booted_ns=0,
         )
         self.drive.update(self.t_ns, msgspec.structs.replace(own, **reports))
 
@@ -131,9 +129,9 @@ class StandIn:
     def ask(self, later_ns: int = 0, **limits: Any) -> Fix | NoFix:
         return self.drive.fix(self.t_ns + later_ns, FixRequest(**{"oldest_s": 5.0, **limits}))
 
-    def use(self, fix: Fix, left_m: float | None = None) -> None:
-        """The autopilot gets a position, or is so far from it by now."""
-        self.drive.update(self.t_ns, FixFeedback(fix, left_m))
+    def use(self, fix: Fix) -> None:
+        """The autopilot gets a position."""
+        self.drive.update(self.t_ns, FixFeedback(fix))
 
 
 class Vehicle(StandIn):
@@ -221,11 +219,6 @@ class Vehicle(StandIn):
         self.motion = self.moved(
             odometry_epoch=self.motion.odometry_epoch + 1, unknown_m=self.motion.unknown_m + unknown_m
         )
-
-    def use(self, fix: Fix, left_m: float | None = 0.0) -> None:
-        """The autopilot gets a position, and is so far from it then."""
-        super().use(fix)
-        super().use(fix, left_m)
 
     @property
     def place(self) -> PlaceFix | None:

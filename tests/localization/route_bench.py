@@ -22,7 +22,6 @@ import numpy as np
 from edge.config import CameraConfig, Config, RigConfig, SequenceConfig
 from edge.geodesy import VehiclePosition, east_north_of, moved
 from edge.localization import (
-    AGREE_SIGMAS,
     GPS_SIGMA_M,
     DeadReckoning,
     Fix,
@@ -33,8 +32,8 @@ from edge.localization import (
     PlaceFix,
     ProtectionLevel,
 )
+from edge.localization.decide import NOT_NEEDED
 from edge.localization.events import ImageProcessed
-from edge.localization.fix_rules import NOT_NEEDED
 from edge.localization.position_estimator import Entry
 from edge.sequence import KeyframeMatch, PlaceMatch
 from edge.sequence.consensus import probability
@@ -58,8 +57,7 @@ STEERS_S = 1.0
 OFF_ROAD_M = 9.0  # further from the lane nothing is recognized
 LOOKS_EVERY, LOOK_SIGMAS = 4, (0.3, 0.3, math.radians(0.6))  # as on the way home: docs/keypoints.md
 TURN_RADIUS_M = 8.0
-ARRIVES, ANSWERS = 2, 2
-"""Steps from an exposure to the answer to its frame, and from a position to an autopilot that has moved by it."""
+ARRIVES = 2  # steps from an exposure to the answer to its frame
 STREAM_S = 0.2
 """Between the positions of a stream."""
 RESETS = FixRequest("exposure", 5.0, is_reset=True)
@@ -144,7 +142,6 @@ class Bench(StandIn):
         self.frames: deque[tuple[int, ImageProcessed]] = deque()  # that have not arrived, and the step at which they do
         self.truths: dict[int, Points] = {}  # at each exposure
         self.sent: FixTransmission | None = None
-        self.followed_at = 0  # the step at which the autopilot has moved by it
         self.bounded_ns = self.judged_ns = 0
         self.alias_now = False
         self.unlooked = 0
@@ -255,8 +252,6 @@ class Bench(StandIn):
         reckoned = {"speed_mps": self.reckoning.speed_mps(self.t_ns), "driven_m": self.reckoning.driven_m(self.t_ns)}
         of_own = {"position": self.position, "scale": self.shown.scale, **reckoned}
         self.report(has_gps=gps, drives_itself=self.course.steers, **of_own)
-        if self.sent is not None and self.step == self.followed_at:
-            self._follow(self.sent)
         self._expose(s, gps=gps)
         if self.frames and self.step >= self.frames[0][0]:
             self.drive.update(self.t_ns, self.frames.popleft()[1])
@@ -398,27 +393,18 @@ class Bench(StandIn):
         """The autopilot fuses a position of a stream, and is reset by another."""
         place = fix.place
         self._score(place, off_m)
-        self.sent = FixTransmission(fix, self.t_ns, self.position)
+        self.sent = FixTransmission(fix, self.t_ns, None)
         self.use(fix)
         at = *_meters(place).tolist(), place.stamp_ns / 1e9, place.sigma_m
-        if not self.is_stream:
+        if self.is_stream:
+            self.own_estimate.fuse(*at)
+        else:
             self.own_estimate.reset(*at)
-            self.followed_at = self.step + ANSWERS
-            return
-        self.own_estimate.fuse(*at)
-        if self.sent.distance_m <= AGREE_SIGMAS * place.sigma_m:
-            self.use(fix, self.sent.distance_m)
 
     def _score(self, place: PlaceFix, off_m: float) -> None:
         self.result.sigmas.append(off_m / place.sigma_m)
         self.result.off_m.append(off_m)
         self.result.known_at_m.append(self.driven_m)
-
-    def _follow(self, sent: FixTransmission) -> None:
-        """A reset must have moved the autopilot by now."""
-        left_m = sent.remaining_m(self.position)
-        if not self.is_stream and sent.moved(left_m):
-            self.use(sent.fix, left_m)
 
 
 def _meters(place: PlaceFix) -> Points:

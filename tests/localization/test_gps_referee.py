@@ -123,7 +123,7 @@ def test_a_drag_off_is_called_before_50_m_along_and_across(long_road: Road) -> N
         verdicts = drive(long_road, drag, 300.0 + 60.0 / share, seed, ends_in="faulty")
         assert 0 < share * (called_at_m(verdicts, "faulty", "inconsistent") - 300.0) < 40
         offs_m.append(share * (called_at_m(verdicts) - 300.0))
-        assert (verdicts[-1].east_m, verdicts[-1].north_m) == pytest.approx(offs_m[-1] * towards, abs=25.0)
+        assert verdicts[-1].off_m == pytest.approx(offs_m[-1] * towards, abs=25.0)
     assert max(offs_m) < 50
 
 
@@ -146,7 +146,8 @@ def test_where_they_have_never_agreed_neither_is_called_wrong(long_road: Road, o
     verdicts = drive(long_road, lambda at_m: (0.0, 40.0), 800.0, odometer=odometer)
     assert called_at_m(verdicts, "faulty", "map faulty") == math.inf
     assert verdicts[-1].state == "inconsistent"
-    assert verdicts[-1].north_m == pytest.approx(40.0, abs=15.0)
+    off_m = verdicts[-1].off_m
+    assert off_m is not None and off_m[1] == pytest.approx(40.0, abs=15.0)
     assert " m off to the N" in verdicts[-1].where
 
 

@@ -14,18 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from edge.config import Config, GatesConfig, RigConfig
 from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import PlaceFix
 from edge.localization import AGREE_SIGMAS, AutopilotState, Discontinuity, Fix, FixRequest, NoFix
-from edge.localization.fix_rules import NOT_NEEDED, RULES
-from edge.localization.integrity import distance_from, is_off, wrong_probability
-from edge.localization.protection_level import UNNOTICED_M
+from edge.localization.decide import NOT_NEEDED, RULES
+from edge.localization.integrity import UNNOTICED_M, distance_from, is_off, wrong_probability
 from edge.sequence import KeyframeMatch, PlaceMatch
 from tests.common import S
-from tests.docs.refusals_list import as_list
 from tests.localization.events_of import Road, Vehicle, gps_at, north_m, nothing, settings
 from tests.localization.route_course import HOME, SPACING_M, Stretch
 
@@ -74,18 +71,6 @@ def asked(later_ns: int = 0, **limits: Any) -> Callable[[Vehicle], Fix | NoFix]:
     return lambda one: one.ask(later_ns, **limits)
 
 
-def sent_again(motion: Any = None, **place: Any) -> Callable[[Vehicle], Fix | NoFix]:
-    """A position that was not answered, with something that is not known of it."""
-
-    def ask(one: Vehicle) -> Fix | NoFix:
-        fix = one.ask()
-        assert isinstance(fix, Fix)
-        changed = replace(fix, place=replace(fix.place, **place), motion=motion and fix.motion)
-        return one.ask(again=changed)
-
-    return ask
-
-
 def further(road: Road, off_m: float, at_m: float) -> PlaceMatch | None:
     return road.match(at_m + off_m, sharpness=0.06)
 
@@ -94,8 +79,14 @@ def elsewhere(one: Vehicle) -> Fix | NoFix:
     return one.answers(6, lambda at_m: one.road.match(at_m + 30.0))[-1]
 
 
+def reckoned_off(one: Vehicle, off_m: float) -> None:
+    """GPS has the vehicle too far north for a moment, from where dead reckoning goes on."""
+    one.off_m = off_m
+    one.own(has_gps=True)
+
+
 def far_off(one: Vehicle) -> Fix | NoFix:
-    one.off_m = 205.0
+    reckoned_off(one, 205.0)
     return one.answers(2)[-1]
 
 
@@ -129,13 +120,7 @@ SITUATIONS: dict[str, tuple[Callable[[Vehicle], Fix | NoFix], ...]] = {
     "standing": (reported(speed_mps=0.2),),
     "the innovation test fails": (elsewhere,),
     "impossibly far": (far_off,),
-    UNCONFIRMED: (
-        never_bounded,
-        sent_again(),
-        sent_again(True, lat_deg=None, lon_deg=None),
-        sent_again(True, lat_deg=math.nan),
-        sent_again(True, sigma_along_m=math.inf),
-    ),
+    UNCONFIRMED: (never_bounded,),
     ALERT: (lambda one: since_gps(one.road, 200.0, alert_limit_m=40.0).ask(),),
     NOT_NEEDED: (asked(is_reset=True),),
 }
@@ -163,7 +148,6 @@ def test_an_autopilot_is_reset_where_it_is_beyond_doubt_off(off_m: float, is_nee
     reset, other = one.ask(is_reset=True), one.ask()
     assert isinstance(reset, Fix) is is_needed and isinstance(other, Fix)
     assert reason(reset) in (None, NOT_NEEDED)
-    assert isinstance(one.ask(is_reset=True, again=other), Fix), "an answer that is awaited is not new"
 
 
 @pytest.mark.parametrize("far_m", [0.99, 1.01])
@@ -192,22 +176,10 @@ def test_the_pages_have_each_rule_and_each_has_its_test() -> None:
     root = Path(__file__).parents[2]
     tests = "".join(path.read_text(encoding="utf-8") for path in root.glob("tests/**/test_*.py"))
     argument, page = ((root / "docs" / name).read_text(encoding="utf-8") for name in ("hazards.csv", "positions.md"))
-    named = {rule.test for rule in RULES} | set(re.findall(r"\btest_\w+", argument))
+    named = set(re.findall(r"\btest_\w+", argument))
     assert {name for name in named if f"def {name}(" not in tests} == set()
-    assert as_list() in page, "write it anew: python -m tests.docs.refusals_list"
-
-
-def test_people_read_what_is_missing(long_road: Road) -> None:
-    """How far the position is from an autopilot that contradicts it, or that it need not reset."""
-    contradicted, one = Vehicle(long_road, exact()), since_gps(long_road)
-    near = one.ask(is_reset=True)
-    assert isinstance(near, NoFix) and re.fullmatch(NOT_NEEDED + r", [\d.]+ m apart", near.in_words)
-    contradicted.go(80, gps=True)
-    contradicted.off_m = 60.0
-    answer = contradicted.answers(2)[-1]
-    assert isinstance(answer, NoFix) and answer.in_words == f"{UNCONFIRMED}, 60 m from the autopilot"
-    far = far_off(one)
-    assert isinstance(far, NoFix) and re.fullmatch(r"impossibly far, \d+ m", far.in_words)
+    explained = page.partition("<!-- refusals: begin -->")[2].partition("<!-- refusals: end -->")[0]
+    assert re.findall(r"^- \*\*(.+?)\*\*: ", explained, re.MULTILINE) == list(SITUATIONS)
 
 
 def test_a_reason_comes_with_what_else_is_known_of_it(long_road: Road) -> None:
@@ -260,13 +232,12 @@ def test_where_nothing_bounds_the_autopilot_one_stretch_is_never_enough(
 
 
 @pytest.mark.parametrize("drift_m", [0.0, 40.0])
-def test_an_autopilot_that_drifts_onto_a_shifted_map_does_not_confirm_it(drift_m: float, mapped: MakeRoad) -> None:
-    """All of the map is 40 m off; by its own drift, the autopilot is there after 1.2 km."""
+def test_dead_reckoning_that_drifts_onto_a_shifted_map_does_not_confirm_it(drift_m: float, mapped: MakeRoad) -> None:
+    """All of the map is 40 m off; by its odometer, the vehicle is there after 1.2 km."""
     one = Vehicle(mapped(part(100, 1300, off_m=40.0)), exact())
     one.go(100, gps=True)
-    for driven_m in range(0, 1200, 10):
-        one.off_m = drift_m * driven_m / 1200
-        assert None not in one.go(10)
+    one.odometer = 1 + drift_m / 1200
+    assert None not in one.go(1200)
 
 
 def test_a_long_drive_confirms_itself_after_500_meters(long_road: Road) -> None:
@@ -392,21 +363,30 @@ def test_places_that_moved_otherwise_confirm_nothing(far_m: float, unknown_m: fl
     assert None not in reasons and reasons[-1] == UNCONFIRMED
 
 
+def test_what_the_autopilot_makes_of_a_position_says_nothing_of_the_next_one(long_road: Road) -> None:
+    """It stays 60 m away, as one that rejects what it gets; one that GPS has there contradicts the place."""
+    one, other = since_gps(long_road), since_gps(long_road)
+    sent = one.ask()
+    assert isinstance(sent, Fix)
+    one.use(sent)
+    one.off_m = 60.0
+    assert one.go(20) == [None] * 10 and isinstance(one.ask(is_reset=True), Fix)
+    reckoned_off(other, 60.0)
+    assert other.go(20) == [UNCONFIRMED] * 10
+
+
 def test_the_stated_risk_is_what_decides(long_road: Road) -> None:
     for risk, is_published in ((1e-1, True), (1e-3, False), (1e-5, False)):
         one = since_gps(long_road, risk=risk)
-        one.off_m = 14.0
+        reckoned_off(one, 14.0)
         assert (one.go(2) == [None]) is is_published
     assert None in since_boot(long_road, exact(risk=1.0)).go(2)
 
 
-@pytest.mark.parametrize(("map_m", "why"), [(3.0, UNCONFIRMED)])
-def test_a_place_that_is_less_certain_may_be_further_from_the_autopilot(
-    map_m: float, why: str | None, mapped: MakeRoad
-) -> None:
-    one = since_gps(mapped(Stretch(0, 140, sigma_m=map_m)))
-    one.off_m = 16.0
-    assert one.go(2) == [why]
+def test_a_place_far_from_dead_reckoning_waits_for_another_one(mapped: MakeRoad) -> None:
+    one = since_gps(mapped(Stretch(0, 140, sigma_m=3.0)))
+    reckoned_off(one, 16.0)
+    assert one.go(2) == [UNCONFIRMED]
 
 
 @pytest.mark.parametrize(("limit_m", "why"), [(40.0, None), (15.0, ALERT), (0.0, None)])
@@ -434,13 +414,6 @@ def test_a_level_holds_wherever_a_shifted_stretch_begins(mapped: MakeRoad) -> No
     fixes = [one for one in one.answers(500) if isinstance(one, Fix) and one.place.segment]
     assert len(fixes) > 100
     assert all(fix.level.along_track_m > 15.0 for fix in fixes)
-
-
-def test_what_is_not_published_has_no_protection_level(long_road: Road) -> None:
-    one = since_gps(long_road)
-    assert one.ask().level is not None
-    one.own(gps="healthy")
-    assert one.ask().level is None
 
 
 def test_bayes() -> None:

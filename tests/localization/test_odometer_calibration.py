@@ -12,7 +12,6 @@ from edge.geodesy import moved
 from edge.localization.odometer_calibration import (
     CHANGES,
     LATE_S,
-    DriveScale,
     OdometerCalibration,
     ScaleFactor,
     learned,
@@ -107,9 +106,9 @@ def test_two_findings_are_weighed_by_their_variances() -> None:
     )
 
 
-def drives_of(rng: np.random.Generator, count: int, varies: float, true: float = 0.03) -> list[DriveScale]:
+def drives_of(rng: np.random.Generator, count: int, varies: float, true: float = 0.03) -> list[ScaleFactor]:
     """What so many drives find of wheels that differ from drive to drive."""
-    return [DriveScale(true + rng.normal(0.0, math.hypot(varies, 0.004)), 0.004) for _ in range(count)]
+    return [ScaleFactor(true + rng.normal(0.0, math.hypot(varies, 0.004)), 0.004) for _ in range(count)]
 
 
 @pytest.mark.parametrize("varies", [0.0, 0.003, 0.01])
@@ -127,7 +126,7 @@ def test_the_next_drive_is_as_far_from_what_was_learned_as_that_says(count: int,
 
 
 def test_one_drive_teaches_nothing_and_new_tires_void_what_was_learned() -> None:
-    old, new = [DriveScale(0.0, 0.004)] * 10, DriveScale(0.12, 0.004)
+    old, new = [ScaleFactor(0.0, 0.004)] * 10, ScaleFactor(0.12, 0.004)
     assert learned(old[:1]) is None
     assert learned([*old, new]) is None, "nobody knows yet which of both counts"
     both = learned([*old, new, new])

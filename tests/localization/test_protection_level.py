@@ -12,8 +12,8 @@ import pytest
 
 from edge.journal.records import PlaceFix
 from edge.localization import Odometry
-from edge.localization.odometry_datum import DeadReckoningOffset, OdometryDatum
-from edge.localization.protection_level import MODEL_ERROR, UNNOTICED_M, FaultProbabilities, protection_level
+from edge.localization.integrity import MODEL_ERROR, UNNOTICED_M, protection_level
+from edge.localization.position_aiding import DeadReckoningOffset, OdometryDatum
 from tests.localization.route_bench import Bench
 from tests.localization.route_course import Course, Stretch
 
@@ -58,8 +58,11 @@ def test_a_stretch_that_is_shifted_by_what_nothing_notices_is_within_the_level(
     assert not any(one.is_exceeded for one in bounded)
 
 
-def level_of(place: float, reckoned: DeadReckoningOffset | None, bound: float = 0.1) -> tuple[float, float]:
-    level = protection_level(FIX, FaultProbabilities(place, 0.0, bound), reckoned, 8.0, 1e-3, 500.0)
+HERE = -27.0, 153.0
+
+
+def level_of(place: float, reckoned: DeadReckoningOffset | None) -> tuple[float, float]:
+    level = protection_level(FIX, place, 0.0, reckoned, 8.0, 1e-3, 500.0)
     return level.along_track_m, level.cross_track_m
 
 
@@ -72,7 +75,7 @@ def test_a_place_that_is_certain_is_bounded_by_its_errors_and_what_nothing_notic
 
 def test_an_uncertain_place_is_bounded_by_its_errors_alone() -> None:
     uncertain = msgspec.structs.replace(FIX, sigma_along_m=10.0)
-    level = protection_level(uncertain, FaultProbabilities(1e-9, 0.0, 0.1), None, 8.0, 1e-3, 500.0)
+    level = protection_level(uncertain, 1e-9, 0.0, None, 8.0, 1e-3, 500.0)
     assert 5 * MODEL_ERROR < level.along_track_m / 10 < 5.3 * MODEL_ERROR  # 480 errors in an hour
 
 
@@ -86,39 +89,37 @@ def test_a_place_that_may_be_wrong_is_bounded_by_what_no_place_had_a_part_in() -
 def test_what_reckoning_is_off_by_is_along_and_across_the_heading() -> None:
     """North-east of a vehicle that heads north-east, it is off along the road alone."""
     northeast = msgspec.structs.replace(FIX, heading_deg=45.0)
-    level = protection_level(
-        northeast, FaultProbabilities(2e-5, 0.0, 0.1), DeadReckoningOffset(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0
-    )
+    level = protection_level(northeast, 2e-5, 0.0, DeadReckoningOffset(30.0, 30.0, 1.0), 8.0, 1e-3, 500.0)
     assert level.along_track_m > math.hypot(30.0, 30.0)
     assert level.cross_track_m < 30.0
 
 
 @pytest.mark.parametrize(
-    ("place", "reckoned", "bound"),
+    ("place", "reckoned"),
     [
-        (2e-5, None, 0.1),
-        (1e-3, DeadReckoningOffset(0.0, 0.0, 3.0), 0.1),
-        (2e-5, DeadReckoningOffset(0.0, 0.0, 3.0), 0.5),
+        (2e-5, None),
+        (1e-3, DeadReckoningOffset(0.0, 0.0, 3.0)),
+        (2e-5, DeadReckoningOffset(0.0, 0.0, 3.0, wrong=0.5)),
     ],
     ids=["nothing else is known", "wrong too often", "what else is known is wrong too often"],
 )
-def test_what_nothing_bounds_has_no_level(place: float, reckoned: DeadReckoningOffset | None, bound: float) -> None:
-    assert level_of(place, reckoned, bound) == (math.inf, math.inf)
+def test_what_nothing_bounds_has_no_level(place: float, reckoned: DeadReckoningOffset | None) -> None:
+    assert level_of(place, reckoned) == (math.inf, math.inf)
 
 
 def test_a_map_that_may_be_shifted_is_bounded_by_reckoning() -> None:
-    level = protection_level(
-        FIX, FaultProbabilities(1e-9, 1e-3, 0.1), DeadReckoningOffset(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0
-    )
+    level = protection_level(FIX, 1e-9, 1e-3, DeadReckoningOffset(0.0, 60.0, 5.0), 8.0, 1e-3, 500.0)
     assert level.cross_track_m > 60.0
 
 
 def test_reckoning_moves_as_the_vehicle_did_and_becomes_less_certain() -> None:
     anchor = OdometryDatum(-27.0, 153.0, 3.0, Odometry(1, 10.0, 0.0), 100.0)
-    found = anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05)
+    found = anchor.reckoned(HERE, Odometry(1, 90.0, 60.0), 0.05)
     assert (found.east_m, found.north_m) == pytest.approx((80.0, 60.0), abs=0.01)
     assert found.sigma_m == pytest.approx(math.hypot(3.0, 5.0))
     assert found.distance_m == pytest.approx(100.0, abs=0.01)
-    assert anchor.reckoned(FIX, Odometry(1, 90.0, 60.0), 0.05, 500.0).sigma_m == pytest.approx(math.hypot(3.0, 20.0))
-    unheard = anchor.reckoned(FIX, Odometry(2, 90.0, 60.0, unknown_m=80.0), 0.05)
+    assert anchor.reckoned(
+        (FIX.lat_deg or 0.0, FIX.lon_deg or 0.0), Odometry(1, 90.0, 60.0), 0.05, 500.0
+    ).sigma_m == pytest.approx(math.hypot(3.0, 20.0))
+    unheard = anchor.reckoned(HERE, Odometry(2, 90.0, 60.0, unknown_m=80.0), 0.05)
     assert unheard.sigma_m == pytest.approx(math.hypot(3.0, 5.0, 80 / 3**0.5)), "another leg"

@@ -10,7 +10,7 @@ from sim.vehicle.gps import GpsReport
 from tests.telemetry.rig import OpenRig, Rig
 
 OFF_M = 60.0
-AGREES, WRONG = GpsVerdict("consistent", 0.5, 0.5, 0.0), GpsVerdict("faulty", OFF_M, 0.0, 1.0)
+AGREES, WRONG = GpsVerdict("consistent", (0.5, 0.5), 0.0), GpsVerdict("faulty", (OFF_M, 0.0), 1.0)
 
 
 def spoofed(open_rig: OpenRig, doubted_gps: Any, **options: Any) -> Rig:

@@ -13,7 +13,7 @@ from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
 from edge.localization import FixRequest, GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.position_estimator import FixCandidate
+from edge.localization.tracker import FixCandidate
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig
@@ -57,11 +57,9 @@ class ToldEstimator(PositionEstimator):
         return self.offered[0].stamp_ns if self.offered is not None and self.pose_sigma_m is not None else None
 
     def _asked(self, t_ns: int, limits: FixRequest) -> FixCandidate:
-        again, is_pose = limits.again, self.pose_sigma_m is not None
+        is_pose = self.pose_sigma_m is not None
         if limits.unable or self._own.is_doubled or self.offered is None or (limits.at == "pose" and not is_pose):
             return FixCandidate()
-        if again is not None:
-            return FixCandidate(again.place, again.motion, again.pose_sigma_m)
         return FixCandidate(*self.offered, self.pose_sigma_m)
 
 
@@ -160,7 +158,7 @@ class Rig:
         """What the places say of GPS, after a frame."""
         self.connection.report_own()
         self.drive.judge(verdict)
-        self.connection.judge_gps(self.drive.state.gps)
+        self.connection.judge_gps()
 
     def crash(self) -> None:
         """Our end is gone without a word, as after kill -9; its port is free again."""
@@ -192,16 +190,9 @@ class Rig:
             if self.pty is not None:
                 self.autopilot.step()
             self.connection.poll()
-            self._publish_again()
             if until():
                 return True
         return False
-
-    def _publish_again(self) -> None:
-        """What was not answered; new positions are offered by `send_position` alone."""
-        limits = self.connection.position_due()
-        if limits is not None and limits.again is not None:
-            self.publish_position()
 
     @property
     def bounded_m(self) -> float | None:

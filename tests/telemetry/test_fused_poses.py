@@ -170,7 +170,7 @@ def test_the_first_pose_after_gps_is_not_wide(open_rig: OpenRig) -> None:
 def test_gps_that_is_ignored_is_not_called_lost(open_rig: OpenRig) -> None:
     """It counts again once it is consistent, and not because it works."""
     rig = fused(open_rig, gates=GatesConfig(risk=1.0, doubted_gps="switch"))
-    rig.drive.judge(GpsVerdict("faulty", 6.0, 0.0))
+    rig.drive.judge(GpsVerdict("faulty", (6.0, 0.0)))
     poses_for(rig, 10.0)
     assert "Lookback: GPS faulty: by places, source set 2" in texts(rig)
     rig.drive.judge(GpsVerdict("cannot say"))

@@ -53,20 +53,18 @@ def test_not_now_is_tried_less_and_less_often_and_quietly(open_rig: OpenRig, fir
     assert rig.autopilot.resets
 
 
-def test_a_fix_without_an_answer_is_tried_once_more_with_its_true_age(open_rig: OpenRig) -> None:
-    rig = open_rig(
-        emit="external_position", gates=GatesConfig(min_interval_s=30.0, risk=1.0, min_move_m=0.0), gps=False
-    )
+def test_a_fix_without_an_answer_is_over_after_a_second_and_the_next_one_goes(open_rig: OpenRig) -> None:
+    rig = open_rig(emit="external_position", gates=LENIENT, gps=False)
     rig.run(4.0)
     rig.autopilot.reject_fixes_with = SILENT
-    assert rig.send_position(rig.fix(age_s=0.5))
-    rig.run(5.0)
-    first, second = fixes_received(rig)
-    assert (second.x, second.y) == (first.x, first.y)
-    assert second.param1 - second.param2 == pytest.approx(first.param1 - first.param2, abs=0.02), "the same exposure"
-    assert second.param2 == pytest.approx(1.5, abs=0.05)
-    assert [record.again for record in rig.journalled(FixSent)] == [False, True]
+    assert rig.send_position(rig.fix())
+    rig.run(0.9)
+    assert not rig.journalled(FixAnswered) and not rig.send_position(rig.fix())
+    rig.run(0.2)
     assert [record.result for record in rig.journalled(FixAnswered)] == ["NO_ANSWER"]
+    assert rig.send_position(rig.fix())
+    rig.run(0.1)
+    assert len(fixes_received(rig)) == 2
 
 
 def test_px4_1_15_never_answers_and_gets_positions_nevertheless(open_rig: OpenRig) -> None:
@@ -80,8 +78,7 @@ def test_px4_1_15_never_answers_and_gets_positions_nevertheless(open_rig: OpenRi
 def test_accepted_and_moved(open_rig: OpenRig) -> None:
     rig = open_rig(emit="external_position", gps=False, drift_percent=8.0)
     rig.run(30.0)
-    assert rig.send_position(rig.fix())
-    rig.run(3.0)
+    offer_for(rig, 4.0)
     (checked,) = rig.journalled(FixChecked)
     assert checked.moved
     assert checked.remaining_m < 2.0
@@ -91,17 +88,17 @@ def test_accepted_by_a_filter_that_is_not_in_use_is_noticed(open_rig: OpenRig) -
     rig = open_rig(emit="external_position", gates=LENIENT, firmware="ardupilot-plain", drift_percent=20.0)
     rig.run(4.0)
     rig.autopilot.gps = False
-    rig.run(12.0)  # the filter still aids, but the vehicle flies on DCM
-    assert rig.send_position(rig.fix())
-    rig.run(3.0)
-    (answered,) = rig.journalled(FixAnswered)
+    rig.run(9.0)  # the filter still aids, but the vehicle flies on DCM
+    offer_for(rig, 4.0)
+    answered = rig.journalled(FixAnswered)
     (checked,) = rig.journalled(FixChecked)
-    assert answered.result == "ACCEPTED"
+    assert {record.result for record in answered} == {"ACCEPTED"}
     assert not checked.moved
-    assert any("fix accepted, position" in message.text for message in rig.received("STATUSTEXT"))
+    assert any("fixes sent, position" in message.text for message in rig.received("STATUSTEXT"))
     rig.run(10.0)
     offer_for(rig, 6.0)
-    assert {record.result for record in rig.journalled(FixAnswered)[1:]} == {"FAILED"}, "it has stopped aiding"
+    later = rig.journalled(FixAnswered)[len(answered) :]
+    assert {record.result for record in later} == {"FAILED"}, "it has stopped aiding"
 
 
 def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) -> None:
@@ -120,9 +117,7 @@ def test_a_fix_beyond_reason_is_withheld_and_reported_once(open_rig: OpenRig) ->
     why.append(rig.connection.why_no_position)
     rig.run(11.0)
     why.append(rig.connection.why_no_position)
-    assert why[1:] == ["", "the places do not agree yet"]
-    far_m = float(why[0].removeprefix("impossibly far, ").removesuffix(" m"))
-    assert far_m == pytest.approx(withheld.distance_m, abs=50.0), "it has driven on"
+    assert why == ["impossibly far", "", "the places do not agree yet"]
 
 
 def test_nothing_goes_while_gps_is_healthy_and_fixes_go_when_it_is_lost(open_rig: OpenRig) -> None:
@@ -143,7 +138,7 @@ def test_an_autopilot_is_reset_only_where_it_is_off(open_rig: OpenRig, drift_per
     assert (offer_for(rig, 30.0) > 0) is is_reset
     assert bool(fixes_received(rig)) is is_reset
     assert {one.reason for one in rig.journalled(FixWithheld)} == {"no reset is needed"}
-    assert rig.connection.why_no_position.startswith("no reset is needed") is not is_reset
+    assert (rig.connection.why_no_position == "no reset is needed") is not is_reset
     least_m = min(rig.fix().sigma_along_m, rig.fix().sigma_cross_track_m) * 3
     assert all(one.distance_m is not None and one.distance_m > least_m for one in rig.journalled(FixSent))
 

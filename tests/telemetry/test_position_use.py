@@ -2,84 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from edge.config import Config
-from edge.geodesy import VehiclePosition, moved
 from edge.journal.records import FixChecked, PlaceFix, Record, SourceSetAnswered
-from edge.localization import Fix, PositionEstimator, ProtectionLevel
+from edge.localization import Fix, ProtectionLevel
 from edge.telemetry.acknowledgements import ANSWER_NS, FixTransmission, PositionUse
 from edge.telemetry.firmware import SET_WITHOUT_GPS
 from edge.telemetry.people import Publisher
 from edge.telemetry.source_selection import SourceSelection
 from edge.telemetry.vehicle import Vehicle
 from tests.common import S
-from tests.telemetry.speaker import Speaker, connect
 
 
-def sent(own: VehiclePosition, north_m: float, sigma_m: float = 2.0) -> FixTransmission:
-    """A position so many meters north of the autopilot's."""
-    lat_deg, lon_deg = moved(own.lat_deg, own.lon_deg, 0.0, north_m)
+def sent(at_s: int, far_m: float, sigma_m: float = 1.414) -> FixTransmission:
+    """A position so many meters from the autopilot's."""
     fix = PlaceFix(
-        stamp_ns=own.stamp_ns, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_cross_track_m=sigma_m,
+        stamp_ns=at_s * S, place=0, heading_deg=0.0, sigma_along_m=sigma_m, sigma_cross_track_m=sigma_m,
         direction="forward", order="same", uniqueness=1.2, matches=9, segment=0, recording="drive",
-        confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=lat_deg, lon_deg=lon_deg,
+        confidence=0.9, velocity_error=0.0, disputed=False, lat_deg=0.0, lon_deg=10.0,
     )  # fmt: skip
-    return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), own.stamp_ns, own)
-
-
-@pytest.mark.parametrize(("north_m", "follows"), [(8.0, True), (14.0, False)])
-def test_within_three_sigma_an_autopilot_follows_a_stream(north_m: float, follows: bool) -> None:
-    """One standard deviation is 2.8 m."""
-    speaker, drive = Speaker(), PositionEstimator(Config())
-    vehicle = connect(speaker)
-    vehicle.handle(speaker.fix(2000, 0.0, vn_mps=10.0, ve_mps=0.0), 2 * S)
-    own = vehicle.position(2 * S)
-    assert own is not None
-    drive.update(2 * S, vehicle.own(2 * S))
-    use = PositionUse(vehicle, drive, Publisher(lambda record: None, lambda text: None))
-    use.expect(sent(own, north_m), is_reset=False)
-    assert drive.state.own_sigma_m == (pytest.approx(north_m, abs=0.1) if follows else None)
-
-
-def test_an_autopilot_that_moves_half_of_the_way_is_bounded_by_the_rest() -> None:
-    speaker, drive = Speaker(), PositionEstimator(Config())
-    vehicle = connect(speaker)
-    vehicle.handle(speaker.fix(2000, 0.0, vn_mps=0.0, ve_mps=0.0), 2 * S)
-    own = vehicle.position(2 * S)
-    assert own is not None
-    drive.update(2 * S, vehicle.own(2 * S))
-    use = PositionUse(vehicle, drive, Publisher(lambda record: None, lambda text: None))
-    use.expect(sent(own, 40.0), is_reset=True)
-    use.read_acknowledgement(mavlink.MAV_RESULT_ACCEPTED, 2 * S + 1)
-    vehicle.handle(speaker.fix(3000, 25.0, vn_mps=0.0, ve_mps=0.0), 3 * S)
-    drive.update(3 * S, vehicle.own(3 * S))
-    use.check(3 * S)
-    assert drive.state.own_sigma_m == pytest.approx(15.0, abs=0.1)
-
-
-BEFORE = VehiclePosition(10 * S, 0.0, 10.0, 20.0, 0.0, 10.0, north_mps=10.0)
-
-
-@pytest.mark.parametrize(
-    ("north_m", "remaining_m", "has_moved"),
-    [(50.0, 0.0, True), (30.5, 19.5, True), (29.0, 21.0, False), (10.0, 40.0, False)],
-)
-def test_a_jump_is_the_move_that_driving_does_not_explain(north_m: float, remaining_m: float, has_moved: bool) -> None:
-    fix = sent(BEFORE, 40.0)
-    lat_deg, _ = moved(0.0, 10.0, 0.0, north_m)
-    a_second_later = replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)
-    assert fix.remaining_m(a_second_later) == pytest.approx(remaining_m, abs=0.05)
-    assert fix.moved(fix.remaining_m(a_second_later)) is has_moved
-
-
-def test_a_jump_within_the_fixs_own_deviation_has_always_happened() -> None:
-    fix = sent(BEFORE, 4.0, sigma_m=5.0)
-    lat_deg, _ = moved(0.0, 10.0, 0.0, 10.0)
-    assert fix.moved(fix.remaining_m(replace(BEFORE, stamp_ns=11 * S, lat_deg=lat_deg)))
+    return FixTransmission(Fix(fix, ProtectionLevel(9.0, 9.0)), at_s * S, far_m)
 
 
 class Stream:
@@ -88,14 +30,13 @@ class Stream:
     def __init__(self) -> None:
         self.records: list[Record] = []
         publisher = Publisher(self.records.append, lambda text: None)
-        self.use = PositionUse(Vehicle(), PositionEstimator(Config()), publisher)
+        self.use = PositionUse(publisher)
 
-    def checked(self, distances_m: list[float], from_s: int = 100) -> list[tuple[int, bool]]:
+    def checked(self, distances_m: list[float], from_s: int = 100, *, is_reset: bool = False) -> list[tuple[int, bool]]:
         """After which second it was said whether the autopilot has come nearer."""
         said = []
         for second, far_m in enumerate(distances_m):
-            own = replace(BEFORE, stamp_ns=(from_s + second) * S)
-            self.use.expect(sent(own, far_m, sigma_m=1.414), is_reset=False)
+            self.use.expect(sent(from_s + second, far_m), is_reset=is_reset)
             said += [(second, one.moved) for one in self.records if isinstance(one, FixChecked)]
             self.records.clear()
         return said
@@ -105,6 +46,11 @@ class Stream:
 def test_an_autopilot_that_is_far_from_a_stream_must_come_nearer(far_m: float, later_m: float, is_used: bool) -> None:
     """One standard deviation is 2 m."""
     assert Stream().checked([far_m] * 5 + [later_m] * 10) == [(10, is_used)]
+
+
+@pytest.mark.parametrize(("later_m", "is_used"), [(25.0, False), (3.0, True)])
+def test_resets_have_moved_it_after_3_s(later_m: float, is_used: bool) -> None:
+    assert Stream().checked([25.0] + [later_m] * 20, is_reset=True) == [(3, is_used)]
 
 
 def test_one_that_drifts_away_from_a_stream_does_not_use_it() -> None:

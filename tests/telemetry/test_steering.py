@@ -12,7 +12,7 @@ from edge.localization import GpsVerdict
 from tests.telemetry.rig import SPEED_MPS, OpenRig, Rig
 from tests.telemetry.test_fused_poses import fused, poses, poses_for, texts
 
-FAULTY = GpsVerdict("faulty", 0.0, 12.0, 1.0)
+FAULTY = GpsVerdict("faulty", (0.0, 12.0), 1.0)
 
 
 def heard(rig: Rig) -> dict[str, int]:

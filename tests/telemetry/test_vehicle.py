@@ -287,21 +287,6 @@ def test_wheels_that_turn_against_each_other_turn_the_vehicle_on_the_spot() -> N
     assert vehicle.motion.distance_m(6 * S - S // 10) == 0.0
 
 
-def test_a_version_that_comes_before_a_reboot_is_sure_is_of_the_new_boot() -> None:
-    """Without a version nobody knows which message carries positions, and it is sent on request only."""
-    speaker = Speaker()
-    vehicle = connect(speaker)
-    vehicle.handle(speaker.position(500_000), 2 * S)
-    vehicle.handle(speaker.position(3_000), 4 * S)
-    version = mavlink.MAVLink_autopilot_version_message(
-        0, 4 << 24 | 6 << 16, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0
-    )
-    vehicle.handle(speaker.say(version), 4 * S + S // 10)
-    vehicle.handle(speaker.position(3_500), 4 * S + S // 2)
-    assert vehicle.session.number == 2
-    assert vehicle.session.version == (4, 6)
-
-
 def test_version_origin_and_accuracy_are_forgotten_where_a_reboot_changes_them() -> None:
     speaker = Speaker()
     vehicle = connect(speaker)

@@ -63,7 +63,7 @@ def test_a_radius_that_was_corrected_by_what_drives_found_is_right(rig: Rig, ope
 def test_a_drive_whose_gps_is_doubted_teaches_nothing(rig: Rig) -> None:
     for _ in range(2):
         rig.run(1.0)
-        rig.judge_gps(GpsVerdict("suspect", 0.0, 9.0, 0.6))
+        rig.judge_gps(GpsVerdict("suspect", (0.0, 9.0), 0.6))
         drive(rig)
     rig.run(6.0)
     assert rig.connection.vehicle.velocity.shown.learned is None

@@ -18,10 +18,10 @@ from edge import __version__
 from edge.config import Config
 from edge.errors import FeedError
 from edge.localization import NO_PLACES, Fix, PositionEstimator
+from edge.localization.decide import RULES, NoFix, Rule
 from edge.localization.drive_file import read_drive
 from edge.localization.events import ImageProcessed
-from edge.localization.fix_rules import RULES, NoFix, Rule
-from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
+from edge.localization.position_estimator import Entry, FixResult
 from sim.research.trial import recorded_drive
 from sim.research.trial.flight_score import off_truth, position_of
 from sim.research.trial.recorded_drive import LINK, RecordedDrive
@@ -32,7 +32,7 @@ STREAM_S = 0.2
 """Between two positions of a stream, and the least between two of which the drive had none: frames come seldom."""
 SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
-    "autopilot_covariance.SETTLED_NS": 0,
+    "position_aiding.SETTLED_NS": 0,
     "filter.WANDER": 0.0,
     "gps_monitor.FIRM": 0.0,
     "gps_monitor.LONGEST_GAP_M": math.inf,
@@ -167,8 +167,6 @@ def _replayed(runs: Sequence[Run], truth: RecordedDrive, without: Sequence[str])
                     withheld = isinstance(answer, NoFix) and answer.reason == name
                     one = estimator.fix(t_ns, entry.request, _without(name)) if withheld else answer
                     streams[name].add(t_ns, one, truth)
-            elif isinstance(entry, SnapshotRestore):
-                estimator.restore(t_ns, entry.kept)
             else:
                 estimator.update(t_ns, entry)
                 if isinstance(entry, ImageProcessed) and estimator.state.gps.state != verdict:

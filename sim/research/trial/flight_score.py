@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import FixSent, FrameUsed
 from edge.localization import Fix, NoFix
+from edge.localization.decide import NOT_NEEDED
 from edge.localization.events import UNBOUNDED
-from edge.localization.fix_rules import NOT_NEEDED
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim.research.trial.recorded_drive import RecordedDrive

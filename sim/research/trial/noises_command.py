@@ -18,7 +18,7 @@ from edge.geodesy import moved
 from edge.localization import PositionEstimator
 from edge.localization.drive_file import read_drive
 from edge.localization.events import ImageProcessed, MapUpdate
-from edge.localization.position_estimator import Entry, FixResult, SnapshotRestore
+from edge.localization.position_estimator import Entry, FixResult
 from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
 from sim.research.trial import recorded_drive
@@ -89,9 +89,7 @@ def compare(config: Config, entries: Iterable[tuple[int, Entry]], truth: Recorde
     """Add what the list of a drive has after the loss of GPS."""
     one = _Drive(config, truth, found)
     for t_ns, entry in entries:
-        if isinstance(entry, SnapshotRestore):
-            one.estimator.restore(t_ns, entry.kept)
-        elif not isinstance(entry, FixResult):
+        if not isinstance(entry, FixResult):
             one.estimator.update(t_ns, entry)
             if isinstance(entry, MapUpdate):
                 one.search(entry)

@@ -80,7 +80,7 @@ def test_with_an_autopilot_frames_are_taken_by_distance_and_have_its_position(
 ) -> None:
     """What a daemon has kept beside its journal is not touched: a damaged file is not even read."""
     device, speed_mps = drive_north
-    (kept := tmp_path / "events.bound").write_text("damaged")
+    (kept := tmp_path / "events.wheels").write_text("damaged")
     config = replace(
         config,
         camera=replace(config.camera, device=str(write_feed(tmp_path / "longer", 260))),
