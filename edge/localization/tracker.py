@@ -21,7 +21,7 @@ from edge.geodesy import east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import GPS_SIGMA_M, AutopilotState, ImageProcessed
+from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
@@ -185,7 +185,7 @@ class Tracker:
             self._move(before, frame)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
-        gps_m = self._gps_m = self._gps(frame)
+        gps_m = self._gps_m = self._gps(frame, own)
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
@@ -209,9 +209,11 @@ class Tracker:
         self._choose_origin()
         return measured is not None and is_evidence
 
-    def _gps(self, frame: ImageProcessed) -> Vector | None:
+    def _gps(self, frame: ImageProcessed, own: AutopilotState) -> Vector | None:
         """Where GPS has the vehicle at a frame; None without GPS."""
         gps = frame.gps
+        if gps is None and own.gps_sigma_m is not None and own.position is not None:
+            gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
         for_all = gps.sigma_m * GPS_SHARE
