@@ -313,6 +313,19 @@ def test_after_a_hole_two_poses_must_agree(road: Road, blind_s: float) -> None:
     assert one.drive.pose_ns == one.t_ns
 
 
+def test_poses_that_outvote_where_the_vehicle_was_are_not_handed_on_for_a_while(road: Road) -> None:
+    """Five in a bend agreed 7 to 8 m behind it: an autopilot without a pose for 10 s would have gone there."""
+    one = homeward(road)
+    posed_ns = one.t_ns
+    for _ in range(8):
+        one.go(SPACING_M, looks(road, 1.5, ahead_m=-7.0))
+        handed = pose_now(one)
+        assert handed is None or handed.stamp_ns == posed_ns
+    assert one.place is not None and north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
+    one.go(SPEED_MPS * HOLE_S, looks(road, 1.5, ahead_m=-7.0))
+    assert one.drive.pose_ns == one.t_ns
+
+
 @pytest.mark.parametrize(("shift_m", "turn_deg"), [(-1.0, 0.0), (6.5, 5.0)])
 def test_a_pose_that_fails_the_innovation_test_is_not_handed_on(road: Road, shift_m: float, turn_deg: float) -> None:
     one = homeward(road)
