@@ -148,7 +148,7 @@ class Tracker:
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
-        self._corrected_ns = -math.inf  # when matches outvoted where the vehicle was
+        self._corrected_ns: float = -math.inf  # when matches outvoted where the vehicle was
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
         self._exposure: PlaceFix | None = None
@@ -207,10 +207,8 @@ class Tracker:
             self._use(measured, own, frame.stamp_ns, is_evidence=is_evidence)
         has_gps = gps_m is not None and self.follows_gps
         self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
-        if not has_gps and self._corrects_itself():
-            self._corrected_ns = frame.stamp_ns
-            if measured is not None:
-                self._add(self._track or TrackScore(0.0), measured, frame.stamp_ns)
+        if not has_gps and self._corrects_itself(frame.stamp_ns) and measured is not None:
+            self._add(self._track or TrackScore(0.0), measured, frame.stamp_ns)
         self._choose_origin()
         return measured is not None and is_evidence
 
@@ -454,7 +452,7 @@ class Tracker:
         elif self.cross_track is not None and self.cross_track[0] - abs(off_m) > AGREE_SIGMAS * sigma_m:
             self.cross_track = None
 
-    def _corrects_itself(self) -> bool:
+    def _corrects_itself(self, stamp_ns: int) -> bool:
         """Without GPS, the vehicle is elsewhere, or its wheels slip, once that is a thousand times likelier."""
         bank = self.bank
         # By sequence matches alone, no vehicle is a lane further.
@@ -467,6 +465,7 @@ class Tracker:
             self._is_shown = False
             bank.begin(right, bank.before)
             return True
+        self._corrected_ns = stamp_ns
         if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
             bank.begin(bank.before)
             self._track = TrackScore(0.0)
