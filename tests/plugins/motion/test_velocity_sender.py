@@ -116,16 +116,18 @@ def test_a_report_sends_no_velocity(tmp_path: Path) -> None:
     assert not rig.autopilot.inputs.velocities_fused
 
 
-def test_when_the_camera_is_silent_nothing_measures_the_velocity_nor_bounds_the_position(tmp_path: Path) -> None:
+@pytest.mark.parametrize("silent_s", [1.3, 10.0])
+def test_when_the_camera_is_silent_nothing_measures_the_velocity(silent_s: float, tmp_path: Path) -> None:
+    """What was driven meanwhile is in the standard deviation from then on: PX4 is 1.6 and 16 m off."""
     rig = flying(tmp_path, "px4")
     see(rig, 12.0)
     assert rig.bounded_m is not None
-    rig.run(1.3)
+    rig.run(silent_s)
     assert not rig.connection.vehicle.velocity.aid.is_any
     assert rig.bounded_m is None
     see(rig, 2.0)
     assert rig.connection.vehicle.velocity.aid.is_any
-    assert rig.bounded_m is None, "how far it went meanwhile, nobody knows"
+    assert rig.autopilot.estimate.error_m < rig.uncertainty_m < 3 * rig.autopilot.estimate.error_m + 3.0
 
 
 @pytest.fixture(scope="module")
