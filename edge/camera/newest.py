@@ -57,7 +57,9 @@ class NewestFrame:
         A missing camera (CameraLost) is reported by `health` and opened again with back-off.
         reopens: whether a camera that gives only bad or frozen images is opened again; a recording would start over.
         """
-        self._open, self._reopens, self._clock_ns = open, reopens, clock_ns
+        self._open = open
+        self._reopens = reopens
+        self._clock_ns = clock_ns
         self._back_off = BackOff(round(first_back_off_s * 1e9), round(longest_back_off_s * 1e9))
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -70,7 +72,8 @@ class NewestFrame:
         self._early_ns: deque[int] = deque(maxlen=AGREEING)  # how far the last timestamps were in the future
         self._shape: tuple[int, ...] | None = None  # of the first image: a map fits one shape
         self._good_ns = 0
-        self._bad_why = self._reopen_why = ""
+        self._bad_why = ""
+        self._reopen_why = ""
         self._expected: tuple[str, int] = ("", 0)
         self._expect("opening", OPENING_S)
         self._next_index = 0  # of the first frame after the next opening, so that indices never go back

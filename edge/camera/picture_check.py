@@ -27,8 +27,8 @@ image not every pixel is needed."""
 CLEAR_GRAY, LEAST_GRAY, STRONG_GRAY = 4.0, 0.5, 15.0
 """Standard deviation, in gray levels, of the curvature that neighbors share: an image shows something from the first
 on, nothing below the second. In 1,948 real images it was 5 to 80, and 0.7 to 4 at a contrast of 5 of 100; where nothing
-was shown, by noise of 1 to 15 gray levels, up to 2.5. The third is of all curvature: noise of 45 gray levels leaves
-14, and of 1,550 rendered images at night, 11 whose rows of windows alternate share nothing and have 20 to 25."""
+was shown, by noise of 1 to 15 gray levels, up to 2.5. The third is of all curvature: noise of 60 gray levels leaves
+13, and of 1,550 rendered images at night, 11 whose rows of windows alternate share nothing and have 20 to 25."""
 ALIKE, ALIKE_AGAIN = 0.15, 0.3
 """Between the two, correlation of the curvature of neighbors from which an image shows something; the second, after an
 image that shows nothing. At a contrast of 5 of 100 it was 0.16 to 0.86, and by such noise alone up to 0.29."""

@@ -394,9 +394,9 @@ class Tracker:
     def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> FixCandidate | None:
         """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
-        if exposure is None or origin is None or at is None or at.motion is None or self._agreeing < FIRST:
+        if exposure is None or origin is None or at is None or at.motion is None:
             return None
-        if at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
+        if self._agreeing < FIRST or at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
             return None
         lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
         axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])

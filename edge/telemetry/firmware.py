@@ -26,7 +26,15 @@ Parameters: TypeAlias = Mapping[str, float]
 AIRSPEED, WHEELS, FLOW, VISION, BEACONS = "airspeed and wind", "wheel encoders", "optical flow", "vision", "beacons"
 NO_AID = "none"
 GPS_SET, SET_WITHOUT_GPS = 1, 2
-ON_ROTORS = (2, 3, 4, 13, 14, 15, 29)  # MAV_TYPE
+ON_ROTORS = (
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HELICOPTER,
+    mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_DODECAROTOR,
+)
 ON_THE_GROUND = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 CONTROL, ID, EV_CONTROL = "EKF2_AGP0_CTRL", "EKF2_AGP0_ID", "EKF2_EV_CTRL"
 GPS_MODE, NO_AID_TIMEOUT = "EKF2_GPS_MODE", "EKF2_NOAID_TOUT"
