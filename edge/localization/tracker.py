@@ -62,9 +62,8 @@ FIRST = 2
 """Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
 HOLE_S = 8.0
 """Without a keypoint pose for so long, FIRST must agree again before one is handed on: EKF3 takes the first one after
-10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source). And so long none is
-handed on that outvoted where the vehicle was: five in a bend of road 990 agreed 7 to 8 m behind it. In 15 flights none
-did."""
+10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source). And so long what has
+outvoted where the vehicle was is on probation: five poses in a bend of road 990 agreed 7 to 8 m behind it."""
 DEPARTS_M, SURE_M = 2.5, 1.5
 """By how much more than usual GPS is away from keypoint poses that know the vehicle to SURE_M before it is left where
 poses are fused. An honest GPS that wanders by a meter was left in none of 34 drives of 1.2 km, by 2.0 m in two. Where
@@ -396,7 +395,7 @@ class Tracker:
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None:
             return None
-        if self._agreeing < FIRST or at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
+        if self._agreeing < FIRST or self.is_on_probation:
             return None
         lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
         axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
@@ -490,6 +489,14 @@ class Tracker:
         if pose is None or pose.place is None or exposure is None:
             return None
         return pose._replace(place=replace(pose.place, disputed=exposure.disputed))
+
+    @property
+    def is_on_probation(self) -> bool:
+        """Whether matches have outvoted where the vehicle was, for less than HOLE_S: they may be outvoted again.
+
+        No pose is handed on then, and no position is evidence: it would speak against those that are right afterward.
+        """
+        return self._at is not None and self._at.stamp_ns - self._corrected_ns < HOLE_S * 1e9
 
     @property
     def _is_disputed(self) -> bool:

@@ -326,6 +326,22 @@ def test_poses_that_outvote_where_the_vehicle_was_are_not_handed_on_for_a_while(
     assert one.drive.pose_ns == one.t_ns
 
 
+def test_poses_that_were_outvoted_again_speak_against_no_later_ones(road: Road) -> None:
+    """A few were 7 m off in a bend: 40 m later they took the right ones for theirs, and no pose was sent for 130 m."""
+    one = Vehicle(road, MEASURED, 440.0, "reverse")
+    one.go(60, looks(road, 1.5), gps=True)
+    one.go(20, looks(road, 1.5))
+    fused = one.ask(at="pose")
+    assert isinstance(fused, Fix)
+    one.use(fused)
+    one.go(8, looks(road, 1.5, ahead_m=-7.0))
+    assert north_m(one.place) - one.north_m > 4.0, "they have outvoted it"
+    one.go(SPEED_MPS * (HOLE_S + 1.0), looks(road, 1.5))
+    for _ in range(60):
+        one.go(SPACING_M, looks(road, 1.5))
+        assert isinstance(one.ask(at="pose"), Fix)
+
+
 @pytest.mark.parametrize(("shift_m", "turn_deg"), [(-1.0, 0.0), (6.5, 5.0)])
 def test_a_pose_that_fails_the_innovation_test_is_not_handed_on(road: Road, shift_m: float, turn_deg: float) -> None:
     one = homeward(road)
