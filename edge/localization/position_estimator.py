@@ -226,8 +226,7 @@ class PositionEstimator:
 
     def _observe(self, fix: PlaceFix, motion: Odometry | None) -> None:
         """Keep what a position shows of the places, whether or not it may be published."""
-        assert self._tracker is not None
-        if motion is None or not fix.is_position or fix.disputed or self._tracker.is_on_probation:
+        if motion is None or not fix.is_position or fix.disputed:
             return
         known = self._estimate(FixCandidate(fix, motion))
         innovation = known.aiding.innovation(fix, motion, known.autopilot)

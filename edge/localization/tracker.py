@@ -147,7 +147,7 @@ class Tracker:
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
-        self._corrected_ns: float = -math.inf  # when matches outvoted where the vehicle was
+        self._corrected_ns: float = -math.inf  # when poses outvoted where the vehicle was
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
         self._exposure: PlaceFix | None = None
@@ -395,7 +395,7 @@ class Tracker:
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None:
             return None
-        if self._agreeing < FIRST or self.is_on_probation:
+        if self._agreeing < FIRST or self._is_on_probation:
             return None
         lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
         axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
@@ -464,7 +464,8 @@ class Tracker:
             self._is_shown = False
             bank.begin(right, bank.before)
             return True
-        self._corrected_ns = stamp_ns
+        if name == "beside":
+            self._corrected_ns = stamp_ns
         if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
             bank.begin(bank.before)
             self._track = TrackScore(0.0)
@@ -491,10 +492,10 @@ class Tracker:
         return pose._replace(place=replace(pose.place, disputed=exposure.disputed))
 
     @property
-    def is_on_probation(self) -> bool:
-        """Whether matches have outvoted where the vehicle was, for less than HOLE_S: they may be outvoted again.
+    def _is_on_probation(self) -> bool:
+        """Whether poses have outvoted where the vehicle was, for less than HOLE_S: they may be outvoted again.
 
-        No pose is handed on then, and no position is evidence: it would speak against those that are right afterward.
+        None is handed on then, and no position speaks against those that are right afterward.
         """
         return self._at is not None and self._at.stamp_ns - self._corrected_ns < HOLE_S * 1e9
 
@@ -502,7 +503,9 @@ class Tracker:
     def _is_disputed(self) -> bool:
         """Whether dead reckoning or matches contradict the estimate."""
         track = self._track
-        return track is not None and (not track.is_confirmed or track.disagreeing >= DISAGREE)
+        if track is None:
+            return False
+        return self._is_on_probation or not track.is_confirmed or track.disagreeing >= DISAGREE
 
     def at(self, stamp_ns: int, displacement: Odometry | None, yaw_rad: float | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known.
