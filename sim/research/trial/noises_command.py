@@ -14,6 +14,7 @@ import numpy as np
 
 from edge import __version__
 from edge.config import Config
+from edge.errors import FeedError
 from edge.geodesy import moved
 from edge.localization import PositionEstimator
 from edge.localization.drive_file import read_drive
@@ -22,9 +23,8 @@ from edge.localization.position_estimator import Entry, FixResult
 from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
 from sim.research.trial import recorded_drive
-from sim.research.trial.ablate_command import add_lists, listed
 from sim.research.trial.flight_score import off_truth
-from sim.research.trial.recorded_drive import RecordedDrive
+from sim.research.trial.recorded_drive import LINK, RecordedDrive
 from sim.research.trial.table import put_between
 from sim.trial.records import Array
 from sim.vehicle.position_inputs import east_north_m
@@ -60,12 +60,20 @@ Noises = dict[str, MeasurementErrors]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev noises`."""
-    add_lists(parser)
+    parser.add_argument("lists", type=Path, metavar="LISTS", help="output of `lookback dev flights`, with its lists")
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="the recorded drives, for the truth")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="drives replayed side by side (default 1)")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    _, drives = listed(args)
+    folders = [path.parent for given in args.flights for path in sorted(given.glob(f"**/{LINK}"))]
+    drives = [folder for folder in folders if list((args.lists / folder.name).glob("*.drive"))]
+    if not drives:
+        raise FeedError(
+            f"{args.lists}: no list of these drives; `lookback dev flights FOLDER -o {args.lists}` makes it"
+        )
     with get_context("spawn").Pool(args.jobs) as pool:
         found = pool.map(partial(noises_of, args.lists), drives, chunksize=1)
     text = table(found)
