@@ -19,7 +19,6 @@ from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import MOVES_M, Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
-from sim.research.trial.listed_drive import ListedDrive
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
 from sim.research.trial.table import as_row, markdown, put_between, side_by_side, spread
@@ -69,10 +68,7 @@ class ReplayFailure(msgspec.Struct, frozen=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
-    about = (
-        "recorded drives, a folder of them, or what `lookback bundle` made: of it, the list of the drive is replayed"
-    )
-    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help=about)
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
     parser.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="maps whose drives run side by side (default 1)"
     )
@@ -91,25 +87,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
-    bundles = [given for given in args.flights if given.is_file()]
-    folders = [given for given in args.flights if given not in bundles]
-    folders = [path for given in folders for path in ([given] if (given / LINK).exists() else _inside(given))]
-    if not folders and not bundles:
+    folders = [path for given in args.flights for path in ([given] if (given / LINK).exists() else _inside(given))]
+    if not folders:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
-    listed, views = [_listed(bundle) for bundle in bundles], args.views or args.output / "views"
-    flights = replay_all(folders, args.output, views, args.jobs, args.model, listed, keypoints=args.keypoints)
+    views = args.views or args.output / "views"
+    flights = replay_all(folders, args.output, views, args.jobs, args.model, keypoints=args.keypoints)
     options = [*([f"--model {args.model}"] if args.model else []), *["--keypoints"] * args.keypoints]
     given = " ".join([*(path.name for path in args.flights), *options])
     publish(flights, given, args.page)
     print(table(flights))
     return 0
-
-
-def _listed(bundle: Path) -> Flight:
-    """A drive from the field, of which neither autopilot nor pictures are replayed."""
-    drive = ListedDrive(bundle)
-    return Flight(bundle.stem, "from the field", drive.then, drive.now, [], [], [], round(drive.lost_m, 1))
 
 
 def publish(flights: Sequence[Flight | ReplayFailure], given: str, page: Path | None) -> None:
@@ -167,11 +155,10 @@ def replay_all(
     views: Path,
     jobs: int,
     model: Path | None = None,
-    listed: Sequence[Flight] = (),
     *,
     keypoints: bool = False,
 ) -> list[Flight | ReplayFailure]:
-    """Replay drives, those on one road one after the other. model: as `resolve_model` has it. listed: done already.
+    """Replay drives, those on one road one after the other. model: as `resolve_model` has it.
 
     flights.json and flights.md in `output` have what is done as soon as a road is.
     """
@@ -180,12 +167,11 @@ def replay_all(
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
     found: dict[Path, Flight | ReplayFailure] = {}
-    flights: list[Flight | ReplayFailure] = [*listed]
-    _write(flights, output)
+    flights: list[Flight | ReplayFailure] = []
     replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
     for group in side_by_side(replayed, groups, jobs):
         found.update(group)
-        flights = [*listed, *(found[folder] for folder in folders if folder in found)]
+        flights = [found[folder] for folder in folders if folder in found]
         _write(flights, output)
     return flights
 
