@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from edge import __version__
 from edge.config import AcceptanceConfig
-from edge.descriptor.network import Network
 from sim.research.evaluation.roads import (
     CALIBRATION,
     TOLERANCE_M,
@@ -120,9 +119,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
     yield ""
     yield "| pictures | place | match |"
     yield "|---|---|---|"
-    for seed, world in zip(
-        args.seeds, worlds(args.seeds, args.length, args.cache, Network.load(Path("grid"))), strict=True
-    ):
+    for seed, world in zip(args.seeds, worlds(args.seeds, args.length, args.cache), strict=True):
         (mapping, driving), (road, drives) = scenarios(seed, args.length), world
         for pair in pairs(world):
             driven_m = drives[pair.light, "forward"].driven_m[pair.frame], road.driven_m[pair.row]

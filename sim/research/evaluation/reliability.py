@@ -128,7 +128,7 @@ def plot(claims: dict[str, Confidences]) -> bytes:
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """Whether a confidence of 0.7 is right in 7 of 10 frames: of each set of roads, and of real streets."""
     claims = {
-        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache)))
+        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache, "fc6")))
         for seeds in args.sets
     }
     if args.feeds:
