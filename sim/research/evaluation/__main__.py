@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, keyframes, pairs, poses, reliability
+from sim.research.evaluation import belief, keyframes, poses, reliability
 from sim.research.trial.table import put_between
 
 
@@ -37,14 +37,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "networks": {"nargs": "+", "default": ["grid"], "help": "names, files or folders of networks (default grid)"},
     "feeds": {"type": Path, "help": "folder with the recordings of the plan real_front_rear"},
     "picture": {"type": Path, "help": "draw it into this file"},
-    "pictures": {"type": _made, "required": True, "help": "folder for the pictures"},
     "made": {"type": Path, "required": True, "help": "file with the table"},
     "page": {"type": Path, "help": "write the table between its marks on this page"},
 }
 ROADS = "seeds", "cache", "page"
 TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[str]]] = {
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
-    "pairs": (pairs.rows, (*ROADS, "length", "pictures")),
     "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
     "poses": (poses.rows, ROADS),
     "keyframes": (keyframes.on_map, (*ROADS, "draws")),
