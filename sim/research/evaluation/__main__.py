@@ -36,14 +36,13 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "draws": {"type": int, "default": 1, "help": "of each drive, with other errors or another seed (default 1)"},
     "networks": {"nargs": "+", "default": ["grid"], "help": "names, files or folders of networks (default grid)"},
     "feeds": {"type": Path, "help": "folder with the recordings of the plan real_front_rear"},
-    "picture": {"type": Path, "help": "draw it into this file"},
     "made": {"type": Path, "required": True, "help": "file with the table"},
     "page": {"type": Path, "help": "write the table between its marks on this page"},
 }
 ROADS = "seeds", "cache", "page"
 TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[str]]] = {
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
-    "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
+    "reliability": (reliability.rows, (*ROADS, "length", "feeds")),
     "poses": (poses.rows, ROADS),
     "keyframes": (keyframes.on_map, (*ROADS, "draws")),
     "streets": (keyframes.on_streets, ROADS),

@@ -39,7 +39,7 @@ HEADER = "| what | drives | measured | rms | rms for the drive | alike 40 m apar
 
 
 Noises = dict[str, list[tuple[float, float, float]]]
-"""By kind of measurement on one drive, in its unit: how far off each is, its sigma or NaN, and after how many meters."""
+"""By kind of measurement on one drive, in its unit: how far off each is, its sigma or NaN, and the meters driven."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
