@@ -143,7 +143,6 @@ bench-quick: $(VENV)/.dev
 RECORDED := ../shared/flights_b0903bde ../shared/flights_386c0d62 ../shared/flights_eca2e43 ../shared/flights_b06f79e
 flights: $(VENV)/.dev
 	$(BIN)/lookback dev flights $(RECORDED) --model grid --keypoints -o .flights --jobs 2 --page docs/flights.md
-	$(BIN)/lookback dev ablate .flights $(RECORDED) --jobs 2 --page docs/tables/integrity.md
 
 # What is published: `make dist`, then a tag (CONTRIBUTING.md, Release).
 dist: $(VENV)/.dev

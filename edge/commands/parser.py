@@ -42,7 +42,6 @@ COMMANDS = {
 """Module of each command, with its `add_arguments`; entry points `lookback.commands` of other packages name further
 ones. Names only: edge imports nothing of sim."""
 DEV_COMMANDS = {
-    "ablate": "sim.research.trial.ablate_command",
     "bench": "sim.bench.board",
     "drive": "sim.trial.drive_command",
     "flights": "sim.research.trial.flights_command",
@@ -68,6 +67,7 @@ MOVED = {
 """Commands of earlier versions, and what they are now."""
 GONE = {
     **dict.fromkeys(("train", "dev train"), "the source of version 0.3.0 has it"),
+    "dev ablate": "its questions are answered; the source of version 0.3.0 has it",
     "dev alexnet": "the source at commit 386c0d62 has it; `lookback model import` takes an ONNX file",
     **dict.fromkeys(("dev gps", "sim gps"), "`lookback dev sim fixes --case D` drives wrong GPS through the daemon"),
     "import nsavp": "write its pictures and a CSV file for `import pictures`, docs/benchmark.md",

@@ -6,11 +6,9 @@ import argparse
 import hashlib
 import platform
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -139,24 +137,11 @@ def print_table(table: Table) -> None:
 
 
 def feed_of(plan: TraversePlan, folder: Path, rendered: Path, sampling: SamplingConfig) -> Path:
-    """The feed of a scenario, in `rendered`, under a name with a hash of everything that determines its pictures.
-
-    It gets that name when it is complete, so that an interrupted rendering is not used.
-    """
+    """The feed of a scenario, recorded in `rendered` unless it is there."""
     with needing("the plan's scenarios", "sim"):
-        from sim.world.recording import record_drive
+        from sim.world.recording import recorded
         from sim.world.scenario import load_scenario
     scenario = load_scenario(folder / plan.scenario)
     if plan.seed is not None:
         scenario = msgspec.structs.replace(scenario, seed=plan.seed)
-    spacing_m = sampling.spacing_m
-    decides = msgspec.json.encode([scenario, spacing_m, edge.__version__])
-    path = rendered / f"{Path(plan.scenario).stem}-{hashlib.sha256(decides).hexdigest()[:12]}"
-    if path.is_dir():
-        return path
-    part = path.with_suffix(".part")
-    shutil.rmtree(part, ignore_errors=True)
-    bar = partial(tqdm, unit="frame", desc=part.name, disable=None)
-    record_drive(scenario, part, spacing_m=spacing_m, progress=bar)
-    part.rename(path)
-    return path
+    return recorded(scenario, rendered, sampling.spacing_m, Path(plan.scenario).stem)

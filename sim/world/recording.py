@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 from collections.abc import Callable, Iterable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
+from tqdm import tqdm
 
+import edge
 from edge.config import SamplingConfig
 from edge.feed import FeedHeader, FeedRow
 from edge.feed.writer import FeedWriter
@@ -69,6 +75,22 @@ def record_drive(
             row = row_of(drive, time_s, scenario.epoch_ns or 0)
             writer.write(picture(renderer, scenario, drive, time_s), row)
     return len(times_s)
+
+
+def recorded(scenario: Scenario, folder: Path, spacing_m: float = SPACING_M, name: str = "drive") -> Path:
+    """The feed of a scenario, recorded once, in `folder` under a name with a hash of all that decides its pictures.
+
+    It gets that name when it is complete, so that an interrupted rendering is not used.
+    """
+    decides = msgspec.json.encode([scenario, spacing_m, edge.__version__])
+    path = folder / f"{name}-{hashlib.sha256(decides).hexdigest()[:12]}"
+    if not path.is_dir():
+        part = path.with_suffix(".part")
+        shutil.rmtree(part, ignore_errors=True)
+        bar = partial(tqdm, unit="frame", desc=part.name, disable=None)
+        record_drive(scenario, part, spacing_m=spacing_m, progress=bar)
+        part.rename(path)
+    return path
 
 
 def row_of(drive: WorldDrive, time_s: float, epoch_ns: int = 0) -> FeedRow:

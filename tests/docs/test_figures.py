@@ -6,6 +6,7 @@ import re
 
 from tests.common import ROOT
 from tests.docs.figures import ARCHITECTURE, architecture, stale
+from tests.docs.pictures import MADE_OF, PICTURES, checksum_of_sources
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -84,3 +85,15 @@ def test_the_architecture_is_the_list_of_the_front_door_and_each_picture_is_draw
     assert architecture() == ARCHITECTURE.read_text(encoding="utf-8"), again
     assert "](pictures/architecture.svg)" in page("method.md")
     assert stale() == [], again
+
+
+def test_the_picture_of_the_live_page_is_as_new_as_what_draws_it() -> None:
+    made_of = (PICTURES / MADE_OF).read_text(encoding="utf-8")
+    assert made_of == checksum_of_sources(), "make it anew: python -m tests.docs.pictures"
+
+
+def test_no_picture_is_kept_that_nothing_shows() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    text = "".join(one.read_text(encoding="utf-8") for one in pages)
+    for path in PICTURES.iterdir():
+        assert path.name == MADE_OF or f"pictures/{path.name}" in text, path

@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, cameras, capture, facing, lengths, lines, pairs, poses, reliability
+from sim.research.evaluation import belief, keyframes, poses, reliability
 from sim.research.trial.table import put_between
 
 
@@ -29,7 +29,6 @@ def _of_file(args: argparse.Namespace) -> Iterator[str]:
     yield args.made.read_text(encoding="utf-8").strip()
 
 
-MOUNTED = "degrees by which {} camera looks down, and to the right"
 OPTIONS: dict[str, dict[str, Any]] = {
     "seeds": {"type": int, "nargs": "+", "action": "append", "required": True, "help": "of a set of roads"},
     "cache": {"type": _made, "required": True, "help": "folder that keeps what is made of the roads"},
@@ -37,29 +36,17 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "draws": {"type": int, "default": 1, "help": "of each drive, with other errors or another seed (default 1)"},
     "networks": {"nargs": "+", "default": ["grid"], "help": "names, files or folders of networks (default grid)"},
     "feeds": {"type": Path, "help": "folder with the recordings of the plan real_front_rear"},
-    "picture": {"type": Path, "help": "draw it into this file"},
-    "pictures": {"type": _made, "required": True, "help": "folder for the pictures"},
-    "light": {"choices": poses.ALL_LIGHTS, "action": "append", "help": "only this one"},
-    "map-mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the map's")},
-    "mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the other")},
     "made": {"type": Path, "required": True, "help": "file with the table"},
     "page": {"type": Path, "help": "write the table between its marks on this page"},
 }
 ROADS = "seeds", "cache", "page"
-MOUNTS = "map-mounted", "mounted"
 TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[str]]] = {
     "belief": (belief.rows, (*ROADS, "length", "networks", "draws")),
-    "lengths": (lengths.rows, (*ROADS, "length", "draws")),
-    "facing": (facing.rows, (*ROADS, "length")),
-    "sequence-matches": (lines.rows, (*ROADS, "length")),
-    "pairs": (pairs.rows, (*ROADS, "length", "pictures")),
-    "reliability": (reliability.rows, (*ROADS, "length", "feeds", "picture")),
-    "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
-    "cameras": (cameras.rows, (*ROADS, "light")),
-    "capture": (capture.rows, (*ROADS, "light")),
-    "keyframes": (poses.keyframes_on_map, (*ROADS, "light", "draws", *MOUNTS)),
-    "streets": (poses.keyframes_on_streets, (*ROADS, "draws", *MOUNTS)),
-    "off-map": (poses.keyframes_off_map, ("seeds", "cache", *MOUNTS)),
+    "reliability": (reliability.rows, (*ROADS, "length", "feeds")),
+    "poses": (poses.rows, ROADS),
+    "keyframes": (keyframes.on_map, (*ROADS, "draws")),
+    "streets": (keyframes.on_streets, ROADS),
+    "off-map": (keyframes.off_map, ("seeds", "cache")),
     "benchmark": (_of_file, ("made", "page")),
 }
 

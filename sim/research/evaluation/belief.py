@@ -15,12 +15,10 @@ import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
 from edge.config import AcceptanceConfig
-from edge.descriptor.network import Network
 from edge.sequence import Direction
 from sim.compare.scores import at_threshold, joined
 from sim.research.evaluation.roads import (
@@ -118,7 +116,7 @@ LAYOUTS: dict[str, Sequence[Layout]] = {
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far the place belief can be trusted: parts of the roads mapped, then roads that are on no map."""
     roads = args.seeds, args.length, args.cache
-    seen = {name: list(worlds(*roads, Network.load(Path(name)))) for name in args.networks}
+    seen = {name: list(worlds(*roads, name)) for name in args.networks}
     yield "| network, drive | mapped | recall, votes alone | with GPS | first belief, votes alone | with GPS | lowest |"
     yield "|---|---|---|---|---|---|---|"
     wrong = []
@@ -173,11 +171,6 @@ def _recall(judged: BeliefScore) -> float:
     return at_threshold(judged.belief, AcceptanceConfig().confidence_from)[1]
 
 
-def cell(judged: Sequence[BeliefScore]) -> str:
-    """Recall at the default threshold, and the median meters to the first right belief on each part of the map."""
-    return f"{_recall_of(judged):.3f}; {_first_m(judged)} m"
-
-
 def _recall_of(judged: Sequence[BeliefScore]) -> float:
     return at_threshold(joined([one.belief for one in judged]), AcceptanceConfig().confidence_from)[1]
 
@@ -193,7 +186,6 @@ def _off_map(seen: Sequence[World], layouts: Sequence[Layout], lost_m: float) ->
     """The confidence of each frame off the map, by the votes alone and with dead reckoning."""
     alone, both = [], []
     for layout, ((road, own), (_, others)) in product(layouts, zip(seen, [*seen[1:], *seen[:1]], strict=True)):
-        assert road.east_north_m is not None
         for way, lights in LIGHTS.items():
             line_m = road.east_north_m[:: 1 if way == "forward" else -1]
             for light in lights:

@@ -1,19 +1,21 @@
-"""What is believed on maps with keypoints and on the same maps without: what `poses` finds drives for.
+"""What is believed on maps with keypoints and on the same maps without, on and off the map, and on streets built alike.
 
 The daemon's own recognizer gets the frames of simulated drives, the course, and an odometer that counts 1 % too much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import argparse
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from edge import __version__
 from edge.config import Config, DescriptorConfig
 from edge.feed import FeedImages, read_feed
 from edge.geodesy import east_north
@@ -26,18 +28,22 @@ from edge.reference_map import MapSet, ReferenceMap
 from edge.sequence import DeadReckoningPosition, MotionPrior, PlaceMatch
 from sim.evaluation.memoizing_network import MemoizingNetwork
 from sim.research.evaluation.belief import LAYOUTS
+from sim.research.evaluation.poses import DRIVES, mapped
 from sim.research.evaluation.roads import TOLERANCE_M, DriveDescriptors
-from sim.world.scenario import LightName
+from sim.world.recording import recorded
+from sim.world.scenario import LightName, Scenario
 
 LENGTH_M, SPACING_M = 500.0, 2.0
+DRAWS = 100
+"""Between the seeds of two draws of a drive: of its speed, other cars, lit windows and noise."""
 LIGHTS: dict[str, tuple[LightName, ...]] = {
     "front": ("dusk", "night", "snow", "rain"),
     "home": ("dusk", "night", "snow"),
 }
-OFF_MAP_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
+DARK: tuple[LightName, ...] = ("dusk", "night")
+"""Off the map, and on streets built alike."""
 REPEATS_M = 54.0, 27.0, 12.0
 """After which the houses of a straight street repeat."""
-STREET_LIGHTS: tuple[LightName, ...] = ("dusk", "night")
 ANOTHER_PLACE_M = 20.0
 """From which a place that is believed there is another one."""
 GPS_LOST_M = {"no GPS": None, "GPS lost at the start": 0.0, "GPS": -1.0}
@@ -49,6 +55,7 @@ PICTURES, NOISE = 4, 2.0
 SCALE, STEP_NS, STANDS_NS = 1.01, 200_000_000, 1_000_000_000
 NOWHERE = "anywhere; course and position are not known"
 Image = NDArray[np.uint8]
+Floats = NDArray[np.float64]
 
 
 class MemoizingKeypoints(KeypointNetwork):
@@ -66,16 +73,15 @@ class MemoizingKeypoints(KeypointNetwork):
         return self._known[key]
 
 
-class DriveRecording:
-    """A recorded drive; ground_m: (n, 2) meters east and north of the map's first place."""
+@dataclass(frozen=True)
+class DriveOnMap:
+    """A drive on a map. ground_m, places_m: of its frames (n, 2) and of the places (N, 2), east and north of origin."""
 
-    def __init__(self, path: Path, origin: tuple[float, float]) -> None:
-        feed = read_feed(path)
-        images = FeedImages(feed)
-        self.images = [images.read(number) for number in range(len(feed.rows))]
-        images.close()
-        degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], np.float64)
-        self.ground_m = east_north(degrees[:, 0], degrees[:, 1], origin)
+    reference: ReferenceMap
+    origin: tuple[float, float]
+    images: list[Image]
+    ground_m: Floats
+    places_m: Floats
 
     def described(self, drive: int) -> DriveDescriptors:
         """With the numbers of drive and frame in place of descriptors."""
@@ -83,44 +89,47 @@ class DriveRecording:
         frames = np.column_stack([np.full(len(driven_m), drive), np.arange(len(driven_m))])
         return DriveDescriptors(frames.astype(np.float32), driven_m, driven_m, self.ground_m)
 
-
-@dataclass(frozen=True)
-class RoadMap:
-    """A road's map, and the drives on it by their lights."""
-
-    reference: ReferenceMap
-    drives: dict[LightName, DriveRecording]
-
-    @cached_property
-    def ground_m(self) -> NDArray[np.float64]:
-        """Meters (N, 2) of the places."""
-        places = self.reference.places
-        return east_north(places["lat_deg"], places["lon_deg"], self.origin)
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        """Of these meters."""
-        return float(self.reference.places["lat_deg"][0]), float(self.reference.places["lon_deg"][0])
+    def off_m(self, answers: Sequence[PlaceMatch | None], ground_m: Floats) -> Floats:
+        """Meters (n,) of each believed place from the vehicle, NaN where none is believed."""
+        places = np.array([one.place_index if one is not None and one.accepted else -1 for one in answers])
+        return np.where(places >= 0, np.hypot(*(self.places_m[places] - ground_m).T), np.nan)
 
 
 class Bench:
     """The networks, which remember, and what drives over a map."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._network, self._keypoints = MemoizingNetwork.load(Path("grid")), MemoizingKeypoints()
+
+    def mapped(self, road: int, drive: str, light: LightName, draw: int = 0, repeats_m: float = 0) -> DriveOnMap:
+        """A drive in that light, and the map of its road."""
+        view, made = DRIVES[drive]
+        of = {"seed": road, "length_m": LENGTH_M, "repeats_m": repeats_m}
+        reference = mapped(self._folder, Scenario(**of), view)  # type: ignore[arg-type]  # keys by name
+        scenario = msgspec.structs.replace(made, light=light, drive_seed=made.drive_seed + DRAWS * draw, **of)
+        feed = read_feed(recorded(scenario, self._folder, SPACING_M))
+        images = FeedImages(feed)
+        seen = [images.read(number) for number in range(len(feed.rows))]
+        images.close()
+        places = reference.places
+        origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
+        degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], np.float64)
+        places_m = east_north(places["lat_deg"], places["lon_deg"], origin)
+        return DriveOnMap(reference, origin, seen, east_north(degrees[:, 0], degrees[:, 1], origin), places_m)
 
     def answers(
         self,
-        mapped: RoadMap,
+        on: DriveOnMap,
         frames: Sequence[Image],
-        ground_m: NDArray[np.float64],
+        ground_m: Floats,
         reckoned: Sequence[DeadReckoningPosition] | None = None,
         *,
         keypoints: bool,
         knows_course: bool = True,
     ) -> Iterator[PlaceMatch | None]:
         """To each frame, 2 m after the last one; frames with the same ground_m are those of a vehicle that stands."""
-        one = mapped.reference
+        one = on.reference
         one = one if keypoints else replace(one, header=one.header.with_keypoints(None))
         config = Config(descriptor=DescriptorConfig(model="grid"))
         recognizer = open_recognizer(config, network=self._network, map_set=MapSet.of(one))
@@ -141,92 +150,52 @@ class Bench:
             else:
                 yield None
 
-
-class Tables:
-    """What is believed on the maps of some roads, and off them; draws: each finds the drives that it has."""
-
-    def __init__(
-        self,
-        roads: Sequence[int],
-        map_of: Callable[[int, str], ReferenceMap],
-        draws: Sequence[Callable[[int, str, LightName], Path]],
-    ) -> None:
-        self._roads, self._map_of, self._draws, self._bench = roads, map_of, draws, Bench()
-
-    def on_map(self, only: Sequence[LightName] | None = None) -> Iterator[str]:
-        """Rows of the table by drive and light; only: some lights."""
-        yield "| drive | light | first belief | with keypoints | at rest | believed | with keypoints | wrong |"
-        yield "|---|---|---|---|---|---|---|---|"
-        for drive, lights in LIGHTS.items():
-            for light in (one for one in lights if only is None or one in only):
-                seen = [one for draw in self._draws for one in self._mapped(drive, (light,), draw)]
-                yield f"| {drive} | {light} | {' | '.join(_on_map(self._bench, seen, light))} |"
-
-    def off_map(self) -> Iterator[str]:
-        """Rows of the table by where the vehicle is, of the first draw."""
-        seen = {drive: list(self._mapped(drive, OFF_MAP_LIGHTS, self._draws[0])) for drive in LIGHTS}
-        yield "| a road that is not mapped | frames | believed without keypoints | with them |"
-        yield "|---|---|---|---|"
-        for where in (NOWHERE, *LAYOUTS):
-            confidences = [
-                np.concatenate(list(_off_map(self._bench, seen, where, keypoints=keypoints)))
-                for keypoints in (False, True)
-            ]
-            least = Config().acceptance.confidence_from
-            cells = (f"{(one >= least).sum()}, at most {one.max():.3f}" for one in confidences)
-            yield f"| {where} | {len(confidences[0])} | {' | '.join(cells)} |"
-
-    def on_street(self, drive: str, light: LightName, seed: int) -> NDArray[np.intp]:
-        """Counts (2, G, 3) of frames while driving and spots at rest, by `GPS_LOST_M`: all, believed, wrong.
-
-        seed: of the errors of GPS and odometer.
-        """
-        found = np.zeros((2, len(GPS_LOST_M), 3), int)
-        for draw in self._draws:
-            for mapped in self._mapped(drive, (light,), draw):
-                film = mapped.drives[light]
-                for number, lost_m in enumerate(GPS_LOST_M.values()):
-                    reckoned = None if lost_m is None else film.described(0).reckoned(lost_m, seed, mapped.origin)
-                    answers = list(self._bench.answers(mapped, film.images, film.ground_m, reckoned, keypoints=True))
-                    off_m = _off_m(mapped, answers, film.ground_m)
-                    found[0, number] += len(off_m), np.isfinite(off_m).sum(), (off_m > ANOTHER_PLACE_M).sum()
-                    for _, off_m in _standing(self._bench, mapped, film, reckoned):
-                        found[1, number] += 1, np.isfinite(off_m).any(), (off_m > ANOTHER_PLACE_M).any()
-        return found
-
-    def _mapped(
-        self, drive: str, lights: Sequence[LightName], draw: Callable[[int, str, LightName], Path]
-    ) -> Iterator[RoadMap]:
-        for road in self._roads:
-            mapped = RoadMap(self._map_of(road, "front" if drive == "front" else "rear"), {})
-            for light in lights:
-                mapped.drives[light] = DriveRecording(draw(road, drive, light), mapped.origin)
-            yield mapped
+    def standing(
+        self, on: DriveOnMap, reckoned: Sequence[DeadReckoningPosition] | None = None
+    ) -> Iterator[tuple[list[PlaceMatch | None], Floats]]:
+        """The answers at spots along a drive, and how far they are off."""
+        for start in range(0, len(on.images) - 10, round(STANDS_M / SPACING_M)):
+            rng = np.random.default_rng(0)
+            noisy = (on.images[start] + rng.normal(0, NOISE, on.images[start].shape) for _ in range(PICTURES))
+            pictures = [one.round().clip(0, 255).astype(np.uint8) for one in noisy]
+            at_m = np.repeat(on.ground_m[start : start + 1], PICTURES, axis=0)
+            prior = reckoned and [reckoned[start]] * PICTURES
+            answers = list(self.answers(on, pictures, at_m, prior, keypoints=True))
+            yield answers, on.off_m(answers, at_m)
 
 
-def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterator[str]:
+def on_map(args: argparse.Namespace) -> Iterator[str]:
+    """What the recognizer believes, with keypoints and without."""
+    bench = Bench(args.cache)
+    yield "| drive | light | first belief | with keypoints | at rest | believed | with keypoints | wrong |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for drive, lights in LIGHTS.items():
+        for light in lights:
+            drawn = product(range(args.draws), args.seeds)
+            cells = _on_map(bench, (bench.mapped(road, drive, light, draw) for draw, road in drawn))
+            yield f"| {drive} | {light} | {' | '.join(cells)} |"
+
+
+def _on_map(bench: Bench, drives: Iterator[DriveOnMap]) -> Iterator[str]:
     """Meters to the first belief, what a standing vehicle believes, and all frames: without and with keypoints."""
     first_m: tuple[list[float], list[float]] = ([], [])
     believed, wrong, frames = [0, 0], [0, 0], 0
     standing = np.zeros(PICTURES + 1, int)
-    for mapped in roads:
-        film = mapped.drives[light]
-        count = len(film.images)
+    for on in drives:
+        count = len(on.images)
         frames += count
         for keypoints in (False, True):
-            answers = list(bench.answers(mapped, film.images, film.ground_m, keypoints=keypoints))
-            off_m = _off_m(mapped, answers, film.ground_m)
+            answers = list(bench.answers(on, on.images, on.ground_m, keypoints=keypoints))
+            off_m = on.off_m(answers, on.ground_m)
             believed[keypoints] += int(np.isfinite(off_m).sum())
             wrong[keypoints] += int((off_m > TOLERANCE_M).sum())
             for start in range(0, count - 60, round(STARTS_M / SPACING_M)):
-                rest = film.images[start:], film.ground_m[start:]
-                again = answers if start == 0 else bench.answers(mapped, *rest, keypoints=keypoints)
-                first = next((n for n, one in enumerate(again) if one is not None and one.accepted), np.inf)
-                first_m[keypoints].append(first * SPACING_M)
-        for answers, off_m in _standing(bench, mapped, film):
-            found = next((n for n, one in enumerate(answers) if one is not None and one.accepted), PICTURES)
+                rest = on.images[start:], on.ground_m[start:]
+                again = answers if start == 0 else bench.answers(on, *rest, keypoints=keypoints)
+                first_m[keypoints].append(_first(again, np.inf) * SPACING_M)
+        for answers, off_m in bench.standing(on):
             wrong[True] += int((off_m > TOLERANCE_M).any())
-            standing[found] += 1
+            standing[int(_first(answers, PICTURES))] += 1
     yield from (f"{np.median(one):.0f}, {np.percentile(one, 90):.0f} m" for one in first_m)
     shares = np.cumsum(standing)[:-1] / standing.sum()
     yield ", ".join(f"{share:.2f}" for share in shares[1:])
@@ -234,74 +203,64 @@ def _on_map(bench: Bench, roads: Sequence[RoadMap], light: LightName) -> Iterato
     yield f"{', '.join(map(str, wrong))} of {frames}"
 
 
-def _standing(
-    bench: Bench, mapped: RoadMap, film: DriveRecording, reckoned: Sequence[DeadReckoningPosition] | None = None
-) -> Iterator[tuple[list[PlaceMatch | None], NDArray[np.float64]]]:
-    """The answers at spots along a drive, and how far they are off."""
-    for start in range(0, len(film.images) - 10, round(STANDS_M / SPACING_M)):
-        pictures = list(_stands(film.images[start]))
-        at_m = np.repeat(film.ground_m[start : start + 1], len(pictures), axis=0)
-        prior = reckoned and [reckoned[start]] * len(pictures)
-        answers = list(bench.answers(mapped, pictures, at_m, prior, keypoints=True))
-        yield answers, _off_m(mapped, answers, at_m)
+def _first(answers: Iterator[PlaceMatch | None] | Sequence[PlaceMatch | None], otherwise: float) -> float:
+    """The number of the first frame whose place is believed."""
+    return next((number for number, one in enumerate(answers) if one is not None and one.accepted), otherwise)
 
 
-def on_streets(streets: dict[float, Tables]) -> Iterator[str]:
-    """Rows of the table of straight streets whose houses repeat after so many meters, and of all of them."""
+def on_streets(args: argparse.Namespace) -> Iterator[str]:
+    """What it believes on straight streets whose houses repeat: of all frames or spots, and how many of it is wrong."""
+    seeds = " ".join(map(str, args.seeds))
+    yield f"`python -m sim.research.evaluation streets --seeds {seeds}` of version {__version__}:\n"
     gps = " | ".join(GPS_LOST_M)
-    yield f"| drive | light | houses repeat after | driving, {gps} | at rest, {gps} |"
-    yield "|" + "---|" * (3 + 2 * len(GPS_LOST_M))
-    every = np.zeros((2, len(GPS_LOST_M), 3), int)
-    drives = product(streets.items(), LIGHTS, STREET_LIGHTS)
-    for seed, ((repeats_m, tables), drive, light) in enumerate(drives):
-        found = tables.on_street(drive, light, seed)
-        every += found
-        yield f"| {drive} | {light} | {repeats_m:g} m | {_counted(found)} |"
-    yield f"| all | | | {_counted(every)} |"
+    yield f"| houses repeat after | driving, {gps} | at rest, {gps} |"
+    yield "|" + "---|" * (1 + 2 * len(GPS_LOST_M))
+    bench = Bench(args.cache)
+    for repeats_m in REPEATS_M:
+        found = np.zeros((2, len(GPS_LOST_M), 3), int)
+        for seed, (drive, light, road) in enumerate(product(LIGHTS, DARK, args.seeds)):
+            on = bench.mapped(road, drive, light, repeats_m=repeats_m)
+            for number, lost_m in enumerate(GPS_LOST_M.values()):
+                reckoned = None if lost_m is None else on.described(0).reckoned(lost_m, seed, on.origin)
+                answers = list(bench.answers(on, on.images, on.ground_m, reckoned, keypoints=True))
+                off_m = on.off_m(answers, on.ground_m)
+                found[0, number] += len(off_m), np.isfinite(off_m).sum(), (off_m > ANOTHER_PLACE_M).sum()
+                for _, off_m in bench.standing(on, reckoned):
+                    found[1, number] += 1, np.isfinite(off_m).any(), (off_m > ANOTHER_PLACE_M).any()
+        cells = (f"{believed} of {count}, {wrong}" for count, believed, wrong in found.reshape(-1, 3))
+        yield f"| {repeats_m:g} m | {' | '.join(cells)} |"
 
 
-def _counted(found: NDArray[np.intp]) -> str:
-    """Cells of what `Tables.on_street` counts."""
-    return " | ".join(f"{believed} of {count}, {wrong}" for count, believed, wrong in found.reshape(-1, 3))
+def off_map(args: argparse.Namespace) -> Iterator[str]:
+    """What it believes where no place is right."""
+    bench = Bench(args.cache)
+    yield "| a road that is not mapped | frames | believed without keypoints | with them |"
+    yield "|---|---|---|---|"
+    for where in (NOWHERE, *LAYOUTS):
+        each = [np.concatenate(list(_off_map(bench, args.seeds, where, keypoints=one))) for one in (False, True)]
+        cells = (f"{(one >= Config().acceptance.confidence_from).sum()}, at most {one.max():.3f}" for one in each)
+        yield f"| {where} | {len(each[0])} | {' | '.join(cells)} |"
 
 
-def _stands(image: Image) -> Iterator[Image]:
-    """Pictures from one spot."""
-    rng = np.random.default_rng(0)
-    for _ in range(PICTURES):
-        yield (image + rng.normal(0, NOISE, image.shape)).round().clip(0, 255).astype(np.uint8)
-
-
-def _off_m(mapped: RoadMap, answers: Sequence[PlaceMatch | None], ground_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Meters (n,) of each believed place from the vehicle, NaN where none is believed."""
-    places = np.array([one.place_index if one is not None and one.accepted else -1 for one in answers])
-    off_m = np.hypot(*(mapped.ground_m[places] - ground_m).T)
-    return np.where(places >= 0, off_m, np.nan)
-
-
-def _off_map(
-    bench: Bench, seen: dict[str, list[RoadMap]], where: str, *, keypoints: bool
-) -> Iterator[NDArray[np.float64]]:
+def _off_map(bench: Bench, seeds: Sequence[int], where: str, *, keypoints: bool) -> Iterator[Floats]:
     """The confidence of each frame on a road that is not mapped: of the next road, or of a twin, the own one."""
-    for drive, roads in seen.items():
-        for mapped, other in zip(roads, [*roads[1:], *roads[:1]], strict=True):
-            line_m = mapped.ground_m[:: 1 if drive == "front" else -1]
-            for light in OFF_MAP_LIGHTS:
-                films = mapped.drives[light], other.drives[light]
-                if where == NOWHERE:
-                    found = bench.answers(
-                        mapped, films[1].images, films[1].ground_m, keypoints=keypoints, knows_course=False
-                    )
-                    yield _confidence(found)
-                    continue
-                for layout in LAYOUTS[where]:
-                    laid, is_off = layout(line_m, *(film.described(n) for n, film in enumerate(films)))
-                    assert laid.east_north_m is not None
-                    images = [films[drive_number].images[frame] for drive_number, frame in laid.raw.astype(int)]
-                    reckoned = laid.reckoned(-1.0, len(images), mapped.origin)
-                    found = bench.answers(mapped, images, laid.east_north_m, reckoned, keypoints=keypoints)
-                    yield _confidence(found)[is_off]
+    for drive, light, road, other in (
+        (*one, *pair) for one in product(LIGHTS, DARK) for pair in zip(seeds, [*seeds[1:], *seeds[:1]], strict=True)
+    ):
+        both = [bench.mapped(one, drive, light) for one in (road, other)]
+        on, line_m = both[0], both[0].places_m[:: 1 if drive == "front" else -1]
+        if where == NOWHERE:
+            there = both[1].images, both[1].ground_m
+            yield _confidence(bench.answers(on, *there, keypoints=keypoints, knows_course=False))
+            continue
+        for layout in LAYOUTS[where]:
+            laid, is_off = layout(line_m, *(one.described(number) for number, one in enumerate(both)))
+            images = [both[drive_number].images[frame] for drive_number, frame in laid.raw.astype(int)]
+            found = bench.answers(
+                on, images, laid.east_north_m, laid.reckoned(-1.0, len(images), on.origin), keypoints=keypoints
+            )
+            yield _confidence(found)[is_off]
 
 
-def _confidence(answers: Iterator[PlaceMatch | None]) -> NDArray[np.float64]:
+def _confidence(answers: Iterator[PlaceMatch | None]) -> Floats:
     return np.array([one.confidence if one else 0.0 for one in answers])

@@ -1,8 +1,8 @@
 """Whether a confidence of 0.7 is right in 7 of 10 frames: on simulated roads, and on real streets front against rear.
 
 Frames on the map count as much as all frames off it: those where a part of the road is not mapped, and drives over
-roads that are on no map. Each `--seeds` is a set of roads, whose frames alone also give a `consensus.RIGHT_AT_HALF`. Of
-real streets each scene is recognized on the map of all scenes, and on that of all others.
+roads that are on no map. Each `--seeds` is a set of roads. Of real streets each scene is recognized on the map of all
+scenes, and on that of all others.
 """
 
 from __future__ import annotations
@@ -15,20 +15,17 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from edge.sequence.consensus import RIGHT_AT_HALF
 from sim.compare.method_runner import MethodRunner
 from sim.compare.plan import NetworkPlan, Pair, TraversePlan, load_plan
 from sim.compare.run import Folders, find_plan, open_runner
 from sim.compare.scores import joined
-from sim.evaluation.figures import to_png
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.roads import World, foreign_confidence, judge_world, worlds
 
 TENTHS, LEAST_SHOWN = 10, 7
-"""What is believed has more than the second; the picture shows all."""
+"""What is believed has more than the second."""
 Floats = NDArray[np.float64]
 
 
@@ -60,16 +57,6 @@ class Confidences:
                 continue
             shares = weight / weight.sum()
             yield int(chosen.sum()), float(shares @ self.confidence[chosen]), float(shares @ self.right[chosen])
-
-    def fitted(self) -> float:
-        """RIGHT_AT_HALF by a logistic regression on the odds of the agreement, whose power stays 1."""
-        known = (self.confidence > 0) & (self.confidence < 1)
-        p, weight, right = self.confidence[known], self.weight[known], self.right[known]
-        agreement, found = np.log(p / (1 - p)) - np.log(RIGHT_AT_HALF), np.log(RIGHT_AT_HALF)
-        for _ in range(50):
-            guess = 1 / (1 + np.exp(-agreement - found))
-            found += weight @ (right - guess) / (weight @ (guess * (1 - guess)))
-        return float(np.exp(found))
 
 
 def of_roads(seen: Sequence[World]) -> Confidences:
@@ -110,30 +97,12 @@ def rows_of(claims: dict[str, Confidences]) -> Iterator[str]:
         yield f"| {tenth / TENTHS:.1f} to {(tenth + 1) / TENTHS:.1f} | {' | '.join(cells)} |"
 
 
-def plot(claims: dict[str, Confidences]) -> bytes:
-    """What is claimed and what is right, as PNG; a tenth with more frames has a larger mark."""
-    figure, axes = plt.subplots(figsize=(5.0, 4.4))
-    axes.plot([0, 1], [0, 1], color="#888888", lw=0.8)
-    axes.fill_between([0, 1], [-0.05, 0.95], [0.05, 1.05], color="#888888", alpha=0.15, lw=0)
-    for (name, one), marker in zip(claims.items(), "os^D", strict=False):
-        count, claimed, right = np.array(list(one.tenths())).T
-        line = axes.plot(claimed, right, lw=0.8, alpha=0.6)[0]
-        axes.scatter(claimed, right, 10 + 20 * np.log10(1 + count), marker=marker, color=line.get_color(), label=name)
-    axes.set(xlabel="confidence", ylabel="share that is right", xlim=(0, 1.02), ylim=(0, 1.02))
-    axes.legend(fontsize=8, loc="upper left")
-    axes.grid(alpha=0.3)
-    return to_png(figure)
-
-
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """Whether a confidence of 0.7 is right in 7 of 10 frames: of each set of roads, and of real streets."""
     claims = {
-        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache)))
+        f"roads {', '.join(map(str, seeds))}": of_roads(list(worlds(seeds, args.length, args.cache, "fc6")))
         for seeds in args.sets
     }
     if args.feeds:
         claims["real streets"] = of_streets(args.feeds)
-    fits = ", ".join(f"{one.fitted():.1f} by {name}" for name, one in claims.items())
-    yield from [*rows_of(claims), "", f"RIGHT_AT_HALF would be {fits}."]
-    if args.picture:
-        args.picture.write_bytes(plot(claims))
+    yield from rows_of(claims)

@@ -1,4 +1,4 @@
-"""Simulated roads, described once and driven as often as wanted: what the benches of the place belief share.
+"""Simulated roads, described once and driven as often as wanted: what the tables of the place belief share.
 
 Each road is driven once with the rear camera by day (the map), and with the front camera in other lights. Descriptors
 are kept in a folder: rendering takes minutes, all that follows seconds.
@@ -7,9 +7,8 @@ are kept in a folder: rendering takes minutes, all that follows seconds.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from itertools import permutations, product
 from pathlib import Path
 from typing import Literal
@@ -19,14 +18,13 @@ from numpy.typing import NDArray
 
 from edge.config import AcceptanceConfig, Config, RigConfig, SamplingConfig
 from edge.descriptor.network import Network, pictures_for
-from edge.feed import View
 from edge.geodesy import moved
 from edge.localization import GPS_SIGMA_M, Odometry
 from edge.localization.dead_reckoning import TurnAround
 from edge.recognition.sequence_matcher import SequenceMatcher
-from edge.reference_map import MapSet, ModelKey
-from edge.sequence import DeadReckoningPosition, Direction, MotionPrior, PlaceMatch
-from edge_plugins.mapping.builder import NAN, Place
+from edge.reference_map import ModelKey
+from edge.sequence import DeadReckoningPosition, Direction, MotionPrior
+from edge_plugins.mapping.builder import Place
 from sim.compare.temporary_map import MappedDrive, temporary_map
 from sim.evaluation.metrics import Answers, answers_within
 from sim.world.camera import open_renderer
@@ -39,9 +37,7 @@ LIGHTS: Mapping[Direction, tuple[LightName, ...]] = {
     "forward": ("dusk", "night", "rain", "snow"),
     "reverse": ("dusk", "night"),
 }
-DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse")
 SPACING_M = 2.0
-DEFAULT_SAMPLING = SamplingConfig(spacing_m=SPACING_M)
 TOLERANCE_M = 40.0
 HOME_LEFT_M = 3.5  # of the map's drive is the lane home
 FIRST_FRAME = 16  # the first that can have an answer
@@ -56,13 +52,13 @@ Floats = NDArray[np.float64]
 class DriveDescriptors:
     """A drive: raw descriptors (n, R, D), and of each frame the meters along the route and those driven (n,).
 
-    east_north_m: (n, 2) where the vehicle was, None where nobody knows.
+    east_north_m: (n, 2) where the vehicle was.
     """
 
     raw: NDArray[np.float32]
     route_m: Floats
     driven_m: Floats
-    east_north_m: Floats | None = None
+    east_north_m: Floats
 
     def reckoned(self, lost_m: float, seed: int, origin: tuple[float, float] = ORIGIN) -> list[DeadReckoningPosition]:
         """By GPS, and since GPS was lost, by what was driven; lost_m: before the drive began, < 0 for GPS all the time.
@@ -71,7 +67,6 @@ class DriveDescriptors:
 
         Errors are as large as they say: of GPS, and a share of what was driven since.
         """
-        assert self.east_north_m is not None
         rng, since_m = np.random.default_rng(seed), np.maximum(0.0, lost_m + self.driven_m) * (lost_m >= 0)
         errors_m = GPS_SIGMA_M * rng.normal(size=2) + DRIFT * np.outer(since_m, rng.normal(size=2))
         sigmas_m = np.hypot(GPS_SIGMA_M, DRIFT * since_m)
@@ -105,21 +100,13 @@ class Beliefs:
         return replace(self, along_m=self.votes_m, confidence=self.by_votes)
 
 
-@cache
-def _fc6() -> Network:
-    return Network.load()
-
-
-def described(
-    scenario: Scenario, folder: Path, spacing_m: float = SPACING_M, network: Network | None = None
-) -> DriveDescriptors:
-    """Render a drive at each spacing_m and describe it, by fc6 unless another is given, unless `folder` has it."""
-    network = network or _fc6()
-    road = f"{network.info.sha256[:12]}_{scenario.seed}_{scenario.length_m:g}m_{spacing_m:g}m"
+def described(scenario: Scenario, folder: Path, network: Network) -> DriveDescriptors:
+    """Render a drive at each SPACING_M and describe it, unless `folder` has it."""
+    road = f"{network.info.sha256[:12]}_{scenario.seed}_{scenario.length_m:g}m_{SPACING_M:g}m"
     path = folder / f"{road}_{scenario.view}_{scenario.direction}_{scenario.light}_{scenario.drive_seed}.npz"
     drive = scenario.drive()
     if not path.exists():
-        times_s = times_by_distance(drive, spacing_m)
+        times_s = times_by_distance(drive, SPACING_M)
         renderer = open_renderer(scenario, drive)
         images = (renderer.render(drive.pose(time_s, 0.0), time_s) for time_s in times_s)
         raw = np.stack([network.describe(pictures_for(network.info, one, "left-right", 0.4)) for one in images])
@@ -143,69 +130,36 @@ def kept(cut: Cut, places: int) -> list[tuple[int, int]]:
     }[cut]
 
 
-@contextmanager
-def mapped(road: DriveDescriptors, cut: Cut, *, to_north: bool = False, view: View = "rear") -> Iterator[MapSet]:
-    """The map of a part of the road, by the camera of that view. to_north: along a meridian, not where it was."""
-    along_m, ground_m = road.route_m.tolist(), np.full((len(road.raw), 2), NAN)
-    if to_north:
-        ground_m = np.column_stack([np.zeros(len(along_m)), road.route_m])
-    elif road.east_north_m is not None:
-        ground_m = road.east_north_m
-    positions = [moved(*ORIGIN, *at_m) if at_m[0] == at_m[0] else (NAN, NAN) for at_m in ground_m.tolist()]
-    places = [Place(row, *at, route_m=one) for row, (at, one) in enumerate(zip(positions, along_m, strict=True))]
-    drives = [
-        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], view)
-        for start, end in kept(cut, len(places))
-    ]
-    with temporary_map(drives, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])) as maps:
-        yield maps
-
-
-def driven(
-    map_set: MapSet,
-    query: DriveDescriptors,
-    config: Config,
-    odometer_scale: float | None = 1.0,
-    reckoned: Sequence[DeadReckoningPosition | None] | None = None,
-    *,
-    knows_course: bool = True,
-) -> Iterator[tuple[SequenceMatcher, PlaceMatch | None]]:
-    """Of each frame of a drive the matcher after it, and its answer; see `believe`."""
-    matcher, turn_around = SequenceMatcher(map_set, config), TurnAround()
-    for frame, (raw, driven_m) in enumerate(zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)):
-        if query.east_north_m is not None and knows_course:
-            turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
-        travel = MotionPrior(
-            None if odometer_scale is None else driven_m * odometer_scale,
-            course_rad=turn_around.course_rad,
-            dead_reckoning=reckoned[frame] if reckoned else None,
-        )
-        yield matcher, matcher.push(raw, travel)
-
-
 def believe(
     road: DriveDescriptors,
     query: DriveDescriptors,
     cut: Cut,
-    odometer_scale: float | None = 1.0,
     *,
     rig: RigConfig | None = None,
-    sampling: SamplingConfig = DEFAULT_SAMPLING,
     reckoned: Sequence[DeadReckoningPosition | None] | None = None,
-    view: View = "rear",
-    knows_course: bool = True,
 ) -> Beliefs:
     """What is believed, frame by frame, on a drive over a road of which a part is mapped.
 
-    odometer_scale: what it reads for each meter, None without one. reckoned: of each frame, None where there was
-    no GPS yet, or never. view: of the map. knows_course: whether the course is known where positions are.
+    reckoned: of each frame, None where there was no GPS yet, or never.
     """
-    config = Config(rig=rig or RigConfig(), sampling=sampling)
+    config = Config(rig=rig or RigConfig(), sampling=SamplingConfig(spacing_m=SPACING_M))
     found = np.full((len(query.raw), 6), np.nan)
     found[:, 1::2] = 0.0
-    with mapped(road, cut, view=view) as map_set:
-        route_m, on_drive = map_set.places["route_m"], (config, odometer_scale, reckoned)
-        for frame, (matcher, match) in enumerate(driven(map_set, query, *on_drive, knows_course=knows_course)):
+    at = zip(road.east_north_m.tolist(), road.route_m.tolist(), strict=True)
+    places = [Place(row, *moved(*ORIGIN, *at_m), route_m=along_m) for row, (at_m, along_m) in enumerate(at)]
+    parts = [
+        MappedDrive(road.raw[start:end].astype(np.float32), places[start:end], "rear")
+        for start, end in kept(cut, len(places))
+    ]
+    with temporary_map(parts, ModelKey("cached", "0" * 64, "fc6", road.raw.shape[2])) as map_set:
+        matcher, turn_around, route_m = SequenceMatcher(map_set, config), TurnAround(), map_set.places["route_m"]
+        for frame, (raw, driven_m) in enumerate(
+            zip(query.raw.astype(np.float32), query.driven_m.tolist(), strict=True)
+        ):
+            turn_around.add(Odometry(0, *query.east_north_m[frame].tolist()))
+            dead_reckoning = reckoned[frame] if reckoned else None
+            travel = MotionPrior(driven_m, course_rad=turn_around.course_rad, dead_reckoning=dead_reckoning)
+            match = matcher.push(raw, travel)
             if match is not None and match.confidence > 0:
                 found[frame, :2] = route_m[match.place_index], match.confidence
             if match is not None and match.alone.confidence > 0:
@@ -257,7 +211,7 @@ def judge(query: DriveDescriptors, mapped_m: Floats, beliefs: Beliefs, ahead_m: 
 def scenarios(seed: int, length_m: float) -> tuple[Scenario, dict[tuple[LightName, Direction], Scenario]]:
     """Of a road's map by the rear camera, and of the front camera's drives over it."""
     scene = partial(Scenario, seed=seed, length_m=length_m)
-    ways = enumerate(product((CALIBRATION, *LIGHTS["forward"]), DIRECTIONS), start=2)
+    ways = enumerate(product((CALIBRATION, *LIGHTS["forward"]), LIGHTS), start=2)
     return scene(view="rear", drive_seed=1), {
         (light, way): scene(light=light, direction=way, drive_seed=drive_seed)
         for drive_seed, (light, way) in ways
@@ -265,12 +219,13 @@ def scenarios(seed: int, length_m: float) -> tuple[Scenario, dict[tuple[LightNam
     }
 
 
-def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: Network | None = None) -> Iterator[World]:
-    """The road of each seed as the rear camera saw it, and the drives on it; by fc6 unless a network is given."""
+def worlds(seeds: Sequence[int], length_m: float, folder: Path, network: str = "grid") -> Iterator[World]:
+    """The road of each seed as the rear camera saw it, and the drives on it."""
+    opened = Network.load(Path(network))
     for seed in seeds:
         mapping, driving = scenarios(seed, length_m)
-        drives = {case: described(scene, folder, network=network) for case, scene in driving.items()}
-        yield described(mapping, folder, network=network), drives
+        drives = {case: described(scene, folder, opened) for case, scene in driving.items()}
+        yield described(mapping, folder, opened), drives
 
 
 def judge_world(
@@ -280,7 +235,7 @@ def judge_world(
 
     GPS was lost where the drive begins. draws: of the errors since then, and of GPS.
     """
-    for way in DIRECTIONS:
+    for way in LIGHTS:
         calibration = drives[CALIBRATION, way]
         ahead_m = offset_m(calibration, believe(road, calibration, "whole"))
         rig = rig_of(way, ahead_m)

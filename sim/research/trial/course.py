@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -72,8 +72,7 @@ class CourseDraft(Draft):
     messages. companion_s: how often another companion computer resets the autopilot. has_double: another vehicle ahead
     on the same radio has the same ids. motion: [motion] use; unless it is "off", pictures are rendered. height: of the
     camera, as if it was learned before, in true ones. shown_m: the arc length of the road in a picture, at that of the
-    camera: of a camera that is lower by a tenth it passes by a tenth faster. layers: the stretches of each camera are a
-    map of a folder, which `map learn` learned. keypoint_rules: see `course`.
+    camera: of a camera that is lower by a tenth it passes by a tenth faster. keypoint_rules: see `course`.
     """
 
     map: list[MapStretch] = field(init=False)
@@ -104,7 +103,6 @@ class CourseDraft(Draft):
     motion: Literal["off", "odometer", "send"] = "off"
     height: float | None = None
     shown_m: Callable[[float], float] = lambda route_m: route_m
-    layers: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -146,13 +144,8 @@ class Course:
     least_m: float = 0.0
 
 
-def drafted(
-    course: Course, seed: int, length_m: float, world: int, odometer_percent: float | None = None
-) -> CourseDraft:
-    """The course of a seed. odometer_percent: by which the wheels are wrong, up or down by the seed; None: 3."""
+def drafted(course: Course, seed: int, length_m: float, world: int) -> CourseDraft:
+    """The course of a seed."""
     draft = CourseDraft(np.random.default_rng([seed, 7]), max(length_m, course.least_m), world)
-    if odometer_percent is not None:
-        scale = 1.0 + math.copysign(odometer_percent / 100.0, draft.errors.scale - 1.0)
-        draft.errors = replace(draft.errors, scale=scale)
     course.lay(draft)
     return draft

@@ -43,19 +43,9 @@ COMPANION_OFF_M, COMPANION_SIGMA_M = 3.0, 5.0  # of its positions: wrong in each
 DOUBLE_AHEAD_M, DOUBLE_MPS, DOUBLE_BOOTED_S = 60.0, 5.0, 90.0
 
 
-def drive(
-    course: Course,
-    seed: int,
-    length_m: float,
-    world: int,
-    folder: Path,
-    library: RoadLibrary,
-    odometer_percent: float | None = None,
-) -> CourseRun:
-    """Drive a course once with the daemon and once without; its journal stays in `folder`. odometer_percent: see
-    `drafted`.
-    """
-    run = CourseDrive(drafted(course, seed, length_m, world, odometer_percent), seed, folder, library).run()
+def drive(course: Course, seed: int, length_m: float, world: int, folder: Path, library: RoadLibrary) -> CourseRun:
+    """Drive a course once with the daemon and once without; its journal stays in `folder`."""
+    run = CourseDrive(drafted(course, seed, length_m, world), seed, folder, library).run()
     assert isinstance(run, CourseRun)
     return run
 

@@ -17,7 +17,6 @@ from edge.reference_map.store import RegionsKey
 from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
-from sim.maps.newest import choose
 from sim.research.trial.course import CourseDraft, MapStretch
 from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.records import Array
@@ -31,24 +30,17 @@ MAP_SIGMA_M = math.sqrt(2)
 
 
 def build_map(draft: CourseDraft, path: Path, network: Network, library: RoadLibrary, seed: int) -> Array:
-    """The map of a course, made on the way out; by day with the camera that faces back, unless it has layers.
+    """The map of a course, made on the way out by day, with the camera that faces back.
 
     Each stretch is a drive of its own, with errors of GPS that are as large as the accuracy that it states. Answers
     those of the last one (n, 3): arc length, and meters east and north.
     """
     errors_m = np.empty((0, 3))
     rngs = np.random.default_rng([draft.world, 11]), np.random.default_rng([seed, 13])
-    numbers = range(len(draft.map))
-    cameras = dict.fromkeys(stretch.camera for stretch in draft.map)
-    by_camera = [[number for number in numbers if draft.map[number].camera == camera] for camera in cameras]
-    for part in by_camera if draft.layers else [numbers]:
-        folder = path / f"{part[0]}" if draft.layers else path
-        with open_builder(folder, network, keypoints=draft.keypoints) as builder:
-            for number in part:
-                errors_m = _drive_stretch(builder, draft, number, library, rngs)
-            builder.finish()
-    if draft.layers:
-        choose(path).mark()
+    with open_builder(path, network, keypoints=draft.keypoints) as builder:
+        for number in range(len(draft.map)):
+            errors_m = _drive_stretch(builder, draft, number, library, rngs)
+        builder.finish()
     return errors_m
 
 

@@ -25,16 +25,12 @@ LENGTH_M, SHORTEST_M = 1000.0, 500.0
 
 
 class DrivePlan(NamedTuple):
-    """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`.
-
-    odometer: percent by which the wheels are wrong, see `drafted`.
-    """
+    """A drive of a course; world: seed of its road. keypoints: of its map, see `on_keypoints`."""
 
     course: str
     seed: int
     world: int
     keypoints: bool = False
-    odometer: float | None = None
 
 
 def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -54,8 +50,6 @@ def add_command(sim_commands: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--length-m", type=float, default=LENGTH_M, metavar="M", help=length)
     roads = f"seeds of the roads, of which each drive has the next (default {','.join(map(str, WORLDS))})"
     parser.add_argument("--worlds", type=_worlds, default=WORLDS, metavar="SEEDS", help=roads)
-    odometer = "by which the wheels are wrong, for courses that do not say so themselves (default 3); several: compared"
-    parser.add_argument("--odometer", type=_percents, default=(None,), metavar="PERCENTS", help=odometer)
     keypoints = "drive each on a map with keypoints as well, and compare both with the lane that was taught"
     parser.add_argument("--keypoints", action="store_true", help=keypoints)
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="roads driven side by side (default 1)")
@@ -74,11 +68,9 @@ def _run(args: argparse.Namespace) -> int:
         return 0
     _check(args)
     runs = drive_all(plan(args), args)
-    scores = compare(runs) if args.keypoints or len(args.odometer) > 1 else judge(runs)
+    scores = compare(runs) if args.keypoints else judge(runs)
     name = "results"
-    if len(args.odometer) > 1:
-        name = "odometers"
-    elif args.keypoints:
+    if args.keypoints:
         name = "known" if all(COURSES[one.course].case == "L" for one in runs) else "keypoints"
     table = shown(scores, TABLES[name]) if name in TABLES else in_short(scores)
     print("\n" + "\n".join([shown(scores), *(["", table] if name in TABLES else [])]))
@@ -87,8 +79,7 @@ def _run(args: argparse.Namespace) -> int:
         driven = "all" if args.course == "all" else ",".join(dict.fromkeys(one.course for one in runs))
         what = f"--course {driven}" if args.case is None else f"--case {args.case}"
         what += f" --runs {args.runs} --first-seed {args.first_seed} --length-m {args.length_m:g}"
-        odometers = ",".join(f"{one:g}" for one in args.odometer if one is not None)
-        what += f" --odometer {odometers}" * bool(odometers) + " --keypoints" * args.keypoints
+        what += " --keypoints" * args.keypoints
         put_between(name, args.page, f"`lookback dev sim fixes {what}`, roads {roads}:\n\n{table}")
     return 1 if any(score.failures for score in scores) else 0
 
@@ -103,9 +94,8 @@ def plan(args: argparse.Namespace) -> list[DrivePlan]:
         drives = [(name, seed, seed - 1 + number) for seed in seeds for number, name in enumerate(names)]
     maps = (False, True) if args.keypoints else (False,)
     return [
-        DrivePlan(name, seed, args.worlds[turn % len(args.worlds)], has_keypoints, odometer)
+        DrivePlan(name, seed, args.worlds[turn % len(args.worlds)], has_keypoints)
         for name, seed, turn in drives
-        for odometer in args.odometer
         for has_keypoints in maps
     ]
 
@@ -133,16 +123,12 @@ def judge(runs: dict[DrivePlan, CourseRun]) -> list[CourseScore]:
 
 
 def compare(runs: dict[DrivePlan, CourseRun]) -> list[CourseScore]:
-    """Each course by its odometers, without keypoints and with them."""
-    found: dict[str, list[CourseRun]] = {}
-    for one, run in runs.items():
-        odometer = "" if one.odometer is None else f", {one.odometer:g} %"
-        found.setdefault(
-            f"{one.course}{odometer}, {'keypoint poses' if one.keypoints else 'sequence matches'}", []
-        ).append(run)
-    names = [one.course for one in runs]
-    of_course = sorted(found, key=lambda name: names.index(name.split(", ")[0]))
-    return [CourseScore(name, tuple(found[name])) for name in of_course]
+    """Each course without keypoints and with them."""
+    return [
+        CourseScore(f"{name}, {words}", tuple(run for one, run in runs.items() if one[::3] == (name, keypoints)))
+        for name in dict.fromkeys(one.course for one in runs)
+        for keypoints, words in ((False, "sequence matches"), (True, "keypoint poses"))
+    ]
 
 
 def drive_all(planned: Sequence[DrivePlan], args: argparse.Namespace) -> dict[DrivePlan, CourseRun]:
@@ -163,10 +149,8 @@ def drive_part(planned: Sequence[DrivePlan], length_m: float, folder: Path) -> d
             journals = folder / f"road-{one.world}"
             journals.mkdir(exist_ok=True)
             course = on_keypoints(COURSES[one.course]) if one.keypoints else COURSES[one.course]
-            runs[one] = drive(course, one.seed, length_m, one.world, journals, library, one.odometer)
-            which = ", keypoints" * one.keypoints
-            which += "" if one.odometer is None else f", {one.odometer:g} %"
-            print(line(f"{one.course}{which}", runs[one]), flush=True)
+            runs[one] = drive(course, one.seed, length_m, one.world, journals, library)
+            print(line(f"{one.course}{', keypoints' * one.keypoints}", runs[one]), flush=True)
     finally:
         library.save()
         library.close()
@@ -176,11 +160,6 @@ def drive_part(planned: Sequence[DrivePlan], length_m: float, folder: Path) -> d
 def _worlds(text: str) -> tuple[int, ...]:
     """Seeds of roads, separated by commas."""
     return tuple(int(world) for world in text.split(","))
-
-
-def _percents(text: str) -> tuple[float, ...]:
-    """Separated by commas."""
-    return tuple(float(percent) for percent in text.split(","))
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -193,8 +172,5 @@ def _check(args: argparse.Namespace) -> None:
         raise ConfigError("--runs: at least 1")
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
-    for percent in args.odometer:
-        if percent is not None and not 0 <= percent <= 50:
-            raise ConfigError(f"--odometer: {percent:g} is not between 0 and 50")
     if not SHORTEST_M <= args.length_m <= 20000:
         raise ConfigError(f"--length-m: {args.length_m:g} is not between {SHORTEST_M:g} and 20000")

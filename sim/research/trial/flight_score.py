@@ -11,9 +11,6 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.journal.records import FixSent, FrameUsed
-from edge.localization import Fix, NoFix
-from edge.localization.decide import NOT_NEEDED
-from edge.localization.events import UNBOUNDED
 from edge.telemetry.codec import Message
 from edge.telemetry.encoders import EXTERNAL_POSITION_ESTIMATE
 from sim.research.trial.recorded_drive import RecordedDrive
@@ -77,14 +74,6 @@ class SentPosition(msgspec.Struct, frozen=True):
         if not self.sigma_m:
             return math.nan
         return self.error_m / self.sigma_m
-
-
-def position_of(answer: Fix | NoFix | None) -> Fix | None:
-    """The position of an answer, also where only the autopilot did not need it; None without one."""
-    if isinstance(answer, NoFix):
-        is_known = answer.reason == NOT_NEEDED and answer.fix is not None
-        return Fix(answer.fix, answer.level or UNBOUNDED) if is_known and answer.fix is not None else None
-    return answer
 
 
 class Text(msgspec.Struct, frozen=True):
@@ -162,15 +151,8 @@ def score(
         math.dist(east_north_m(one.lat_deg or 0.0, one.lon_deg or 0.0), drive.true_m(one.stamp_ns / 1e9).tolist())
         for one in believed
     ]
-    return scored(positions, moments_s, len(used), off_m, texts)
-
-
-def scored(
-    positions: list[SentPosition], moments_s: Sequence[float], used: int, off_m: Sequence[float], texts: list[Text]
-) -> Score:
-    """moments_s: from the loss of GPS to the end, with those of positions. off_m: of each frame that was believed."""
     silent_s = round(float(np.diff(moments_s).max()), 2)
-    return Score(positions, silent_s, used, len(off_m), sum(off > FALSE_M for off in off_m), texts)
+    return Score(positions, silent_s, len(used), len(off_m), sum(off > FALSE_M for off in off_m), texts)
 
 
 def _position(
@@ -190,28 +172,13 @@ def _position(
         key: Key = round(message.usec / 1e3) if number == VISION else (message.lat, message.lon)
         fix = known.get(key)
     if fix is not None:
-        said |= {**_said(fix), "by_pose": bool(fix.points)}
-    return _judged(drive, here_m, of_s, sent_s, number, said)
-
-
-def _said(fix: FixSent) -> dict[str, Any]:
-    """What the journal says of a position."""
-    levels = {"level_along_m": fix.level_along_m, "level_cross_track_m": fix.level_cross_track_m}
-    return {
-        "sigma_m": fix.sigma_m,
-        "sigma_along_m": fix.sigma_along_m or None,
-        **levels,
-    }
-
-
-def _judged(
-    drive: RecordedDrive, here_m: Sequence[float], of_s: float, at_s: float, message: int, said: dict[str, Any]
-) -> SentPosition:
-    """A position of one moment that was sent at another."""
-    lost_s = drive.gps_lost_s
+        names = "sigma_m", "level_along_m", "level_cross_track_m"
+        said |= {**{name: getattr(fix, name) for name in names}, "sigma_along_m": fix.sigma_along_m or None}
+        said["by_pose"] = bool(fix.points)
     error_m, along_m, cross_track_m = (round(one, 3) for one in off_truth(drive, here_m, of_s))
-    driven_m = round(drive.driven_m(at_s) - drive.driven_m(lost_s), 2)
-    return SentPosition(round(at_s - lost_s, 3), driven_m, message, error_m, along_m, cross_track_m, **said)
+    driven_m = round(drive.driven_m(sent_s) - drive.driven_m(drive.gps_lost_s), 2)
+    since_s = round(sent_s - drive.gps_lost_s, 3)
+    return SentPosition(since_s, driven_m, number, error_m, along_m, cross_track_m, **said)
 
 
 def off_truth(drive: RecordedDrive, here_m: Sequence[float], time_s: float) -> tuple[float, float, float]:

@@ -19,7 +19,6 @@ from edge.errors import ConfigError, FeedError, LookbackError, SetupError
 from edge.journal.records import FixSent, FrameUsed
 from sim.journal import records_of
 from sim.research.trial.flight_score import MOVES_M, Score, autopilot_errors, dead_reckoning_errors, lane_errors, score
-from sim.research.trial.listed_drive import ListedDrive
 from sim.research.trial.recorded_drive import LINK, WE, RecordedDrive, read_drive, read_scenarios
 from sim.research.trial.replayed_drive import replay
 from sim.research.trial.table import as_row, markdown, put_between, side_by_side, spread
@@ -27,15 +26,10 @@ from sim.trial.records import Array
 from sim.trial.run import JOURNAL
 from sim.trial.views import RoadLibrary
 
-OF_POSITIONS = (
-    *("positions", "error, median / 95 % / largest", "over sigma, rms / largest", "beyond 3, 4"),
-    "levels, exceeded along-track, cross-track",
-)
 COLUMNS = (
-    *("drive", *OF_POSITIONS, "first after", "longest silence", "frames used, believed, false"),
-    *("dead reckoning's error", "autopilot's error", "beside its lane"),
+    *("drives", "positions", "error, median / 95 % / largest", "over sigma, rms / largest", "beyond 3, 4"),
+    *("levels, exceeded along-track, cross-track", "dead reckoning's error, median of the drives"),
 )
-KINDS_COLUMNS = "drives", *OF_POSITIONS, "dead reckoning's error, median of the drives"
 RESETS = "nearer_by_poses", "further_by_poses", "nearer_by_sequences", "further_by_sequences"
 RECORDED_M = ("reckoned_m", "autopilot_m", "lane_m")
 SECTION = "flights"
@@ -69,14 +63,11 @@ class ReplayFailure(msgspec.Struct, frozen=True):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev flights`."""
-    about = (
-        "recorded drives, a folder of them, or what `lookback bundle` made: of it, the list of the drive is replayed"
-    )
-    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help=about)
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="recorded drives, or a folder of them")
     parser.add_argument(
         "--jobs", type=int, default=1, metavar="N", help="maps whose drives run side by side (default 1)"
     )
-    output = "for the table, flights.json with every position, and journals (default flights)"
+    output = "for the tables, flights.json with every position, journals and lists (default flights)"
     parser.add_argument("-o", "--output", type=Path, default=Path("flights"), metavar="FOLDER", help=output)
     views = "keeps what was rendered for the next time, 110 MB for each drive (default: views/ in the output)"
     parser.add_argument("--views", type=Path, metavar="FOLDER", help=views)
@@ -91,25 +82,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(args: argparse.Namespace) -> int:
     if args.jobs < 1:
         raise ConfigError("--jobs: at least 1")
-    bundles = [given for given in args.flights if given.is_file()]
-    folders = [given for given in args.flights if given not in bundles]
-    folders = [path for given in folders for path in ([given] if (given / LINK).exists() else _inside(given))]
-    if not folders and not bundles:
+    folders = [path for given in args.flights for path in ([given] if (given / LINK).exists() else _inside(given))]
+    if not folders:
         raise FeedError(f"{args.flights[0]}: no recorded drive in it; one has {LINK}")
     args.output.mkdir(parents=True, exist_ok=True)
-    listed, views = [_listed(bundle) for bundle in bundles], args.views or args.output / "views"
-    flights = replay_all(folders, args.output, views, args.jobs, args.model, listed, keypoints=args.keypoints)
+    views = args.views or args.output / "views"
+    flights = replay_all(folders, args.output, views, args.jobs, args.model, keypoints=args.keypoints)
     options = [*([f"--model {args.model}"] if args.model else []), *["--keypoints"] * args.keypoints]
     given = " ".join([*(path.name for path in args.flights), *options])
     publish(flights, given, args.page)
-    print(table(flights))
+    print(f"{kinds_table(flights)}\n\n{summary(flights)}")
     return 0
-
-
-def _listed(bundle: Path) -> Flight:
-    """A drive from the field, of which neither autopilot nor pictures are replayed."""
-    drive = ListedDrive(bundle)
-    return Flight(bundle.stem, "from the field", drive.then, drive.now, [], [], [], round(drive.lost_m, 1))
 
 
 def publish(flights: Sequence[Flight | ReplayFailure], given: str, page: Path | None) -> None:
@@ -119,9 +102,13 @@ def publish(flights: Sequence[Flight | ReplayFailure], given: str, page: Path | 
     """
     if page is not None:
         made = f"`lookback dev flights {given}` of version {__version__}:"
-        put_between(SECTION, page, f"{made}\n\n{kinds_table(flights)}")
-        with page.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows(cells(flights))
+        put_between(SECTION, page, f"{made}\n\n{kinds_table(flights)}\n\n{summary(flights, ('now',))}")
+        _write_csv(flights, page)
+
+
+def _write_csv(flights: Sequence[Flight | ReplayFailure], page: Path) -> None:
+    with page.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(cells(flights))
 
 
 def cells(flights: Sequence[Flight | ReplayFailure]) -> Iterator[list[object]]:
@@ -140,7 +127,7 @@ def cells(flights: Sequence[Flight | ReplayFailure]) -> Iterator[list[object]]:
 
 
 def kinds_table(flights: Sequence[Flight | ReplayFailure]) -> str:
-    """The positions of today of all drives of a firmware in a light together; and what all drives say together."""
+    """The positions of today of all drives of a firmware in a light together."""
     kinds: dict[str, list[Flight]] = {}
     for flight in flights:
         if isinstance(flight, Flight):
@@ -149,12 +136,9 @@ def kinds_table(flights: Sequence[Flight | ReplayFailure]) -> str:
     for kind, drives in sorted(kinds.items()):
         reckoned_m = [one.reckoned_m[0] for one in drives if one.reckoned_m]
         alone = f"{np.median(reckoned_m):.1f} m" if reckoned_m else ""
-        lines.append([f"{len(drives)} {kind}", *_cells(_pooled([one.now for one in drives]))[:5], alone])
-    return f"{markdown(KINDS_COLUMNS, lines)}\n\n{summary(flights, ('now',))}"
-
-
-def _pooled(scores: Sequence[Score]) -> Score:
-    return Score([position for one in scores for position in one.positions], 0.0, 0, 0, 0, [])
+        positions = [position for one in drives for position in one.now.positions]
+        lines.append([f"{len(drives)} {kind}", *_cells(Score(positions, 0.0, 0, 0, 0, [])), alone])
+    return markdown(COLUMNS, lines)
 
 
 def _inside(folder: Path) -> list[Path]:
@@ -167,11 +151,10 @@ def replay_all(
     views: Path,
     jobs: int,
     model: Path | None = None,
-    listed: Sequence[Flight] = (),
     *,
     keypoints: bool = False,
 ) -> list[Flight | ReplayFailure]:
-    """Replay drives, those on one road one after the other. model: as `resolve_model` has it. listed: done already.
+    """Replay drives, those on one road one after the other. model: as `resolve_model` has it.
 
     flights.json and flights.md in `output` have what is done as soon as a road is.
     """
@@ -180,12 +163,11 @@ def replay_all(
         by_road.setdefault(_road(folder), []).append(folder)
     groups = sorted(by_road.values(), key=len, reverse=True)
     found: dict[Path, Flight | ReplayFailure] = {}
-    flights: list[Flight | ReplayFailure] = [*listed]
-    _write(flights, output)
+    flights: list[Flight | ReplayFailure] = []
     replayed = partial(replay_group, output=output, views=views, model=model, keypoints=keypoints)
     for group in side_by_side(replayed, groups, jobs):
         found.update(group)
-        flights = [*listed, *(found[folder] for folder in folders if folder in found)]
+        flights = [found[folder] for folder in folders if folder in found]
         _write(flights, output)
     return flights
 
@@ -193,6 +175,7 @@ def replay_all(
 def _write(flights: Sequence[Flight | ReplayFailure], output: Path) -> None:
     (output / "flights.json").write_bytes(msgspec.json.format(msgspec.json.encode(flights), indent=1))
     (output / "flights.md").write_text(page(flights), encoding="utf-8")
+    _write_csv(flights, output / "flights.md")
 
 
 def _road(folder: Path) -> int | None:
@@ -205,14 +188,15 @@ def _road(folder: Path) -> int | None:
 def replay_group(
     folders: Sequence[Path], output: Path, views: Path, model: Path | None = None, *, keypoints: bool = False
 ) -> list[tuple[Path, Flight | ReplayFailure]]:
-    """Replay drives on one road, in one process; each prints its rows."""
+    """Replay drives on one road, in one process; each prints a row."""
     logging.getLogger("edge").setLevel(logging.ERROR)
     library, drives = RoadLibrary(Network.load(model), views), {}
     found: list[tuple[Path, Flight | ReplayFailure]] = []
 
     def add(folder: Path, flight: Flight | ReplayFailure) -> None:
         found.append((folder, flight))
-        print("\n".join(map(as_row, rows(flight))), flush=True)
+        words = [f"not replayed: {flight.why}"] if isinstance(flight, ReplayFailure) else _cells(flight.now)
+        print(as_row([flight.name, *words]), flush=True)
 
     try:
         for folder in folders:
@@ -259,15 +243,6 @@ def _three(errors_m: Array) -> list[float]:
     return [round(float(one), 2) for one in np.percentile(errors_m, [50, 95, 100])] if len(errors_m) else []
 
 
-def rows(flight: Flight | ReplayFailure) -> list[list[str]]:
-    """Two rows of the table: as recorded, and now, which does not move the recorded autopilot."""
-    if isinstance(flight, ReplayFailure):
-        return [[flight.name, f"not replayed: {flight.why}"]]
-    recorded = [spread(errors_m) for errors_m in (flight.reckoned_m, flight.autopilot_m, flight.lane_m)]
-    then, now = _cells(flight.then), _cells(flight.now)
-    return [[f"{flight.name}, then", *then, *recorded], ["now", *now, "", "", ""]]
-
-
 def _cells(found: Score) -> list[str]:
     one = found.row()
     cells = [
@@ -276,15 +251,8 @@ def _cells(found: Score) -> list[str]:
         "{sigmas_rms:.2f} / {sigmas_max:.1f}",
         "{beyond_3}, {beyond_4}",
         "{levels}, {over_along}, {over_cross_track}",
-        "{first_m:.0f} m",
     ]
-    cells = cells if one["sent"] else ["0", *["-"] * 5]
-    return [cell.format(**one) for cell in (*cells, "{silent_s:.0f} s", "{used}, {believed}, {false}")]
-
-
-def table(flights: Sequence[Flight | ReplayFailure]) -> str:
-    """All drives, and what they say together."""
-    return f"{markdown(COLUMNS, [row for one in flights for row in rows(one)])}\n\n{summary(flights)}"
+    return [cell.format(**one) for cell in cells] if one["sent"] else ["0", *["-"] * 4]
 
 
 def summary(flights: Sequence[Flight | ReplayFailure], times: Sequence[str] = ("then", "now")) -> str:
@@ -318,7 +286,7 @@ def _together(scores: Sequence[Score]) -> str:
 
 
 def page(flights: Sequence[Flight | ReplayFailure]) -> str:
-    """The table, and what the pilot read then and now."""
+    """The table, what all drives say together, and what the pilot read then and now."""
     texts = [
         f"\n## {flight.name}\n\n"
         + "\n".join(
@@ -328,4 +296,4 @@ def page(flights: Sequence[Flight | ReplayFailure]) -> str:
         for flight in flights
         if isinstance(flight, Flight)
     ]
-    return "\n".join([table(flights), *texts]) + "\n"
+    return "\n".join([kinds_table(flights), "", summary(flights), *texts]) + "\n"

@@ -5,15 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from edge import __version__
 from edge.config import Config
+from edge.errors import FeedError
 from edge.geodesy import moved
 from edge.localization import PositionEstimator
 from edge.localization.drive_file import read_drive
@@ -22,10 +21,9 @@ from edge.localization.position_estimator import Entry, FixResult
 from edge.localization.sequence_match import Georeferencer
 from edge.reference_map import Route
 from sim.research.trial import recorded_drive
-from sim.research.trial.ablate_command import add_lists, listed
 from sim.research.trial.flight_score import off_truth
-from sim.research.trial.recorded_drive import RecordedDrive
-from sim.research.trial.table import put_between
+from sim.research.trial.recorded_drive import LINK, RecordedDrive
+from sim.research.trial.table import put_between, side_by_side
 from sim.trial.records import Array
 from sim.vehicle.position_inputs import east_north_m
 
@@ -36,39 +34,31 @@ FEWEST = 20
 """Measurements below which a group has no row."""
 APART_M = 40.0
 """Meters of the way after which errors are compared, to show how long they stay."""
+AXES = "along-track", "cross-track"
 HEADER = "| what | drives | measured | rms | rms for the drive | alike 40 m apart | rms over its sigma |"
 
 
-@dataclass
-class MeasurementErrors:
-    """Of one kind of measurement on one drive, in its unit: how far off, over which sigma, after how many meters."""
-
-    off: list[float] = field(default_factory=list)
-    sigmas: list[float] = field(default_factory=list)
-    at_m: list[float] = field(default_factory=list)
-
-    def add(self, off: float, at_m: float, sigma: float = math.nan) -> None:
-        """One measurement."""
-        self.off.append(off)
-        self.sigmas.append(sigma)
-        self.at_m.append(at_m)
-
-
-Noises = dict[str, MeasurementErrors]
-"""By kind of measurement, with its unit."""
+Noises = dict[str, list[tuple[float, float, float]]]
+"""By kind of measurement on one drive, in its unit: how far off each is, its sigma or NaN, and the meters driven."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback dev noises`."""
-    add_lists(parser)
+    parser.add_argument("lists", type=Path, metavar="LISTS", help="output of `lookback dev flights`, with its lists")
+    parser.add_argument("flights", nargs="+", type=Path, metavar="FOLDER", help="the recorded drives, for the truth")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="drives replayed side by side (default 1)")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="a page of docs, to write the table into")
     parser.set_defaults(run=_run)
 
 
 def _run(args: argparse.Namespace) -> int:
-    _, drives = listed(args)
-    with get_context("spawn").Pool(args.jobs) as pool:
-        found = pool.map(partial(noises_of, args.lists), drives, chunksize=1)
-    text = table(found)
+    folders = [path.parent for given in args.flights for path in sorted(given.glob(f"**/{LINK}"))]
+    drives = [folder for folder in folders if list((args.lists / folder.name).glob("*.drive"))]
+    if not drives:
+        raise FeedError(
+            f"{args.lists}: no list of these drives; `lookback dev flights FOLDER -o {args.lists}` makes it"
+        )
+    text = table(list(side_by_side(partial(noises_of, args.lists), drives, args.jobs)))
     if args.page is not None:
         names = ", ".join(folder.name for folder in drives)
         made = f"`lookback dev noises LISTS FOLDER` of version {__version__}; {len(drives)} drives: {names}."
@@ -103,7 +93,7 @@ class _Drive:
     def __init__(self, config: Config, truth: RecordedDrive, found: Noises) -> None:
         self.estimator = PositionEstimator(config)
         self.georeferencer: Georeferencer | None = None
-        self._config, self._truth, self._found = config, truth, found
+        self._config, self._truth, self._found, self._at_m = config, truth, found, 0.0
         self._firmware = "PX4" if truth.name.startswith("px4") else "ArduPilot"
         self._leg: tuple[float, Array, int, float | None] | None = None
 
@@ -128,15 +118,19 @@ class _Drive:
             self.georeferencer.add(np.array([*moved_m, *doubtful_m, at_s]))
         if at_s <= self._truth.gps_lost_s:
             return
-        at_m = self._truth.driven_m(at_s)
-        self._use_leg(frame, at_s, at_m, moved_m, motion.odometry_epoch)
-        self._use_match(self.georeferencer, frame, at_s, at_m)
-        self._use_estimate(frame, at_s, at_m)
+        self._at_m = self._truth.driven_m(at_s)
+        self._use_leg(frame, at_s, moved_m, motion.odometry_epoch)
+        self._use_match(self.georeferencer, frame, at_s)
+        place = self.estimator.state.position
+        if place is not None and place.stamp_ns == frame.stamp_ns and place.lat_deg is not None:
+            _, *off_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg or 0.0), at_s)
+            for name, one_m, sigma_m in zip(AXES, off_m, (place.sigma_along_m, place.sigma_cross_track_m), strict=True):
+                self._add(f"{self._firmware}: estimate {name}, m", one_m, sigma_m)
 
-    def _of(self, kind: str) -> MeasurementErrors:
-        return self._found.setdefault(kind, MeasurementErrors())
+    def _add(self, kind: str, off: float, sigma: float = math.nan) -> None:
+        self._found.setdefault(kind, []).append((off, sigma, self._at_m))
 
-    def _use_leg(self, frame: ImageProcessed, at_s: float, at_m: float, moved_m: Array, leg: int) -> None:
+    def _use_leg(self, frame: ImageProcessed, at_s: float, moved_m: Array, leg: int) -> None:
         """Heading and length of a displacement, and by how much gyros drift meanwhile."""
         gyros = None if frame.without_gps is None or frame.without_gps.gyros is None else frame.without_gps.gyros
         compass_rad = None if gyros is None else gyros.compass_rad
@@ -150,17 +144,15 @@ class _Drive:
             return
         step_m = moved_m - then_m
         turned = math.remainder(math.atan2(*step_m) - math.atan2(*true_m), math.tau)
-        self._of(f"{self._firmware}: heading of the velocity, degrees").add(math.degrees(turned), at_m)
-        self._of(f"{self._firmware}: scale of the velocity, %").add(
-            100 * (length_m / float(np.hypot(*step_m)) - 1), at_m
-        )
+        self._add(f"{self._firmware}: heading of the velocity, degrees", math.degrees(turned))
+        self._add(f"{self._firmware}: scale of the velocity, %", 100 * (length_m / float(np.hypot(*step_m)) - 1))
         if compass_rad is not None and then_rad is not None:
             true_deg = self._truth.heading_deg(at_s) - self._truth.heading_deg(then_s)
             off_deg = math.remainder(math.degrees(compass_rad - then_rad) - true_deg, 360.0)
-            self._of(f"{self._firmware}: gyros, degrees a second").add(off_deg / (at_s - then_s), at_m)
+            self._add(f"{self._firmware}: gyros, degrees a second", off_deg / (at_s - then_s))
         self._leg = at_s, moved_m, leg, compass_rad
 
-    def _use_match(self, georeferencer: Georeferencer, frame: ImageProcessed, at_s: float, at_m: float) -> None:
+    def _use_match(self, georeferencer: Georeferencer, frame: ImageProcessed, at_s: float) -> None:
         """A keypoint pose by its covariance and the map's, and a sequence match along-track, at its midpoint."""
         match = frame.match
         if match is None or not match.accepted:
@@ -171,26 +163,14 @@ class _Drive:
         if pose is not None and pose.pose is not None:
             map_m = math.hypot(pose.errors.map_m, math.sqrt(float(np.trace(pose.errors.whole)) / 2))
             spread = pose.pose.covariance + map_m**2 * np.eye(2)
-            off_m = self._off(georeferencer, pose.pose.position_m, at_s)
-            for axis, name in enumerate(("along-track", "cross-track")):
-                self._of(f"keypoint poses {name}, {where}, m").add(
-                    off_m[axis], at_m, math.sqrt(float(np.trace(spread)) / 2)
-                )
+            for name, off_m in zip(AXES, self._off(georeferencer, pose.pose.position_m, at_s), strict=True):
+                self._add(f"keypoint poses {name}, {where}, m", off_m, math.sqrt(float(np.trace(spread)) / 2))
         if matched is not None:
             middle_s = at_s - float(matched.midpoint.since_m[4])
             along_m = self._off(georeferencer, matched.midpoint.place_m, middle_s)[0]
             errors = matched.errors
             sigma_m = math.hypot(errors.stays_m, matched.sigma_factor * errors.changes_m, errors.map_m)
-            self._of(f"sequence matches along-track, {where}, m").add(along_m, at_m, sigma_m)
-
-    def _use_estimate(self, frame: ImageProcessed, at_s: float, at_m: float) -> None:
-        """What the filter says of where the vehicle is."""
-        place = self.estimator.state.position
-        if place is None or place.stamp_ns != frame.stamp_ns or place.lat_deg is None or place.lon_deg is None:
-            return
-        _, along_m, cross_track_m = off_truth(self._truth, east_north_m(place.lat_deg, place.lon_deg), at_s)
-        self._of(f"{self._firmware}: estimate along-track, m").add(along_m, at_m, place.sigma_along_m)
-        self._of(f"{self._firmware}: estimate cross-track, m").add(cross_track_m, at_m, place.sigma_cross_track_m)
+            self._add(f"sequence matches along-track, {where}, m", along_m, sigma_m)
 
     def _off(self, georeferencer: Georeferencer, position_m: Array, at_s: float) -> tuple[float, float]:
         """Along-track and cross-track error of local meters."""
@@ -203,13 +183,13 @@ def table(drives: Sequence[Noises]) -> str:
     """A row for each kind: rms, of the drives' means, correlation after APART_M, and rms in standard deviations."""
     rows = [HEADER, "|---" * HEADER.count(" | ") + "|---|"]
     for kind in sorted({kind for one in drives for kind in one}):
-        of = [one[kind] for one in drives if kind in one]
-        off, sigmas = (np.concatenate([getattr(one, name) for one in of]) for name in ("off", "sigmas"))
+        of = [np.array(one[kind]) for one in drives if kind in one]
+        off, sigmas, _ = np.concatenate(of).T
         if len(off) < FEWEST:
             continue
-        stays = math.sqrt(float(np.mean([np.mean(one.off) ** 2 for one in of])))
+        stays = _rms(np.array([one[:, 0].mean() for one in of]))
         ratios = off / sigmas
-        within = "-" if np.isnan(ratios).any() else f"{math.sqrt(float(np.mean(ratios**2))):.2f}"
+        within = "-" if np.isnan(ratios).any() else f"{_rms(ratios):.2f}"
         numbers = f"{_rms(off):.2f} | {stays:.2f} | {_alike(of)} | {within}"
         rows.append(f"| {kind} | {len(of)} | {len(off)} | {numbers} |")
     return "\n".join(rows)
@@ -219,11 +199,10 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def _alike(drives: Sequence[MeasurementErrors]) -> str:
+def _alike(drives: Sequence[Array]) -> str:
     """Correlation of errors APART_M apart, about 0."""
     pairs = []
-    for one in drives:
-        at_m, off = np.array(one.at_m), np.array(one.off)
+    for off, _, at_m in (one.T for one in drives):
         after = np.searchsorted(at_m, at_m + APART_M)
         known = after < len(at_m)
         known[known] &= at_m[after[known]] - at_m[known] < 2 * APART_M

@@ -37,7 +37,6 @@ ALL = (
 LITTLE_SAID = "autopilot's error 95 %, alone", "share sent"
 """Over several courses."""
 TABLES = {
-    "odometers": ("course", "autopilot's error 95 %, alone", "cross-track 95 %, alone"),
     "known": ("course", "drives", "place believed after", "positions", "in sigmas, rms / largest", "places wrong"),
     "keypoints": (
         *(
@@ -51,8 +50,8 @@ TABLES = {
         *("cross-track 95 %, alone", "first after", "believed", "wrong"),
     ),
 }
-"""Columns of the tables in docs, by their marks: of courses by the error of their odometers; of vehicles that nobody
-knew; and of courses on maps without and with keypoints, where the map with its GPS has the lane that was taught."""
+"""Columns of the tables in docs, by their marks: of vehicles that nobody knew; and of courses on maps without and with
+keypoints, where the map with its GPS has the lane that was taught."""
 
 
 def line(name: str, run: CourseRun) -> str:

@@ -1,4 +1,4 @@
-"""A, C and K: maps of a part of the road, maps that are wrong, and a road with layers."""
+"""A and C: maps of a part of the road, and maps that are wrong."""
 
 from __future__ import annotations
 
@@ -22,19 +22,7 @@ from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import bent, beside
 from sim.trial.way import along
 from sim.vehicle.gps import NO_FIX, GpsReport
-from sim.world.scenario import LightName, View
 
-DRIVES: tuple[tuple[View, LightName, int], ...] = (
-    ("rear", "day", 1),
-    ("rear", "dusk", 2),
-    ("front", "day", 11),
-    ("front", "night", 12),
-    ("front", "dusk", 13),
-    ("front", "rain", 14),
-    ("front", "snow", 15),
-    ("front", "day", 16),
-)
-"""Of a road with layers: view, light, and seed of the drive."""
 FALSE_BY_M, TWIN_M, CHANGES_M = 300.0, 25.0, 60.0
 
 
@@ -172,20 +160,3 @@ def on_keypoints(one: Course) -> Course:
         draft.keypoints, draft.rules = True, (*draft.rules, *draft.keypoint_rules)
 
     return replace(one, lay=lay)
-
-
-@course("K", "layers-8")
-def _layers(draft: CourseDraft) -> None:
-    """Two drives of a rear camera and six of a front one, in five lights; `map learn` chose four of them."""
-    right = [replace(stretch, off_m=(0.0, 0.0), recording="") for stretch in draft.map]
-    further = [replace(stretch, camera=camera) for camera in DRIVES[1:] for stretch in right]
-    draft.map = [*(replace(stretch, camera=DRIVES[0]) for stretch in draft.map), *further]
-    draft.layers = True
-
-
-@course("K", "layers-8-shifted")
-def _layers_shifted(draft: CourseDraft) -> None:
-    """The same, one front drive recorded 15 m to the side, and one without a position."""
-    _layers(draft)
-    draft.map[3] = replace(draft.map[3], off_m=draft.side(15.0))
-    draft.map[5] = replace(draft.map[5], off_m=(math.nan, math.nan))

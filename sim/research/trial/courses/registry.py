@@ -17,7 +17,6 @@ CASES = {
     "G": "home, steering itself",
     "H": "PX4, and streams",
     "J": "PX4 that nothing but the camera gives a speed",
-    "K": "eight drives over one road, of which four are searched",
     "L": "a vehicle that stands where nobody knows, or was carried there",
 }
 

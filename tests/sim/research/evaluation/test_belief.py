@@ -7,29 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.config import AcceptanceConfig, RigConfig
+from edge.config import AcceptanceConfig
 from edge.sequence import DeadReckoningPosition
-from sim.research.evaluation.lengths import USED, WAYS, believed_by, lines_of
-from sim.research.evaluation.lines import alikeness, errors_of
-from sim.research.evaluation.roads import Cut, DriveDescriptors, believe, judge, kept, mapped, rig_of
+from sim.research.evaluation.roads import Cut, DriveDescriptors, believe, judge, kept
 
 PLACES, SPACING_M = 220, 2.0
 
 
 def road(seed: int) -> DriveDescriptors:
-    """Neighbors a little alike, as on a road."""
+    """Neighbors a little alike, as on a road, which leads north."""
     rng = np.random.default_rng(seed)
     raw = rng.normal(size=(PLACES + 2, 2, 128))
     alike = np.asarray(np.maximum(raw[:-2] + raw[1:-1] + raw[2:], 0), np.float32)
     route_m = np.arange(0.0, PLACES) * SPACING_M
-    return DriveDescriptors(alike, route_m, route_m)
+    return DriveDescriptors(alike, route_m, route_m, np.column_stack([np.zeros(PLACES), route_m]))
 
 
 def way_home(of: DriveDescriptors, noise: float = 0.5) -> DriveDescriptors:
     """The same places backwards, on another day."""
     rng = np.random.default_rng(9)
     raw = of.raw[::-1] + noise * np.abs(rng.normal(size=of.raw.shape)).astype(np.float32)
-    return DriveDescriptors(raw, of.route_m[::-1].copy(), of.driven_m)
+    return DriveDescriptors(raw, of.route_m[::-1].copy(), of.driven_m, of.east_north_m[::-1].copy())
 
 
 @pytest.mark.parametrize(("cut", "parts"), [("whole", 1), ("first half", 1), ("second half", 1), ("thirds", 2)])
@@ -47,15 +45,8 @@ def test_the_way_home_is_believed_where_it_is_mapped_and_nowhere_else(cut: Cut, 
     assert judged.belief.correct[np.nan_to_num(judged.belief.confidence) >= AcceptanceConfig().confidence_from].all()
 
 
-def on_the_ground() -> tuple[DriveDescriptors, DriveDescriptors]:
-    """A road that leads north, and the way home along it, hard to see."""
-    ground_m = np.column_stack([np.zeros(PLACES), road(1).route_m])
-    to_north = replace(road(1), east_north_m=ground_m)
-    return to_north, replace(way_home(to_north, noise=2.0), east_north_m=ground_m[::-1].copy())
-
-
 def test_lines_of_half_a_sequence_are_believed_sooner_where_gps_reckoned_on_the_map_and_only_there() -> None:
-    of, query = on_the_ground()
+    of, query = road(1), way_home(road(1), noise=2.0)
     beliefs, mapped_m = (
         believe(of, query, "first half", reckoned=query.reckoned(0.0, seed=1)),
         of.route_m[: PLACES // 2],
@@ -66,7 +57,7 @@ def test_lines_of_half_a_sequence_are_believed_sooner_where_gps_reckoned_on_the_
 
 def test_votes_of_halves_begin_where_the_reckoning_does() -> None:
     """Also where it begins again; without one they neither count nor are kept."""
-    (of, query), begins = on_the_ground(), 114
+    of, query, begins = road(1), way_home(road(1), noise=2.0), 114
     vague = [replace(one, sigma_m=1e6) for one in query.reckoned(-1.0, seed=1)]  # no place is likelier than another
     reckoned: dict[str, list[DeadReckoningPosition | None]] = {
         "always": [*vague],
@@ -80,31 +71,6 @@ def test_votes_of_halves_begin_where_the_reckoning_does() -> None:
     assert gained["late"][0] == 0
     assert gained["late"][:5].max() > 0.2
     assert (found["late"].confidence[:begins] == found["late"].by_votes[:begins]).all()
-
-
-def test_the_table_of_lengths_has_the_belief_that_is_used() -> None:
-    of, query = on_the_ground()
-    rig = rig_of("reverse", 0.0)
-    used = believe(of, query, "second half", rig=rig, reckoned=query.reckoned(0.0, seed=0))
-    with mapped(of, "second half") as map_set:
-        lines = lines_of(map_set, query, rig)
-        found = believed_by(map_set, query, lines, WAYS[USED], draw=0)
-        other = believed_by(map_set, query, lines, WAYS["80 m"], draw=0)
-    np.testing.assert_allclose(found.confidence, used.confidence, atol=1e-6)
-    assert (other.confidence <= found.confidence).all()
-    assert (other.confidence < found.confidence - 0.1).any()
-
-
-def test_errors_of_lines_are_those_of_the_vehicles_place() -> None:
-    of, query = on_the_ground()
-    late = replace(query, route_m=query.route_m + 6.0)  # so that each line ends 6 m too far on the way home
-    off_m = errors_of(of, late, "reverse", RigConfig()).off_m
-    assert np.isfinite(off_m).sum() > PLACES / 3
-    assert abs(np.nanmedian(off_m) - 6.0) <= SPACING_M
-    rng = np.random.default_rng(1)
-    white = rng.normal(size=2000)
-    assert abs(alikeness([white], 10)) < 0.1
-    assert alikeness([np.convolve(white, np.ones(20), "valid")], 10) == pytest.approx(0.75, abs=0.1)
 
 
 def test_another_road_is_not_believed() -> None:

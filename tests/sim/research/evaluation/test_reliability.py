@@ -1,11 +1,10 @@
-"""How right a confidence is: what counts how much, and a fit that finds what made the data."""
+"""How right a confidence is: what counts how much."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from edge.sequence.consensus import RIGHT_AT_HALF, probability
 from sim.evaluation.metrics import Answers
 from sim.research.evaluation.reliability import Confidences, rows_of
 
@@ -21,17 +20,3 @@ def test_frames_on_the_map_count_as_much_as_all_off_it() -> None:
     assert [count for count, _, _ in tenths] == [0, 0, 0, 0, 0, 5, 0, 0, 0, 1]
     rows = list(rows_of({"roads": claims}))
     assert rows[2:] == ["| 0.7 to 0.8 | - |", "| 0.8 to 0.9 | - |", "| 0.9 to 1.0 | 1, 0.95, 1.00 |"]
-
-
-@pytest.mark.parametrize("at_half", [4.0, RIGHT_AT_HALF, 30.0])
-def test_the_fit_finds_the_odds_by_which_the_frames_are_right(at_half: float) -> None:
-    rng = np.random.default_rng(1)
-    agreement = rng.random(40_000)
-    odds = at_half * agreement / (1 - agreement)
-    right = rng.random(len(agreement)) < odds / (1 + odds)
-    claimed = np.array([probability(float(one)) for one in agreement])
-    claims = Confidences(claimed, right, np.full(len(right), 1 / len(right)))
-    assert claims.fitted() == pytest.approx(at_half, rel=0.05)
-    if at_half == RIGHT_AT_HALF:
-        for count, mean, share in claims.tenths():
-            assert share == pytest.approx(mean, abs=4 * np.sqrt(0.25 / count))

@@ -352,18 +352,6 @@ def test_of_vehicles_that_nobody_knew_it_is_said_after_which_way_a_place_was_bel
     assert row == "| kidnapped, looks | 2 | 72 m, - | 100 | 0.7 / 0.7 | 2 |"
 
 
-def test_odometers_are_compared_course_by_course() -> None:
-    planned = command.plan(_options(["--course", "home,person", "--odometer", "0.3,8", "--worlds", "7,8"]))
-    assert len(planned) == 20 and [one.odometer for one in planned[:3]] == [0.3, 8.0, 0.3]
-    assert [one.world for one in planned[:4]] == [7, 7, 8, 8]
-    track = replace(straight(), error_m=np.full(600, 4.0))
-    runs = {one: run_of(track=track) if one.odometer == 8.0 else run_of() for one in planned}
-    table = [row.split(" | ") for row in shown(command.compare(runs), TABLES["odometers"]).splitlines()[2:]]
-    names = [f"| {name}, {odometer} %, sequence matches" for name in ("home", "person") for odometer in ("0.3", "8")]
-    assert [row[0] for row in table] == names
-    assert [row[1] for row in table[:2]] == ["5.0 m, 5.0 m", "4.0 m, 5.0 m"]
-
-
 def fused(one: Course) -> Course:
     """With an ArduPilot that fuses keypoint poses."""
 
