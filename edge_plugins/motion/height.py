@@ -78,7 +78,7 @@ class CameraHeight:
         self._file, self._saved_ns = kept_height(path), 0
         earlier = _by_windows(kept.heights_m)
         self._earlier = earlier and HeightMeasurement(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
-        self._gps, self._places, self._is_by_gps = _ByGps(), _ByPlaces(frames), False
+        self._gps, self._places, self._has_gps = _ByGps(), _ByPlaces(frames), False
         self._combine()
 
     @property
@@ -93,7 +93,7 @@ class CameraHeight:
             return math.inf
         places = self._places.measured
         off = math.inf if places is None else math.hypot(places.share, places.height_m / self._best.height_m - 1)
-        return max(self._best.share, 0.0 if self._is_by_gps else (SLIPPED**-2 + off**-2) ** -0.5)
+        return max(self._best.share, 0.0 if self._has_gps else (SLIPPED**-2 + off**-2) ** -0.5)
 
     def _combine(self) -> None:
         gps, places = self._gps.measured, self._places.measured
@@ -109,12 +109,12 @@ class CameraHeight:
 
     def drive(self, heights_per_s: float, now_ns: int) -> None:
         """It moves ahead so fast now, in heights a second; `compare` follows where GPS measures it as well."""
-        self._is_by_gps = False
+        self._has_gps = False
         self._places.drive(heights_per_s, now_ns)
 
     def compare(self, gps_m: float, heights: float, mount_rad: tuple[float, float], now_ns: int) -> None:
         """A step was so many meters long by GPS, and so many heights by the camera. mount_rad: its pitch and yaw."""
-        self._is_by_gps = True
+        self._has_gps = True
         pitch_rad, yaw_rad = mount_rad
         window_m = self._gps.add(gps_m, heights, yaw_rad)
         if window_m is None:
