@@ -31,7 +31,7 @@ ROOMS = {
     "edge_plugins/home": 1050,
     "edge_plugins/layers": 200,
     "edge_plugins/mapping": 1600,
-    "edge_plugins/motion": 650,
+    "edge_plugins/motion": 600,
     "edge_plugins/nmea": 250,
     "edge_plugins/page": 650,
     "edge_plugins/recording": 300,

@@ -169,7 +169,9 @@ def decide(
     likelihood, may_be_shifted = fix_likelihood(place, innovation, known.cross_track)
     wrong = another_place(evidence, place_wrong, likelihood, may_be_shifted=may_be_shifted)
     # How far off it may be, also by GPS and motion since, in which no place has a part.
-    level = level_of(place, evidence, history, aiding.innovation(place, motion, own, by_gps=True), own.speed_mps, gates)
+    level = level_of(
+        place, evidence, history, aiding.innovation(place, motion, own, without_places=True), own.speed_mps, gates
+    )
 
     away_m = 0.0 if innovation is None else innovation.distance_m
     is_aided = aiding.is_bounded and own.is_aided

@@ -137,8 +137,8 @@ class Filter:
         """Driven since a lane counted for or against it."""
         self._heading_rad, self._scale = heading_rad, ScaleFactor(0.0, scale)
         self._gps_m, self.keeps_gps = GPS_M, False  # whether its error stays as it is
-        self.by_gps = False
-        """Whether the velocity is."""
+        self.has_gps = False
+        """Whether GPS aids the velocity."""
         self._drives: dict[Hashable, tuple[int, DriveErrors]] = {}  # number of the slot; the newest match is last
         self._is_doubtful = False
         for at, sigma in ((HEADING, heading_rad), (SCALE, scale), (GYRO, GYRO_RADPS), (COMPASS, COMPASS_RAD)):

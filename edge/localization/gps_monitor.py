@@ -13,9 +13,9 @@ than the vehicle as well, two witnesses of three speak against it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec import structs
@@ -34,6 +34,11 @@ from edge.sequence import PlaceMatch
 GpsVerdictState: TypeAlias = Literal[
     "cannot say", "consistent", "suspect", "inconsistent", "faulty", "map faulty", "not recognized"
 ]
+GpsState: TypeAlias = GpsVerdictState | Literal["left"]
+"""Left: the filter goes on without it, since keypoint poses contradict it; read as "suspect"."""
+LEFT: tuple[GpsState, ...] = ("left", "faulty")
+MISLED: tuple[GpsState, ...] = ("inconsistent", "faulty")
+OF_GPS: tuple[Name, ...] = ("gps dragged", "gps elsewhere")
 SUSPECT = 3.0
 """Evidence (20 to 1) from which GPS is suspect, and from which own motion speaks for one of two witnesses."""
 AGREED_M = 30.0
@@ -80,15 +85,63 @@ class GpsVerdict:
         return f"{math.hypot(*self.off_m):.0f} m off to the {point}"
 
 
+class GpsEvidence(NamedTuple):
+    """What a frame shows of GPS.
+
+    gps, of_map: evidence that it is wrong, and that the map is; call: from which on that is declared. tells_gps,
+    tells_map: whether it is known which of both is. agreed_m, gap_m: meters of places that were compared with it, and
+    since. is_followed: whether it is a measurement of the filter. is_far: from where keypoint poses have the vehicle.
+    """
+
+    gps: float
+    of_map: float
+    call: float
+    tells_gps: bool
+    tells_map: bool
+    agreed_m: float
+    gap_m: float
+    is_followed: bool
+    is_far: bool
+
+
+class Transition(NamedTuple):
+    """From any of some states (none: of all) to another one, where the evidence is such."""
+
+    before: tuple[GpsState, ...]
+    holds: Callable[[GpsEvidence], bool]
+    after: GpsState
+
+
+TRANSITIONS = (
+    Transition(LEFT, lambda now: now.agreed_m >= 2 * CORRELATION_M, "consistent"),
+    Transition(("faulty",), lambda now: True, "faulty"),
+    Transition((), lambda now: not now.is_followed and now.is_far, "faulty"),
+    Transition((), lambda now: not now.is_followed, "left"),
+    Transition((), lambda now: now.gps >= max(now.call, now.of_map + SUSPECT) and now.tells_gps, "faulty"),
+    Transition((), lambda now: now.of_map >= max(now.call, now.gps + SUSPECT) and now.tells_map, "map faulty"),
+    Transition((), lambda now: max(now.gps, now.of_map) >= now.call, "inconsistent"),
+    Transition((), lambda now: max(now.gps, now.of_map) >= SUSPECT, "suspect"),
+    Transition((), lambda now: now.agreed_m >= AGREED_M, "consistent"),
+    Transition((), lambda now: now.gap_m > LONGEST_GAP_M, "cannot say"),
+)
+"""The first that holds counts; where none does, the state stays."""
+
+
+def next_state(state: GpsState, now: GpsEvidence) -> GpsState:
+    """By the table."""
+    rows = (row for row in TRANSITIONS if state in (row.before or (state,)) and row.holds(now))
+    return next((row.after for row in rows), state)
+
+
 class GpsMonitor:
     """Fault detection of GPS against the places of one map. A faulty GPS stays so until it is consistent again."""
 
     def __init__(self, gates: GatesConfig) -> None:
-        self._acts, self._switches = gates.doubted_gps != "report", gates.doubted_gps == "switch"
+        self._doubted_gps = gates.doubted_gps
         self._call = math.log((1 - gates.gps_missed) / gates.gps_false_call)
         self._unseen_road: UnseenRoad | None = None
-        self._state: GpsVerdictState = "cannot say"
-        self._compared_m = self._agreed_m = self._gap_m = 0.0
+        self._state: GpsState = "cannot say"
+        self._agreed_m = self._gap_m = 0.0  # of places that were compared; once it is left, of those where it is near
         self._has_agreed = self._is_suspected = False
         self.verdict = GpsVerdict()
         """What the places say of GPS by the frames so far, "faulty" until it is consistent again."""
@@ -107,96 +160,75 @@ class GpsMonitor:
     ) -> bool:
         """Judge GPS by a frame that the tracker has used; True where places speak against it by that.
 
-        driven_m: since the frame before. is_compared: whether its place was compared with what is known.
+        own: as it is believed. driven_m: since the frame before. is_compared: whether its place was compared with what
+        is known.
         """
         assert self._unseen_road is not None
         bank, match = tracker.bank, frame.match.alone if frame.match else None
-        gps, of_map = bank.evidence("gps dragged", "gps elsewhere"), bank.evidence("map elsewhere")
-        doubt = min(1.0, max(gps, of_map) / self._call)
+        gps, of_map = bank.evidence(*OF_GPS), bank.evidence("map elsewhere")
         self._unseen_road.update(match, _where(frame.gps, own, frame), gps / self._call if gps >= SUSPECT else 0.0)
         is_unseen = self._unseen_road.is_unseen(gps / SUSPECT)
-        before, off_m = self.verdict, tracker.gps_off_m
-        self._count(driven_m, is_compared=is_compared and off_m is not None)
-        if not tracker.follows_gps:
-            is_far = off_m is not None and float(np.hypot(*off_m)) > NEAR_SIGMAS * GPS_SIGMA_M and tracker.has_pose
-            if off_m is not None and self._agrees_again(tracker, driven_m, is_compared=is_compared):
-                self._state = "consistent"
-                tracker.follows_gps = True
-            elif self._state != "faulty":
-                self._state, self._agreed_m = ("faulty" if is_far else "suspect"), self._agreed_m * (not is_far)
-        elif max(gps, of_map) >= self._call or (is_unseen and gps >= SUSPECT):
-            self._state = self._faulty_one(frame, tracker, self._call if is_unseen else gps, of_map)
-            if self._state == "faulty":
-                names: tuple[Name, ...] = ("gps dragged", "gps elsewhere")
-                tracker.call_gps(max(names, key=bank.evidence))
-                self._agreed_m = 0.0
-                off_m = tracker.gps_off_m
-        elif max(gps, of_map) >= SUSPECT:
-            self._state = "suspect"
-        elif self._compared_m >= AGREED_M:
-            self._state, self._has_agreed = "consistent", True
-        elif self._gap_m > LONGEST_GAP_M:
-            self._state = "cannot say"
+        before, off_m, likelier = self.verdict, tracker.gps_off_m, max(OF_GPS, key=bank.evidence)
+        self._count(tracker, driven_m, is_compared=is_compared and off_m is not None)
+        is_far = off_m is not None and float(np.hypot(*off_m)) > NEAR_SIGMAS * GPS_SIGMA_M
+        # Own motion in which GPS has no part says which is wrong; or GPS departs by far from a drive of the map that
+        # moved as its vehicle did.
+        knows = self._has_agreed and frame.without_gps is not None
+        departs = self._has_agreed and tracker.is_checked and likelier == "gps dragged"
+        departs = departs and (tracker.has_pose or tracker.gps_off(likelier) >= DEPARTS_M)
+        of_gps, is_far = max(gps, self._call) if is_unseen and gps >= SUSPECT else gps, is_far and tracker.has_pose
+        told, meters = (of_gps, of_map, self._call, knows or departs, knows), (self._agreed_m, self._gap_m)
+        now = GpsEvidence(*told, *meters, tracker.follows_gps, is_far)
+        was, self._state = self._state, next_state(self._state, now)
+        if self._state == "consistent":
+            self._has_agreed = tracker.follows_gps = True
+        elif self._state == "faulty" and tracker.follows_gps:
+            tracker.call_gps(likelier)
+            off_m = tracker.gps_off_m
+        if self._state in LEFT and self._state != was:
+            self._agreed_m = 0.0
         if off_m is not None and self._state in ("inconsistent", "map faulty"):
             off_m = tracker.gps_from_places_m
         elif off_m is None and before.off_m is not None:
             self._has_agreed = True  # GPS was right until then, unless something else says otherwise
-        state: GpsVerdictState = "not recognized" if is_unseen and self._state != "faulty" else self._state
-        if off_m is None and state != "faulty":
-            state = "cannot say"
-        known = None if state == "cannot say" else 1.0 if state == "faulty" else doubt
+        has_poses = tracker.may_leave_gps and tracker.pose() is not None
+        self._is_suspected = self.is_doubted and (self._is_suspected or has_poses)
+        state: GpsState = "cannot say" if off_m is None else "not recognized" if is_unseen else self._state
+        state = "faulty" if self._state == "faulty" else state
+        doubt = {"cannot say": None, "faulty": 1.0}.get(state, min(1.0, max(gps, of_map) / self._call))
         last_m = before.off_m if state == "faulty" else None
-        self.verdict = GpsVerdict(state, last_m if off_m is None else (float(off_m[0]), float(off_m[1])), known)
-        return state in ("inconsistent", "faulty") and before.state not in ("inconsistent", "faulty")
+        where_m = last_m if off_m is None else (float(off_m[0]), float(off_m[1]))
+        self.verdict = GpsVerdict("suspect" if state == "left" else state, where_m, doubt)
+        return state in MISLED and before.state not in MISLED
 
-    def _faulty_one(self, frame: ImageProcessed, tracker: Tracker, gps: float, of_map: float) -> GpsVerdictState:
-        """GPS, or the map, if they have agreed before, and own motion in which GPS has no part tells them apart.
-
-        Without that, GPS that departs by far from a drive of the map that moved as its vehicle did.
-        """
-        is_far = tracker.has_pose or tracker.gps_off("gps dragged") >= DEPARTS_M
-        drifts = tracker.bank.evidence("gps dragged") > tracker.bank.evidence("gps elsewhere")
-        departs = is_far and drifts and tracker.is_checked
-        is_known = frame.without_gps is not None
-        if self._has_agreed and gps >= self._call and gps - of_map >= SUSPECT and (is_known or departs):
-            return "faulty"
-        return "map faulty" if self._has_agreed and of_map - gps >= SUSPECT and is_known else "inconsistent"
-
-    def _count(self, driven_m: float, *, is_compared: bool) -> None:
+    def _count(self, tracker: Tracker, driven_m: float, *, is_compared: bool) -> None:
         """Meters of places that were compared with GPS, and since the last one."""
         self._gap_m = 0.0 if is_compared else self._gap_m + driven_m
-        self._compared_m = self._compared_m + driven_m if is_compared else self._compared_m
-        if self._gap_m > LONGEST_GAP_M:
-            self._compared_m = 0.0
-
-    def _agrees_again(self, tracker: Tracker, driven_m: float, *, is_compared: bool) -> bool:
         if is_compared:
-            self._agreed_m = self._agreed_m + driven_m if tracker.gps_is_near else 0.0
-        return self._agreed_m >= 2 * CORRELATION_M
+            self._agreed_m += driven_m
+        if self._gap_m > LONGEST_GAP_M or (is_compared and self._state in LEFT and not tracker.gps_is_near):
+            self._agreed_m = 0.0
 
     @property
     def is_doubted(self) -> bool:
         """Whether places speak against GPS now."""
-        return self._state in ("suspect", "inconsistent", "faulty")
+        return self._state in ("suspect", "inconsistent", *LEFT)
 
     @property
     def is_ignored(self) -> bool:
         """Whether positions are published as if GPS were lost."""
-        return (self._state == "faulty" and self._acts) or self._is_suspected
+        return self._is_suspected or (self._state == "faulty" and self._doubted_gps != "report")
 
     @property
     def is_wrong(self) -> bool:
-        """Whether where GPS has the vehicle says nothing of where it is, whatever is done about that."""
-        return self._state == "faulty" or self._is_suspected
+        """Whether where GPS has the vehicle says nothing of where it is, whatever is done about that.
 
-    def suspect(self, *, has_poses: bool) -> None:
-        """Go by a suspicion from now on, where the autopilot could go by keypoint poses instead.
-
-        It costs nothing if it is false. By a spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m
+        With `doubted_gps` "switch" a suspicion is enough, where the autopilot could go by keypoint poses instead: it
+        costs nothing if it is false. By a spoofing drift of 1 m/s, vehicles that steer themselves were 40 to 64 m
         beside their lane on four roads where GPS had to be faulty first, and 3.0 to 4.7 m at most on three where it is
         left (flown on ArduPilot 4.6.3).
         """
-        self._is_suspected = self._switches and self.is_doubted and (self._is_suspected or has_poses)
+        return self._state == "faulty" or self._is_suspected
 
     def believed(self, own: AutopilotState) -> AutopilotState:
         """What the autopilot reports, without a GPS that is ignored."""
@@ -220,18 +252,18 @@ class UnseenRoad:
         """Whether the vehicle is not recognized where GPS has it. doubt: by its own motion, see `GpsVerdict`."""
         return self.unseen_m >= UNSEEN_M * (1 - min(max(self._doubt, doubt), 1.0) / 2)
 
-    def update(self, match: PlaceMatch | None, by_gps: Sequence[GpsFix], doubt: float = 0.0) -> None:
+    def update(self, match: PlaceMatch | None, gps: Sequence[GpsFix], doubt: float = 0.0) -> None:
         """The answer to one more frame.
 
-        by_gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
+        gps: at the exposure, by the receiver and by the autopilot's filter, whose position is on the lane while it
         steers by it, and lags a receiver that is spoofed. doubt: see `GpsVerdict`; 0 where GPS is not suspect.
         """
         if match is None:
             self.reset()  # a sequence begins anew, and cannot be recognized yet
         elif match.accepted:
             self._see(match, doubt)
-        elif self._last is not None and by_gps:
-            self._follow(self._last, by_gps)
+        elif self._last is not None and gps:
+            self._follow(self._last, gps)
 
     def _see(self, match: PlaceMatch, doubt: float) -> None:
         spacing_m = self._route.drive(match.place_index).spacing_m
@@ -246,7 +278,7 @@ class UnseenRoad:
         is_firm = self._firm_m >= CORRELATION_M or (self._last is not None and self._firm_m > 0)
         self._last, self._ahead_m, self._doubt = (match if is_firm else None), 0.0, doubt
 
-    def _follow(self, last: PlaceMatch, by_gps: Sequence[GpsFix]) -> None:
+    def _follow(self, last: PlaceMatch, gps: Sequence[GpsFix]) -> None:
         sign, rig = (1 if last.direction == "forward" else -1), self._rig
         seen_m, behind_m = sign * self._ahead_m, sign * rig.ahead_m(last.direction, last.order)
         here = position_on_route(self._route, last.place_index, seen_m - behind_m, last.direction)
@@ -254,9 +286,9 @@ class UnseenRoad:
         if here is None or here.heading_deg is None or not is_mapped:
             self.reset()
             return
-        offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in by_gps]
+        offsets_m = [along_and_left_m(one, here, rig.left_m(last.direction)) for one in gps]
         ahead_m, left_m = min(offsets_m, key=lambda off_m: abs(off_m[1]))
-        if abs(left_m) > NEAR_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), by_gps[0].sigma_m):
+        if abs(left_m) > NEAR_SIGMAS * math.hypot(rig.sigma_cross_track_m, map_error_m(here), gps[0].sigma_m):
             # For long, it has turned off; a filter that catches up with a spoofed receiver is back soon.
             self._beside_m += self._route.drive(last.place_index).spacing_m
             if self._beside_m > UNSEEN_M:

@@ -78,7 +78,7 @@ def fix_likelihood(
     likelihood, is_shift = math.inf, False
     if innovation is not None:
         likelihood = likelihood_of(innovation.distance_m, math.hypot(innovation.sigma_m, fix.sigma_m), innovation.wrong)
-        is_shift = innovation.by_gps and innovation.distance_m > AGREE_SIGMAS * fix.sigma_m
+        is_shift = innovation.is_gps and innovation.distance_m > AGREE_SIGMAS * fix.sigma_m
     if cross_track is not None:
         likelihood, is_shift = min(likelihood, likelihood_of(*cross_track, STRETCH_WRONG)), True
     return likelihood, is_shift

@@ -46,7 +46,7 @@ def by_gps(state: Filter, gps_m: Vector) -> bool:
 
 def by_compass(state: Filter, *, has_gps: bool) -> None:
     """The heading in which the velocity is, of an autopilot without GPS: it has the error of its compass."""
-    state.by_gps = has_gps
+    state.has_gps = has_gps
     if not has_gps:
         row = state.rows((HEADING, [1.0]), (COMPASS, [1.0]))
         state.correct(row, -row @ state.mean, np.array([[COMPASS_NOISE_RAD**2]]))
@@ -61,7 +61,7 @@ def by_pose(state: Filter, slot: Slot, pose: PoseMeasurement, *, is_evidence: bo
     """
     shared = max(1.0, SHARED_M / max(state.since_pose_m, STANDS_M))
     rows = state.rows((POSITION, PLANE), (slot.map, PLANE), (slot.whole, PLANE), (HEADING, TURN), (slot.aim, TURN))
-    if state.by_gps:
+    if state.has_gps:
         rows[:, COMPASS] = -TURN
     off, noise = np.array([*pose.position_m, 0.0]) - rows @ state.mean, shared * pose.pose_covariance
     noise[2, 2] += COMPASS_NOISE_RAD**2

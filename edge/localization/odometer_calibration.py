@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -76,8 +75,7 @@ def learned(drives: Sequence[ScaleFactor]) -> ScaleFactor | None:
     return ScaleFactor(float(np.average(means, weights=weights)), float(np.sum(weights)) ** -0.5, varies)
 
 
-@dataclass(frozen=True)
-class _Reading:
+class _Reading(NamedTuple):
     """Of the odometer: when, meters, and m/s since the one before."""
 
     stamp_ns: int
@@ -107,7 +105,7 @@ class OdometerCalibration:
         """Whether this drive contradicts what was learned, as after a change of tires."""
         self.scale: ScaleFactor | None = None
         """Of the odometer, None while nothing is shown, or where the autopilot does not move by it."""
-        self._fixes: deque[tuple[int, Origin]] = deque()
+        self._fix: tuple[int, Origin] | None = None  # the newest
         self._readings: deque[_Reading] = deque(maxlen=16)  # for which no fix has come yet
         self._newest: _Reading | None = None
         self._began: tuple[_Reading, Origin] | None = None  # where a span did
@@ -121,11 +119,7 @@ class OdometerCalibration:
     def add_fix(self, stamp_ns: int, at: Origin) -> None:
         """Where a healthy receiver was, by a report that came at a time."""
         stamp_ns -= round(LATE_S * 1e9)
-        before_ns, before = self._fixes[-1] if self._fixes else (stamp_ns, at)
-        self._fixes.append((stamp_ns, at))
-        if len(self._fixes) > 1:
-            self._fixes.popleft()
-        self._without = None
+        (before_ns, before), self._fix, self._without = self._fix or (stamp_ns, at), (stamp_ns, at), None
         if not 0 < stamp_ns - before_ns <= REPORTS_APART_NS:
             self._began = None
             return
@@ -148,7 +142,7 @@ class OdometerCalibration:
             self._began = self._without = None
             return
         self._readings.append(self._newest)
-        if self._fixes and stamp_ns - self._fixes[-1][0] > 2 * REPORTS_APART_NS and own_m is not None:
+        if self._fix is not None and stamp_ns - self._fix[0] > 2 * REPORTS_APART_NS and own_m is not None:
             self._check(driven_m, own_m)
 
     def _check(self, driven_m: float, own_m: float) -> None:
@@ -194,11 +188,9 @@ class OdometerCalibration:
         mean, sigma = float(scale) - 1, math.sqrt(covariance[0, 0] + varies / len(spans))
         if float(np.sum(spans[:, 0])) >= LEARNED_M:
             self.found = ScaleFactor(mean, sigma)
-        before = self.learned
-        self.is_changed = before is not None and abs(mean - before.mean) > AGREE_SIGMAS * math.hypot(
-            sigma, before.later
-        )
-        if before is None or self.is_changed:
+        old = self.learned
+        self.is_changed = old is not None and abs(mean - old.mean) > AGREE_SIGMAS * math.hypot(sigma, old.later)
+        if old is None or self.is_changed:
             return ScaleFactor(mean, sigma, math.sqrt(varies + CHANGES**2))
-        changes = min(CHANGES, before.varies)
-        return ScaleFactor(before.mean, before.later).and_also(ScaleFactor(mean, sigma, math.sqrt(varies + changes**2)))
+        found_now = ScaleFactor(mean, sigma, math.sqrt(varies + min(CHANGES, old.varies) ** 2))
+        return ScaleFactor(old.mean, old.later).and_also(found_now)

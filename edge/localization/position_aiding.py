@@ -21,14 +21,14 @@ CALLED_SIGMA_M = 10.0
 class DeadReckoningOffset:
     """The vehicle by a datum and dead reckoning: meters east and north of a fix, and one standard deviation.
 
-    wrong, by_gps: see `OdometryDatum`.
+    wrong, is_gps: see `OdometryDatum`.
     """
 
     east_m: float
     north_m: float
     sigma_m: float
     wrong: float = BOUND_WRONG
-    by_gps: bool = False
+    is_gps: bool = False
 
     @property
     def distance_m(self) -> float:
@@ -41,7 +41,7 @@ class OdometryDatum:
     """The datum of odometry: where the vehicle was by GPS, a fix or an observation, to one standard deviation.
 
     driven_m: in all by then, None where only the displacement since counts. wrong: probability that it was elsewhere.
-    by_gps: whether GPS says so.
+    is_gps: whether GPS says so.
     """
 
     lat_deg: float
@@ -50,7 +50,7 @@ class OdometryDatum:
     displacement: Odometry
     driven_m: float | None = None
     wrong: float = BOUND_WRONG
-    by_gps: bool = False
+    is_gps: bool = False
 
     def sigma_at(self, now: Odometry, drift: float, driven_m: float | None = None) -> float:
         """One standard deviation at a displacement, with what may have been driven while the velocity was unknown.
@@ -66,7 +66,7 @@ class OdometryDatum:
         """Relative to a latitude and longitude; see `sigma_at`."""
         east_m, north_m = east_north_of(self.lat_deg, self.lon_deg, at)
         moved_m, sigma_m = now.since(self.displacement), self.sigma_at(now, drift, driven_m)
-        return DeadReckoningOffset(east_m + moved_m[0], north_m + moved_m[1], sigma_m, self.wrong, self.by_gps)
+        return DeadReckoningOffset(east_m + moved_m[0], north_m + moved_m[1], sigma_m, self.wrong, self.is_gps)
 
 
 class PositionAiding:
@@ -85,7 +85,7 @@ class PositionAiding:
         self.rests_on_fixes = False
         """Whether a fix that was sent may have moved the autopilot's own position since GPS aided it last."""
         self._last: OdometryDatum | None = None
-        self._by_gps: OdometryDatum | None = None  # in which no place has a part
+        self._without_places: OdometryDatum | None = None  # in which no place has a part
         self._sent_ns: int | None = None
 
     def restart(self) -> None:
@@ -100,21 +100,21 @@ class PositionAiding:
         if position is None or sigma_m is None or own.motion is None:
             return
         where = position.lat_deg, position.lon_deg, sigma_m
-        self._last, self.is_bounded = OdometryDatum(*where, own.motion, own.driven_m, by_gps=True), True
+        self._last, self.is_bounded = OdometryDatum(*where, own.motion, own.driven_m, is_gps=True), True
         if not (self.rests_on_fixes or is_doubted):
-            self._by_gps = self._last
+            self._without_places = self._last
 
     def doubt_gps(self) -> None:
         """Places speak against where GPS had the vehicle, or the vehicle was carried since."""
-        self._by_gps = None
+        self._without_places = None
 
     def call_gps(self, off_m: tuple[float, float] | None) -> None:
         """GPS was declared faulty, so many meters east and north of the vehicle; None where that is not known."""
-        self._by_gps = None
-        if self._last is not None and self._last.by_gps:
+        self._without_places = None
+        if self._last is not None and self._last.is_gps:
             at = self._last.lat_deg, self._last.lon_deg
             lat_deg, lon_deg = at if off_m is None else moved(*at, -off_m[0], -off_m[1])
-            known = replace(self._last, lat_deg=lat_deg, lon_deg=lon_deg, sigma_m=CALLED_SIGMA_M, by_gps=False)
+            known = replace(self._last, lat_deg=lat_deg, lon_deg=lon_deg, sigma_m=CALLED_SIGMA_M, is_gps=False)
             self._last = None if off_m is None else known
 
     def use_fix(self, t_ns: int, fix: Fix | None, own: AutopilotState) -> None:
@@ -132,19 +132,21 @@ class PositionAiding:
 
     def dead_reckoning_position(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""
-        if self._by_gps is None or motion is None or own.driven_m is None or not own.is_aided:
+        if self._without_places is None or motion is None or own.driven_m is None or not own.is_aided:
             return None
-        where = moved(self._by_gps.lat_deg, self._by_gps.lon_deg, *motion.since(self._by_gps.displacement))
-        return DeadReckoningPosition(*where, self._by_gps.sigma_at(motion, self.drift, own.driven_m))
+        where = moved(
+            self._without_places.lat_deg, self._without_places.lon_deg, *motion.since(self._without_places.displacement)
+        )
+        return DeadReckoningPosition(*where, self._without_places.sigma_at(motion, self.drift, own.driven_m))
 
     def innovation(
-        self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState, *, by_gps: bool = False
+        self, fix: PlaceFix, motion: Odometry | None, own: AutopilotState, *, without_places: bool = False
     ) -> DeadReckoningOffset | None:
         """The innovation of a fix: the vehicle by the last aiding, relative to it; None where that is not known.
 
-        by_gps: by GPS alone, as where nothing aids the velocity: a fix that was sent may come back as that.
+        without_places: by GPS alone, as where nothing aids the velocity: a fix that was sent may come back as that.
         """
-        datum = self._last if own.is_aided and not by_gps else self._by_gps
+        datum = self._last if own.is_aided and not without_places else self._without_places
         if datum is None or motion is None or own.driven_m is None or not fix.is_position:
             return None
         assert fix.lat_deg is not None and fix.lon_deg is not None

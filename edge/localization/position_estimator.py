@@ -101,7 +101,6 @@ class PositionEstimator:
         self._exposed: Odometry | None = None  # at the newest exposure with a position
         self._motion: Odometry | None = None  # at the newest frame
         self._is_recognized, self._velocity_error = False, 0.0
-        self._was_gps_wrong = False
         self._known: EstimatorState | None = None  # since the newest event
 
     def update(self, t_ns: int, event: Event) -> None:
@@ -191,7 +190,7 @@ class PositionEstimator:
         tracker.may_leave_gps = self._own.fuses_poses and self._config.gates.doubted_gps == "switch"
         is_compared = tracker.update(frame, with_pose, believed, timestamp_sigma_m, yaw_rad)
         driven_m = 0.0 if before is None or frame.motion is None else math.hypot(*frame.motion.since(before))
-        self._motion = frame.motion
+        self._motion, was_wrong = frame.motion, self._gps.is_wrong
         if frame.in_line and self._gps.update(frame, tracker, believed, driven_m, is_compared=is_compared):
             tracker.doubt_scale()
         # GPS aids the autopilot's position while nothing speaks against GPS.
@@ -206,8 +205,12 @@ class PositionEstimator:
             # By votes alone: dead reckoning would else be evidence for a place that it made credible.
             if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
                 self._observe(fix, frame.motion)
-        if frame.in_line:
-            self._judge_gps()
+        if self._gps.is_wrong and not was_wrong:
+            # The vehicle is where GPS has it, less its error. What GPS has contradicted so far is not contradicted.
+            self._aiding.call_gps(self._gps.verdict.off_m)
+            self._claims.contradict_nothing()
+        elif self._gps.is_doubted:
+            self._aiding.doubt_gps()
 
     def _yaw_rad(self, stamp_ns: int) -> float | None:
         """The autopilot's heading at an exposure; None where it has reported none around then."""
@@ -232,19 +235,6 @@ class PositionEstimator:
         innovation = known.aiding.innovation(fix, motion, known.autopilot)
         likelihood, is_shift = fix_likelihood(fix, innovation, known.cross_track)
         self._claims.observe(fix, motion, likelihood, may_be_shifted=is_shift)
-
-    def _judge_gps(self) -> None:
-        """Use the newest verdict on GPS; once it is wrong, the vehicle is where GPS has it, less its error."""
-        gps, was_wrong = self._gps, self._was_gps_wrong
-        has_poses = self._own.fuses_poses and self._tracker is not None and self._tracker.pose() is not None
-        gps.suspect(has_poses=has_poses)
-        self._was_gps_wrong = gps.is_wrong
-        if gps.is_wrong and not was_wrong:
-            # What GPS has contradicted so far is not contradicted any more.
-            self._aiding.call_gps(gps.verdict.off_m)
-            self._claims.contradict_nothing()
-        elif gps.is_doubted:
-            self._aiding.doubt_gps()
 
     def _use_own(self, t_ns: int, own: AutopilotState) -> None:
         self._own = own

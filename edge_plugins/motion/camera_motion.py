@@ -88,11 +88,9 @@ class CameraMotion:
         self._sign = 1.0 if camera.view == "front" else -1.0
         self._record, self._recorded_ns, self._turned_rad = record, 0, turned_rad
         path = Path(journal).with_suffix(".height") if journal else None
-        key, pitch_rad = (
-            f"{camera.source} {camera.view} {camera.preprocessing} {self._fov_deg:g} {motion}",
-            math.radians(motion.pitch_deg),
-        )
-        self.height = CameraHeight(read_height(path, key, pitch_rad), config.sequence_frames, path)
+        key = f"{camera.source} {camera.view} {camera.preprocessing} {self._fov_deg:g} {motion}"
+        kept = read_height(path, key, math.radians(motion.pitch_deg))
+        self.height = CameraHeight(kept, config.sequence_frames, path)
         self._view: GroundView | None = None
         self._seen: tuple[NDArray[np.uint8], int] | None = None
         self._step: GroundMotion | None = None
@@ -119,8 +117,7 @@ class CameraMotion:
         if before is not None and 0 <= stamp_ns - before[1] < LEAST_NS:
             return None
         if self._view is None:
-            size, pitch_rad = image.shape[1::-1], math.radians(self._config.pitch_deg)
-            self._view = GroundView(self._fov_deg, size[0], size[1], pitch_rad)
+            self._view = GroundView(self._fov_deg, image.shape[1], image.shape[0], math.radians(self._config.pitch_deg))
         now = self._seen = self._view.contrast(image), stamp_ns
         self.speed = None
         if before is None or not 0 < stamp_ns - before[1] <= LONGEST_STEP_NS:
@@ -151,13 +148,9 @@ class CameraMotion:
         return rests_rad + kept * (self._pitch_rad - rests_rad), sigma
 
     def _use(self, step: GroundMotion, stamp_ns: int, gps_mps: float | None, gps_slip: float) -> None:
-        before, since_s, high_m = (
-            self._step,
-            (stamp_ns - self._stepped_ns) / 1e9,
-            self.height.height_m or LEAST_HEIGHT_M,
-        )
+        before, high_m = self._step, self.height.height_m or LEAST_HEIGHT_M
         jump_mps = math.inf if before is None else abs(step.ahead_per_s - before.ahead_per_s) * high_m
-        has_jumped = jump_mps > MOST_JUMP_MPS2 * since_s
+        has_jumped = jump_mps > MOST_JUMP_MPS2 * (stamp_ns - self._stepped_ns) / 1e9
         if has_jumped and abs(step.ahead_per_s) < STILL:
             self._begin_anew("nothing moves: it stands, or sees no road")
             return

@@ -89,8 +89,7 @@ class GroundView:
 
     def __init__(self, fov_deg: float, width: int, height: int, pitch_rad: float) -> None:
         """fov_deg: horizontal. pitch_rad: roughly, down from the horizon; it decides which rows are kept."""
-        focal_px = GROUND_WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
-        self.focal_px = focal_px
+        self.focal_px = focal_px = GROUND_WIDTH_PX / 2 / math.tan(math.radians(fov_deg) / 2)
         rows = round(GROUND_WIDTH_PX * height / width)
         self._camera = np.array([[focal_px, 0, GROUND_WIDTH_PX / 2 - 0.5], [0, focal_px, rows / 2 - 0.5], [0, 0, 1]])
         mask, nearest = self._ground(pitch_rad, rows)
@@ -241,11 +240,8 @@ def _track(
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(now, warped, there, np.empty(0), winSize=window, maxLevel=most)
     astray_px = np.linalg.norm((back - corners)[:, 0], axis=1)
     kept = (found[:, 0] == 1) & (found_back[:, 0] == 1) & (astray_px < BACK_PX)
-    return (
-        (corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64))
-        if kept.sum() >= FEWEST_STRIPS
-        else None
-    )
+    pixels = corners[kept, 0].astype(np.float64), there[kept, 0].astype(np.float64)
+    return pixels if kept.sum() >= FEWEST_STRIPS else None
 
 
 def _solve(

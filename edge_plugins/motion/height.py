@@ -78,7 +78,8 @@ class CameraHeight:
         self._file, self._saved_ns = kept_height(path), 0
         earlier = _by_windows(kept.heights_m)
         self._earlier = earlier and HeightMeasurement(earlier.height_m, math.hypot(earlier.share, EARLIER_SHARE))
-        self._gps, self._places, self._is_by_gps = _ByGps(), _ByPlaces(frames), False
+        self._windows_m, self._places, self._has_gps = tuple[float, ...](), _ByPlaces(frames), False
+        self._window = np.zeros(3)  # since the last comparison: meters, heights, and the yaw times meters
         self._combine()
 
     @property
@@ -93,12 +94,11 @@ class CameraHeight:
             return math.inf
         places = self._places.measured
         off = math.inf if places is None else math.hypot(places.share, places.height_m / self._best.height_m - 1)
-        return max(self._best.share, 0.0 if self._is_by_gps else (SLIPPED**-2 + off**-2) ** -0.5)
+        return max(self._best.share, 0.0 if self._has_gps else (SLIPPED**-2 + off**-2) ** -0.5)
 
     def _combine(self) -> None:
-        gps, places = self._gps.measured, self._places.measured
-        if len(self._gps.windows_m) < WINDOWS and self._earlier is None:
-            gps = None
+        is_enough = len(self._windows_m) >= WINDOWS or self._earlier is not None
+        gps, places = _by_windows(self._windows_m) if is_enough else None, self._places.measured
         if gps is not None and places is not None:
             agrees = abs(places.height_m / gps.height_m - 1) / CONTRADICTS
             gps = HeightMeasurement(gps.height_m, max(gps.share, math.sqrt(max(0.0, agrees**2 - places.share**2))))
@@ -109,22 +109,25 @@ class CameraHeight:
 
     def drive(self, heights_per_s: float, now_ns: int) -> None:
         """It moves ahead so fast now, in heights a second; `compare` follows where GPS measures it as well."""
-        self._is_by_gps = False
+        self._has_gps = False
         self._places.drive(heights_per_s, now_ns)
 
     def compare(self, gps_m: float, heights: float, mount_rad: tuple[float, float], now_ns: int) -> None:
         """A step was so many meters long by GPS, and so many heights by the camera. mount_rad: its pitch and yaw."""
-        self._is_by_gps = True
+        self._has_gps = True
         pitch_rad, yaw_rad = mount_rad
-        window_m = self._gps.add(gps_m, heights, yaw_rad)
-        if window_m is None:
+        self._window += gps_m, heights, gps_m * yaw_rad
+        meters, driven, yaws = self._window.tolist()
+        if meters < WINDOW_M:
             return
+        window_m, found_rad, self._window = meters / max(driven, 1e-9), yaws / meters, np.zeros(3)
+        self._windows_m = _newest(self._windows_m, window_m)
         self._places.begin()  # they tell whether it still holds from here on
         self._combine()
         heights_m = _newest(self.kept.heights_m, window_m)
         self.pitch_rad += (pitch_rad - self.pitch_rad) / len(heights_m)
-        before_rad = self._gps.yaw_rad if self.yaw_rad is None else self.yaw_rad
-        self.yaw_rad = before_rad + (self._gps.yaw_rad - before_rad) / len(heights_m)
+        before_rad = found_rad if self.yaw_rad is None else self.yaw_rad
+        self.yaw_rad = before_rad + (found_rad - before_rad) / len(heights_m)
         self.kept = HeightRecord(self.kept.camera, self.pitch_rad, heights_m, self.yaw_rad)
         if len(heights_m) >= WINDOWS and now_ns - self._saved_ns >= SAVED_NS:
             self._saved_ns = now_ns
@@ -134,32 +137,6 @@ class CameraHeight:
         """A frame that lines may lead through; line: that of its match, None where none is believed."""
         self._places.use_frame(line)
         self._combine()
-
-
-class _ByGps:
-    """Comparisons with GPS on this drive."""
-
-    def __init__(self) -> None:
-        self.windows_m: tuple[float, ...] = ()
-        self._meters = self._heights = self._yaws = 0.0  # since the last one
-        self.yaw_rad = 0.0
-        """Mean of the last window."""
-
-    def add(self, meters: float, heights: float, yaw_rad: float) -> float | None:
-        """A step; the height by the window that it completes."""
-        self._meters, self._heights = self._meters + meters, self._heights + heights
-        self._yaws += meters * yaw_rad
-        if self._meters < WINDOW_M:
-            return None
-        window_m = self._meters / max(self._heights, 1e-9)
-        self.windows_m, self.yaw_rad = _newest(self.windows_m, window_m), self._yaws / self._meters
-        self._meters = self._heights = self._yaws = 0.0
-        return window_m
-
-    @property
-    def measured(self) -> HeightMeasurement | None:
-        """By the newest of them."""
-        return _by_windows(self.windows_m)
 
 
 class _ByPlaces:

@@ -33,12 +33,10 @@ class Motion(Plugin):
         """Compare the distance that the camera measures with that between the places which it recognizes."""
         if not self._parts.recognizer.is_in_line:
             return
-        match, height = used.match, self._motion.height
-        line = None
+        match, position = used.match, None
         if match is not None and match.accepted and match.uniqueness >= 1:
             line = sequence_midpoint(match, self._parts.drive.route, self._parts.config.sequence_frames)
-        if match is None or line is None:
-            height.use_frame(None)
-            return
-        along_m = line.along_m if match.direction == "forward" else -line.along_m
-        height.use_frame(SequencePosition(f"{line.segment} {match.direction} {match.order}", along_m, line.back))
+            if line is not None:
+                along_m = line.along_m if match.direction == "forward" else -line.along_m
+                position = SequencePosition(f"{line.segment} {match.direction} {match.order}", along_m, line.back)
+        self._motion.height.use_frame(position)

@@ -31,7 +31,7 @@ def error_in_sigmas(seed: int, drives: int) -> float:
     state = Filter(1e-6, SCALE)
     state.place(at_m, 25.0 * np.eye(2))
     state.mean[POSITION] = at_m + rng.normal(0.0, 5.0, 2)
-    state.by_gps = True
+    state.has_gps = True
     kept, noise = math.exp(-STEP_M / MAP_M), np.diag([POSE_M**2, POSE_M**2, math.radians(0.5) ** 2])
     for number in range(int(DRIVEN_M / STEP_M)):
         moved_m = np.array([0.0, STEP_M])

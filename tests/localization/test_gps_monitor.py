@@ -11,7 +11,7 @@ import pytest
 
 from edge.config import RigConfig
 from edge.localization import Discontinuity, GpsFix
-from edge.localization.gps_monitor import FIRM, UNSEEN_M
+from edge.localization.gps_monitor import FIRM, UNSEEN_M, GpsEvidence, GpsState, next_state
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import Road, Vehicle, gps_at, match, settings
 from tests.localization.route_course import SPACING_M, Stretch
@@ -210,3 +210,17 @@ def test_gps_is_not_called_wrong_for_pictures_whose_time_is_uncertain(
         one.move()
         one.show(seen(at_m), gps_at(at_m if at_m < 160.0 else at_m + 30.0))
     assert one.drive.state.gps.state == state
+
+
+@pytest.mark.parametrize(
+    ("state", "changes", "after"), [
+        ("faulty", {"gps": 99.0}, "faulty"), ("suspect", {}, "suspect"), ("suspect", {"gap_m": 241.0}, "cannot say"),
+        ("left", {"agreed_m": 120.0, "is_followed": False}, "consistent"), ("left", {"is_followed": False}, "left"),
+        ("suspect", {"agreed_m": 999.0, "is_followed": False}, "left"), ("suspect", {"agreed_m": 30.0}, "consistent"),
+        ("left", {"is_followed": False, "is_far": True}, "faulty"), ("consistent", {"gps": 3.0}, "suspect"),
+        ("consistent", {"gps": 9.0, "of_map": 6.0}, "faulty"), ("consistent", {"of_map": 9.0}, "map faulty"),
+        ("consistent", {"gps": 9.0, "tells_gps": False}, "inconsistent"), ("suspect", {"is_far": True}, "suspect"),
+        ("consistent", {"of_map": 9.0, "tells_map": False}, "inconsistent"), ("suspect", {"gps": 2.9}, "suspect"),
+    ])  # fmt: skip
+def test_the_table_of_states(state: GpsState, changes: dict[str, Any], after: GpsState) -> None:
+    assert next_state(state, GpsEvidence(0, 0, 9, True, True, 0, 0, True, False)._replace(**changes)) == after
