@@ -14,9 +14,10 @@ import numpy as np
 
 from edge.config import Config, RigConfig
 from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.filter import DriveErrors
+from edge.localization.filter import left_of
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
 from edge.localization.pose_measurement import AIM_RAD, PoseMeasurement, Vector, camera_pose
+from edge.localization.state import DriveErrors
 from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -217,11 +218,6 @@ class Georeferencer:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
-
-
-def left_of(along: Vector) -> Vector:
-    """The unit vectors (..., 2) to the left of others."""
-    return np.asarray(along[..., ::-1] * np.array([-1.0, 1.0]))
 
 
 def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:

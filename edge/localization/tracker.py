@@ -23,23 +23,12 @@ from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
-from edge.localization.filter import (
-    COMPASS,
-    CORRELATION_M,
-    GATE,
-    GPS_M,
-    GPS_SHARE,
-    HEADING,
-    POSITION,
-    SCALE,
-    Filter,
-    FilterStep,
-    Vector,
-)
-from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
+from edge.localization.filter import CORRELATION_M, GATE, Filter, FilterStep, left_of
+from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name, Row
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
 from edge.localization.pose_measurement import PoseMeasurement
-from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
+from edge.localization.sequence_match import Georeferencer, SequenceMatch
+from edge.localization.state import COMPASS, GPS_M, GPS_SHARE, HEADING, POSITION, SCALE, Vector
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -192,10 +181,9 @@ class Tracker:
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
-            fix_m = gps_m
-            self.bank.each(lambda state: measurements.by_gps(state, fix_m))
+            measurements.by_gps(self.bank.all, gps_m)
         if before is not None:
-            self.bank.each(lambda state: measurements.by_compass(state, has_gps=own.gps_sigma_m is not None))
+            measurements.by_compass(self.bank.all, has_gps=own.gps_sigma_m is not None)
         track = self._track
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
             self._track = self._exposure = self._pose = None
@@ -219,8 +207,7 @@ class Tracker:
             gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
-        for_all = gps.sigma_m * GPS_SHARE
-        self.bank.each(lambda state: state.expect_gps(for_all))
+        self.bank.all.expect_gps(gps.sigma_m * GPS_SHARE)
         origin = self._georeferencer.origin = self._georeferencer.origin or (gps.lat_deg, gps.lon_deg)
         gps_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, origin))
         off_m = gps_m - self.bank.right.position_m
@@ -229,7 +216,7 @@ class Tracker:
 
     def _place(self, position_m: Vector) -> None:
         self.bank.right.place(position_m, ELSEWHERE_M**2 * np.eye(2))
-        self.bank.begin(self.bank.right)
+        self.bank.begin()
         self._is_placed = True
 
     def lose_gps(self, shown: ScaleFactor | None) -> None:
@@ -240,7 +227,7 @@ class Tracker:
             scale = ScaleFactor(0.0, usual if is_usual else self._assumed).and_also(shown)
             self._is_shown = scale.later < self._assumed
             if self._is_shown:
-                self.bank.each(lambda state: state.expect_scale(scale))
+                self.bank.all.expect_scale(scale)
         self._is_bound = False
 
     def bind(self) -> None:
@@ -273,25 +260,24 @@ class Tracker:
     @property
     def has_pose(self) -> bool:
         """Whether there was a keypoint pose within the last CORRELATION_M."""
-        return self.bank.right.since_pose_m < CORRELATION_M
+        return bool(self.bank.right.since_pose_m < CORRELATION_M)
 
     def call_gps(self, name: Name) -> None:
         """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
-        self._ignore_gps(self.bank.of(name))
+        self._ignore_gps(name)
 
-    def _ignore_gps(self, state: Filter) -> None:
-        state.lose_gps()
-        state.keeps_gps = False
-        state.set(COMPASS, 0.0, MISLED_RAD**2)
+    def _ignore_gps(self, right: Row) -> None:
+        self.bank.begin(right)
+        self.bank.all.lose_gps()
+        self.bank.all.set(COMPASS, 0.0, MISLED_RAD**2)
         self.follows_gps = self._is_shown = False
         self._exposure = self._pose = None  # the filter that followed GPS had the vehicle there
-        self.bank.begin(state)
 
     def doubt_scale(self) -> None:
         """What GPS has shown of the velocity's scale does not hold."""
         if self._is_shown:
             self._is_shown = False
-            self.bank.each(lambda state: state.doubt_scale(self._assumed))
+            self.bank.all.doubt_scale(self._assumed)
 
     @property
     def velocity_errors(self) -> tuple[float, float] | None:
@@ -299,7 +285,7 @@ class Tracker:
         if not self._is_shown or self._is_bound:
             return None
         state = self.bank.right
-        scale, heading_rad = (math.hypot(state.mean[at], state.sigma(at)) for at in (SCALE, HEADING))
+        scale, heading_rad = (math.hypot(state.value(at), state.sigma(at)) for at in (SCALE, HEADING))
         return scale, heading_rad
 
     @property
@@ -310,7 +296,7 @@ class Tracker:
         """
         state = self.bank.right
         is_known = self._track is not None and state.since_pose_m < CORRELATION_M
-        return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
+        return (state.value(HEADING), state.sigma(HEADING)) if is_known else None
 
     def _measured(
         self, match: PlaceMatch, with_pose: SequenceMatch | None, timestamp_sigma_m: float
@@ -332,18 +318,16 @@ class Tracker:
         if own.drives_itself:
             lane_m = math.hypot(measured.errors.lane_m, BESIDE_M)
             measured = dataclasses.replace(measured, errors=dataclasses.replace(measured.errors, lane_m=lane_m))
-        pose, drive, errors = measured.pose, measured.drive, measured.errors
-
-        def use(state: Filter) -> bool:
-            slot = state.slot(drive, errors)
-            if pose is not None:
-                return measurements.by_pose(state, slot, pose, is_evidence=is_evidence)
-            return measurements.by_sequence(state, slot, measured, is_evidence=is_evidence)
-
         self._compare_across(measured)
+        pose = measured.pose
         if pose is not None and self._contradicts_gps(pose) and self.may_leave_gps:
             self._leave_gps(measured, stamp_ns)
-        if self.bank.each(use):
+        slot = self.bank.all.slot(measured.drive, measured.errors)
+        if pose is not None:
+            is_used = measurements.by_pose(self.bank.all, slot, pose, is_evidence=is_evidence)
+        else:
+            is_used = measurements.by_sequence(self.bank.all, slot, measured, is_evidence=is_evidence)
+        if is_used[0]:  # by the right filter
             self._add(track, measured, stamp_ns)
         else:
             track.disagreeing += 1
@@ -360,7 +344,7 @@ class Tracker:
             return False
         off_m, usual_m = self._gps_m - pose.position_m, self._usual_off_m
         if usual_m is None or float(np.hypot(*(off_m - usual_m))) <= DEPARTS_M:
-            news = 1.0 if usual_m is None else min(1.0, self.bank.right.since_pose_m / CORRELATION_M)
+            news = 1.0 if usual_m is None else min(1.0, float(self.bank.right.since_pose_m) / CORRELATION_M)
             self._usual_off_m = off_m if usual_m is None else usual_m + news * (off_m - usual_m)
             self._departing = 0
         else:
@@ -369,14 +353,13 @@ class Tracker:
 
     def _leave_gps(self, measured: SequenceMatch, stamp_ns: int) -> None:
         """Begin where the poses are, with what is known of the vehicle, and nothing of what GPS said of the map."""
-        right, errors = self.bank.right, measured.errors
-        self._departing = 0
+        self._departing, errors = 0, measured.errors
+        self._ignore_gps("right")
+        right = self.bank.all
         slot = right.slot(measured.drive, errors)
         right.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
         right.set(slot.whole, 0.0, errors.whole)
-        self._ignore_gps(right)
         right.widen(POSITION, GPS_SIGMA_M)
-        self.bank.begin(right)
         self._agreeing, self._posed_ns = FIRST - 1, stamp_ns
 
     def _add(self, track: TrackScore, measured: SequenceMatch, stamp_ns: int) -> None:
@@ -384,7 +367,7 @@ class Tracker:
         self._track, self.is_checked = track, measured.mapped.checked_m > 0
         track.add(measured, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
-            self.bank.before = None
+            self.bank.drop_before()
         if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
         if measured.pose is not None:
@@ -441,7 +424,7 @@ class Tracker:
         slot = state.slot(measured.drive, measured.errors)
         if measured.pose is not None:
             off_m = float(left @ (measured.pose.position_m - state.position_m))
-            rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
+            rows = state.rows((POSITION, left[None]), (slot.map, left[None]), (slot.whole, left[None]))
             noise = float(left @ measured.pose.pose_covariance[:2, :2] @ left)
         else:
             both, innovation, noises = measurements.sequence_innovation(state, slot, measured)
@@ -460,18 +443,18 @@ class Tracker:
         if not self._is_placed or bank.evidence(*names) < CALL:
             return False
         name = max(names, key=bank.evidence)
-        right = bank.of(name)
+        before = bank.before
         if name == "slips":
             self._is_shown = False
-            bank.begin(right, bank.before)
+            bank.begin(name, "before")
             return True
         self._corrected_ns = stamp_ns
-        if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
-            bank.begin(bank.before)
+        if before is not None and _apart(bank.of(name), before) <= GATE[2]:  # it was not lost, after all
+            bank.begin("before")
             self._track = TrackScore(0.0)
         else:
             is_elsewhere = name == "lost"  # where matches must agree for a correlation length
-            bank.begin(right, (bank.before or bank.right) if is_elsewhere else bank.before)
+            bank.begin(name, "right" if is_elsewhere and before is None else "before")
             self._track = TrackScore(math.inf if is_elsewhere else 0.0)
         self._track.matches = FIRST - 1  # those that outvoted what was known
         return True
@@ -526,7 +509,7 @@ class Tracker:
         unknown_m = now.motion.unknown_since(before.motion)
         self._bridged_m = self._bridged_m + unknown_m if unknown_m > 0 else 0.0
         driven_m = float(np.hypot(*step.moved_m))
-        self.bank.each(lambda state: state.predict(step))
+        self.bank.all.predict(step)
         if self._track is not None:
             self._track.since_m += driven_m
             self._track.driven_m += driven_m
@@ -560,7 +543,7 @@ class Tracker:
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
         self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
-        self.bank.each(lambda state: _shift(state, shift_m))
+        self.bank.all.mean[..., POSITION] -= shift_m
 
     def _fix(
         self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, yaw_rad: float | None
@@ -575,7 +558,7 @@ class Tracker:
         heading_rad, has_pose = math.radians(found.heading_deg), state.since_pose_m < CORRELATION_M
         slot = state.newest
         if has_pose and yaw_rad is not None and slot is not None:
-            heading_rad = yaw_rad + state.mean[HEADING] + state.mean[slot.aim]
+            heading_rad = yaw_rad + state.value(HEADING) + state.value(slot.aim)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = state.spread
         if newest.pose is None:
@@ -597,7 +580,7 @@ class Tracker:
             recording=newest.mapped.recording,
             checked_m=newest.mapped.checked_m or UNSET,
             confidence=match.confidence,
-            velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
+            velocity_error=math.hypot(state.value(HEADING), state.value(SCALE)),
             disputed=self._is_disputed,
             by_lane=not has_pose,
             points=(track.points or UNSET) if stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
@@ -618,10 +601,6 @@ def _apart(one: Filter, other: Filter) -> float:
     """How far the positions of two filters are apart: squared, in standard deviations."""
     off_m = one.position_m - other.position_m
     return float(off_m @ np.linalg.solve(one.spread + other.spread, off_m))
-
-
-def _shift(state: Filter, by_m: Vector) -> None:
-    state.mean[POSITION] -= by_m
 
 
 def _vector(displacement: Odometry) -> Vector:

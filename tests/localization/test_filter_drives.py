@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from edge.localization.filter import MAP_M, POSITION, WANDER, DriveErrors, Filter, FilterStep
+from edge.localization.filter import Filter, FilterStep
 from edge.localization.measurements import by_pose
 from edge.localization.pose_measurement import AIM_RAD, PoseMeasurement
+from edge.localization.state import MAP_M, POSITION, WANDER, DriveErrors
 
 STEP_M, RUNS, DRIVEN_M, TURN_M = 10.0, 60, 800.0, 10.0
 MAP_SIGMA_M, WHOLE_M, POSE_M = 1.0, 3.0, 0.4
@@ -31,7 +32,7 @@ def error_in_sigmas(seed: int, drives: int) -> float:
     state = Filter(1e-6, SCALE)
     state.place(at_m, 25.0 * np.eye(2))
     state.mean[POSITION] = at_m + rng.normal(0.0, 5.0, 2)
-    state.by_gps = True
+    state.has_gps_heading = True
     kept, noise = math.exp(-STEP_M / MAP_M), np.diag([POSE_M**2, POSE_M**2, math.radians(0.5) ** 2])
     for number in range(int(DRIVEN_M / STEP_M)):
         moved_m = np.array([0.0, STEP_M])
