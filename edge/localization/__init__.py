@@ -32,18 +32,12 @@ from edge.localization.events import (
     ProtectionLevel,
 )
 from edge.localization.filter import CORRELATION_M
+from edge.localization.fused_poses import HOLE_S
 from edge.localization.gps_monitor import GpsVerdict
 from edge.localization.gyro_heading import GyroHeading
 from edge.localization.integrity import distance_from
-from edge.localization.odometer_calibration import (
-    AGREE_SIGMAS,
-    MOST_DRIVES,
-    OdometerCalibration,
-    ScaleFactor,
-    learned,
-)
+from edge.localization.odometer_calibration import AGREE_SIGMAS, MOST_DRIVES, OdometerCalibration, ScaleFactor, learned
 from edge.localization.position_estimator import Entry, EstimatorState, PositionEstimator
-from edge.localization.tracker import HOLE_S
 
 __all__ = [
     "AGREE_SIGMAS",

@@ -214,7 +214,7 @@ class DeadReckoning:
             self.gaps += not is_known
             moved_m = (self._forward_mps + forward_mps) / 2 * gap_ns / 1e9 if is_known else 0.0
             behind_m = min(BACKED_M, max(0.0, self._behind_m - moved_m))
-            self.gaps += behind_m == BACKED_M > self._behind_m
+            self.gaps += behind_m == BACKED_M and self._behind_m < BACKED_M
             self._behind_m = behind_m
         # By its rate, so that the distance at a moment is the same whoever else asks for other moments.
         is_new_ground = forward_mps > 0 and self._behind_m == 0

@@ -22,19 +22,14 @@ from edge.localization.odometer_calibration import ScaleFactor
 from edge.localization.state import (
     DOUBT,
     DRAG,
-    DRIVES,
     GPS,
     GYRO,
     HEADING,
-    PER_M,
-    PER_S,
+    NUMBERS,
     POSITION,
     SCALE,
-    SIGMA,
     SLOTS,
     VELOCITY,
-    WALK_M2,
-    WALK_S2,
     DriveErrors,
     Matrix,
     Slot,
@@ -55,6 +50,8 @@ DOUBTFUL = -0.5, 0.5
 """Mean and standard deviation of the share of doubtful meters, since they are all true or none is."""
 OUTLIERS = 1e-3
 """Share of measurements that say nothing."""
+SECOND_SHARE = 0.1
+"""Share of keypoint poses that are a second solution of their geometry."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class Filter:
 
     def __init__(self, heading_rad: float, scale: float) -> None:
         """Standard deviations of the autopilot's velocity. The position is not known before `place`."""
-        self._sigma = SIGMA[: DRAG.stop].copy()
+        self._sigma = NUMBERS["sigma"][: DRAG.stop].copy()
         self._sigma[HEADING], self._sigma[SCALE] = heading_rad, scale
         self._about = np.zeros(DRAG.stop)
         self.mean, self.covariance = np.zeros(DRAG.stop), np.diag(self._sigma**2)
@@ -101,16 +98,14 @@ class Filter:
 
     def _each(self, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> Filter:
         other = object.__new__(Filter)
-        other.__dict__.update(self.__dict__)
+        other.__dict__.update(self.__dict__, _drives=self._drives.copy())
         for name in EACH:
             setattr(other, name, change(getattr(self, name)))
         return other
 
     def copy(self) -> Filter:
         """Those that go their own way."""
-        other = self._each(np.copy)
-        other._drives = self._drives.copy()
-        return other
+        return self._each(np.copy)
 
     def take(self, rows: int | Sequence[int] | None) -> Filter:
         """Of many: one, which is still a part of them, or copies of some. None: of one alone, the first of many."""
@@ -178,32 +173,28 @@ class Filter:
 
     def slot(self, drive: Hashable, errors: DriveErrors) -> Slot:
         """Of a drive, whose errors begin where the filter has not kept them."""
-        known = self._drives.pop(drive, None)
-        if known is None:
-            number = self._begin_drive(errors)
-        else:
-            number, before = known
-            errors = before if errors is before else self._grown(SLOTS[number], before, errors)
-        self._drives[drive] = number, errors
+        number, before = self._drives.pop(drive) if drive in self._drives else (self._begin_drive(errors), errors)
         slot = SLOTS[number]
+        errors = self._grown(slot, before, errors)
+        self._drives[drive] = number, errors
         self._sigma[..., slot.map], self._sigma[..., slot.changes] = errors.map_m, errors.changes_m
         return slot
 
     def _begin_drive(self, errors: DriveErrors) -> int:
         """Make room for a drive, in place of the one that was matched longest ago."""
         number = len(self._drives)
-        if number < DRIVES:
-            more = [(0, 0)] * (self.mean.ndim - 1) + [(0, SLOTS[number].all.stop - self.mean.shape[-1])]
+        if number < len(SLOTS):
+            more = [(0, 0)] * (self.mean.ndim - 1) + [(0, SLOTS[number].aim.stop - self.mean.shape[-1])]
             self.mean, self._sigma, self._about = (np.pad(one, more) for one in (self.mean, self._sigma, self._about))
             self.covariance = np.pad(self.covariance, [*more, more[-1]])
         else:
             number, _ = self._drives.pop(next(iter(self._drives)))
         slot = SLOTS[number]
-        self.set(slot.all, 0.0, 0.0)
+        states = slice(slot.map.start, slot.aim.stop)
+        self.set(states, 0.0, np.diag(NUMBERS["sigma"][states] ** 2))
         self.covariance[..., slot.whole, slot.whole] = errors.whole
-        sigmas = errors.map_m, errors.stays_m, errors.changes_m, errors.aim_rad
-        for states, sigma in zip((slot.map, slot.stays, slot.changes, slot.aim), sigmas, strict=True):
-            self.widen(states, sigma)
+        for part, sigma in ((slot.map, errors.map_m), (slot.stays, errors.stays_m), (slot.changes, errors.changes_m)):
+            self.widen(part, sigma)
         return number
 
     def _grown(self, slot: Slot, before: DriveErrors, errors: DriveErrors) -> DriveErrors:
@@ -239,29 +230,31 @@ class Filter:
 
     def predict(self, step: FilterStep) -> None:
         """Move on."""
-        driven_m, size = float(np.hypot(*step.moved_m)), self.mean.shape[-1]
+        driven_m, numbers = float(np.hypot(*step.moved_m)), NUMBERS[: self.mean.shape[-1]]
         self.since_pose_m += driven_m
         self.since_lane_m += driven_m
         was_doubtful, self._is_doubtful = self._is_doubtful, bool(step.doubtful_m.any())
         if self._is_doubtful and not was_doubtful:
             self.set(DOUBT, DOUBTFUL[0], DOUBTFUL[1] ** 2)
         by_gyros_s = 0.0 if step.turned_rad is None else step.seconds
-        kept = np.ones(self.mean.shape) * np.exp(-driven_m * PER_M[:size] - step.seconds * PER_S[:size])
+        kept = np.ones_like(self.mean) * np.exp(-driven_m / numbers["over_m"] - step.seconds / numbers["over_s"])
         if step.turned_rad is not None:
             kept[..., HEADING] = 1.0
         kept[self.keeps_gps, GPS] = 1.0
-        noise = self._sigma**2 * (1 - kept**2) + driven_m * WALK_M2[:size] + by_gyros_s * WALK_S2[:size]
+        noise = driven_m * numbers["walk_m"] ** 2 + by_gyros_s * numbers["walk_s"] ** 2
+        noise = noise + self._sigma**2 * (1 - kept**2)
         noise[..., POSITION] += step.unknown_m2
         noise[..., HEADING] += step.turned_var
-        transition = kept[..., None] * np.eye(size)
+        diagonal = np.eye(len(numbers))
+        transition = kept[..., None] * diagonal
         transition[..., HEADING, GYRO] = by_gyros_s
         transition[..., GPS, DRAG] = step.seconds * np.eye(2)
         mean = (transition @ self.mean[..., None])[..., 0] + (1 - kept) * self._about
         mean[..., POSITION] += self.truly(step.moved_m, step.doubtful_m)
         mean[..., HEADING] -= step.turned_rad or 0.0
         transition[..., POSITION, VELOCITY] = self.slopes(step.moved_m, step.doubtful_m)
-        self.mean[...], diagonal = mean, noise[..., None] * np.eye(size)
-        self.covariance[...] = transition @ self.covariance @ transition.swapaxes(-1, -2) + diagonal
+        self.mean[...] = mean
+        self.covariance[...] = transition @ self.covariance @ transition.swapaxes(-1, -2) + noise[..., None] * diagonal
         if step.bridged_m2:
             along = step.moved_m / max(driven_m, 1e-9)
             self.covariance[..., POSITION, POSITION] += step.bridged_m2 * np.outer(along, along)
@@ -278,13 +271,13 @@ class Filter:
         return np.asarray((rows @ self.mean[..., None])[..., 0])
 
     def weigh(
-        self, spread: Matrix, innovation: Vector, anywhere: float, second: tuple[float, Matrix] | None = None
+        self, spread: Matrix, innovation: Vector, anywhere: float, second: Matrix | None = None
     ) -> tuple[Vector, Matrix]:
         """Add the likelihood of an innovation with its covariance; chi2 and the inverse. The others: see `correct`."""
         chi2, inverse, density = _normal(spread, innovation)
         if anywhere:
             if second is not None:
-                density = density + second[0] * (_normal(spread + second[1], innovation)[2] - density)
+                density = density + SECOND_SHARE * (_normal(spread + second, innovation)[2] - density)
             self.likelihood += np.log((1 - OUTLIERS) * density + OUTLIERS * anywhere)
         return chi2, inverse
 
@@ -302,23 +295,17 @@ class Filter:
         self.covariance[...] = kept @ self.covariance @ kept.swapaxes(-1, -2) + gain @ share.swapaxes(-1, -2)
 
     def correct(
-        self,
-        rows: Matrix,
-        innovation: Vector,
-        noise: Matrix,
-        anywhere: float = 0.0,
-        second: tuple[float, Matrix] | None = None,
-        only: Used | bool = True,
+        self, rows: Matrix, innovation: Vector, noise: Matrix, anywhere: float = 0.0, second: Matrix | None = None
     ) -> Used:
         """Correct by a measurement (..., m), unless it is an outlier; whether it was used (...).
 
         rows: its Jacobian (..., m, n). noise: covariance (..., m, m). anywhere: density of one that says nothing, in 1
-        over the units of all m; 0 of one that is no evidence for any hypothesis. second: share of those that are wrong
-        by little, and the covariance (m, m) of by how much. only: which of many may use it.
+        over the units of all m; 0 of one that is no evidence for any hypothesis. second: covariance (m, m) of the error
+        of SECOND_SHARE of them.
         """
         shared = self.covariance @ rows.swapaxes(-1, -2)
         chi2, inverse = self.weigh(rows @ shared + noise, innovation, anywhere, second)
-        is_used = np.asarray((chi2 <= GATE[innovation.shape[-1]]) & only)
+        is_used = np.asarray(chi2 <= GATE[innovation.shape[-1]])
         gain = is_used[..., None, None] * (shared @ inverse)
         self.mean += (gain @ innovation[..., None])[..., 0]
         covariance = self.covariance - gain @ shared.swapaxes(-1, -2)

@@ -46,7 +46,7 @@ HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(G
 ASKED: dict[Name, bool] = {"burst": True, "gyros": True, "lost": False, "beside": False, "slips": False}
 """Whether a hypothesis is asked for only with GPS, or only without it. It is run for as long after that as beginnings
 are kept; the others are run always."""
-COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
+COSTS: dict[Row, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
 """Logarithm of how probable hypotheses are beside the others, where that is known."""
 BEGINS_S, BEGUN = 5.0, 4
 """Seconds after which what creeps may have begun again, and how many beginnings are kept: a spoofing drift of 1 m/s is
@@ -102,7 +102,7 @@ class FilterBank:
         """The likeliest filter of a hypothesis; the right one where it has none."""
         return self.all.take(self._row(name))
 
-    def evidence(self, *names: Name) -> float:
+    def evidence(self, *names: Row) -> float:
         """Logarithm of how much likelier the likeliest of some hypotheses is than that all is right; 0 at least."""
         likelihood: list[float] = self.all.likelihood.tolist()
         return max(0.0, *(likelihood[self._row(name)] + COSTS.get(name, 0.0) - likelihood[0] for name in names))

@@ -19,8 +19,8 @@ GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
 COMPASS_NOISE_RAD = math.radians(0.7)
 """Of an autopilot's heading from one frame to the next."""
-SECOND_SHARE, SECOND_M = 0.1, 2.5
-"""Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
+SECOND_M = 2.5
+"""How far off keypoint poses are that are a second solution of their geometry."""
 SECOND, PLANE, TURN = np.diag([SECOND_M, SECOND_M, 0.0]) ** 2, np.eye(3, 2), np.eye(3)[:, 2:]
 """Covariance of the latter, and Jacobians of a pose (3,) by a position (2,) and by what turns it."""
 WITHIN_M = 300.0
@@ -61,7 +61,7 @@ def by_pose(state: Filter, slot: Slot, pose: PoseMeasurement, *, is_evidence: bo
         off[..., 2] = turn_rad - math.tau * np.round(turn_rad / math.tau)
     anywhere = is_evidence * (WITHIN_M**-2 if known == 2 else WITHIN_M**-2 / math.tau)
     measured = rows[..., :known, :], off[..., :known], noise[..., :known, :known]
-    is_used = state.correct(*measured, anywhere, (SECOND_SHARE, SECOND[:known, :known]))
+    is_used = state.correct(*measured, anywhere, SECOND[:known, :known])
     state.since_pose_m[is_used] = 0.0
     return is_used
 
@@ -76,7 +76,8 @@ def by_sequence(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: 
     elif is_evidence:
         state.weigh(spread[..., :1, :1], off_m[..., :1], 1 / WITHIN_M)
     is_in_lane = off_m[..., 1] ** 2 <= GATE[1] * spread[..., 1, 1]
-    is_used = state.correct(rows[..., :1, :], off_m[..., :1], noise[:1, :1], only=is_in_lane)
+    along_noise = np.where(is_in_lane, noise[0, 0], math.inf)[..., None, None]  # without weight beside its lane
+    is_used = is_in_lane & state.correct(rows[..., :1, :], off_m[..., :1], along_noise)
     rows, off_m, noise = sequence_innovation(state, slot, line)
     across, lane = rows[..., 1:, :], noise[1, 1]
     variance = across @ state.covariance @ across.swapaxes(-1, -2)

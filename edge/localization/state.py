@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.localization.events import GPS_SIGMA_M
+from edge.localization.pose_measurement import AIM_RAD
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -79,7 +80,7 @@ OF_DRIVE = (
     Part("a whole drive of the map", 2),
     Part("sequence matches of a drive"),
     Part("sequence match", over_m=LINE_M),
-    Part("how the camera is turned"),
+    Part("how the camera is turned", sigma=AIM_RAD),
 )
 
 
@@ -87,7 +88,7 @@ class Slot(NamedTuple):
     """Where the states of one drive of the map are.
 
     map, whole: what wanders, east and north, and what all positions are off by. stays, changes: of sequence matches
-    along-track, for the drive and within LINE_M. aim: yaw error of keypoint poses, clockwise. all: of these.
+    along-track, for the drive and within LINE_M. aim: yaw error of keypoint poses, clockwise.
     """
 
     map: slice
@@ -95,7 +96,6 @@ class Slot(NamedTuple):
     stays: slice
     changes: slice
     aim: slice
-    all: slice
 
 
 def _slices(parts: Sequence[Part], begin: int) -> Iterator[slice]:
@@ -104,22 +104,16 @@ def _slices(parts: Sequence[Part], begin: int) -> Iterator[slice]:
         begin += part.size
 
 
-def _by_number(name: str) -> Vector:
-    """A column of the table for each number of the state."""
-    return np.array([getattr(part, name) for part in OF_ALL + OF_DRIVE * DRIVES for _ in range(part.size)])
-
-
 POSITION, HEADING, SCALE, DOUBT, GYRO, COMPASS, GPS, DRAG = _slices(OF_ALL, 0)
 VELOCITY = slice(HEADING.start, DOUBT.stop)
 """What of the autopilot's velocity is wrong."""
-DRIVE_SIZE = sum(part.size for part in OF_DRIVE)
-SLOTS = tuple(
-    Slot._make((*_slices(OF_DRIVE, begin), slice(begin, begin + DRIVE_SIZE)))
-    for begin in range(DRAG.stop, DRAG.stop + DRIVES * DRIVE_SIZE, DRIVE_SIZE)
+SIZE = sum(part.size for part in OF_DRIVE)
+SLOTS = tuple(Slot(*_slices(OF_DRIVE, DRAG.stop + number * SIZE)) for number in range(DRIVES))
+NUMBERS = np.array(
+    [part[2:] for part in OF_ALL + OF_DRIVE * DRIVES for _ in range(part.size)],
+    [(name, np.float64) for name in Part._fields[2:]],
 )
-SIGMA = _by_number("sigma")
-PER_M, PER_S = 1 / _by_number("over_m"), 1 / _by_number("over_s")
-WALK_M2, WALK_S2 = _by_number("walk_m") ** 2, _by_number("walk_s") ** 2
+"""The table again, a row for each number of the state."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +122,8 @@ class DriveErrors:
 
     map_m: what wanders of its positions, in each direction. whole: covariance (2, 2) of what they are off by together.
     stays_m, changes_m: of sequence matches along-track, for the whole drive and within LINE_M. lane_m: of the vehicle's
-    lane. aim_rad: of the yaw error of all keypoint poses. crept_m2: see `MapDrive`; between two places, the variance of
-    what their positions are off by against each other.
+    lane. crept_m2: see `MapDrive`; between two places, the variance of what their positions are off by against each
+    other.
     """
 
     map_m: float
@@ -137,5 +131,4 @@ class DriveErrors:
     stays_m: float
     changes_m: float
     lane_m: float
-    aim_rad: float
     crept_m2: float = 0.0

@@ -15,7 +15,7 @@ from edge.localization.state import MAP_M, POSITION, WANDER, DriveErrors
 STEP_M, RUNS, DRIVEN_M, TURN_M = 10.0, 60, 800.0, 10.0
 MAP_SIGMA_M, WHOLE_M, POSE_M = 1.0, 3.0, 0.4
 SCALE = 0.001
-ERRORS = DriveErrors(MAP_SIGMA_M, WHOLE_M**2 * np.eye(2), 2.0, 2.0, 1.0, AIM_RAD)
+ERRORS = DriveErrors(MAP_SIGMA_M, WHOLE_M**2 * np.eye(2), 2.0, 2.0, 1.0)
 NONE = np.zeros(2)
 
 

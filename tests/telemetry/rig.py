@@ -13,7 +13,7 @@ from edge.geodesy import VehiclePosition
 from edge.journal.journal import Journal
 from edge.localization import FixRequest, GpsFix, GpsVerdict, PlaceFix, PositionEstimator
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.tracker import FixCandidate
+from edge.localization.fused_poses import FixCandidate
 from edge.telemetry.autopilot import AutopilotConnection
 from edge.telemetry.codec import MavlinkCodec
 from edge_plugins.home import HomeConfig

@@ -33,7 +33,6 @@ STREAM_S = 0.2
 SECTION = "ablation"
 CONSTANTS: dict[str, object] = {
     "position_aiding.SETTLED_NS": 0,
-    "filter.WANDER": 0.0,
     "gps_monitor.FIRM": 0.0,
     "gps_monitor.LONGEST_GAP_M": math.inf,
     "gps_monitor.MOST_PLACES": math.inf,
@@ -46,7 +45,7 @@ CONSTANTS: dict[str, object] = {
     "sequence_match.SHARP": 1e-9,
     "tracker.CALL": math.inf,
     "tracker.DISAGREE": math.inf,
-    "tracker.FIRST": 1,
+    "fused_poses.FIRST": 1,
     "tracker.LEAST_SHARPNESS": 0.0,
     "tracker.STOOD_NS": math.inf,
 }
