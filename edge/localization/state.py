@@ -75,6 +75,7 @@ OF_ALL = (
     Part("GPS", 2, GPS_M, over_s=GPS_S),
     Part("spoofing drift of GPS", 2),
 )
+"""What belongs to no drive of the map."""
 OF_DRIVE = (
     Part("the map's positions", 2, over_m=MAP_M),
     Part("a whole drive of the map", 2),
@@ -82,6 +83,7 @@ OF_DRIVE = (
     Part("sequence match", over_m=LINE_M),
     Part("how the camera is turned", sigma=AIM_RAD),
 )
+"""What belongs to each."""
 
 
 class Slot(NamedTuple):
@@ -105,6 +107,7 @@ def _slices(parts: Sequence[Part], begin: int) -> Iterator[slice]:
 
 
 POSITION, HEADING, SCALE, DOUBT, GYRO, COMPASS, GPS, DRAG = _slices(OF_ALL, 0)
+"""Where the parts of OF_ALL are."""
 VELOCITY = slice(HEADING.start, DOUBT.stop)
 """What of the autopilot's velocity is wrong."""
 SIZE = sum(part.size for part in OF_DRIVE)
