@@ -73,13 +73,13 @@ OF_ALL = (
     Part("gyro bias", sigma=GYRO_RADPS, walk_s=BIAS_RADPS),
     Part("compass, without GPS", sigma=COMPASS_RAD, over_m=COMPASS_M),
     Part("GPS", 2, GPS_M, over_s=GPS_S),
-    Part("spoofing drift of GPS", 2),
+    Part("GPS that drifts", 2),
 )
 """What belongs to no drive of the map."""
 OF_DRIVE = (
     Part("the map's positions", 2, over_m=MAP_M),
     Part("a whole drive of the map", 2),
-    Part("sequence matches of a drive"),
+    Part("sequence match"),
     Part("sequence match", over_m=LINE_M),
     Part("how the camera is turned", sigma=AIM_RAD),
 )
