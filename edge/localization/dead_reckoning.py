@@ -325,10 +325,10 @@ class TurnAround:
             return False
         self._recent.append(displacement)
         if len(self._recent) >= third:
-            self.course_rad = after = _course(self._recent[-third], displacement)
+            self.course_rad = _course(self._recent[-third], displacement)
         if len(self._recent) < TURN_FRAMES:
             return False
-        before = _course(self._recent[0], self._recent[third - 1])
+        before, after = _course(self._recent[0], self._recent[third - 1]), self.course_rad
         turned = before is not None and after is not None and abs(math.remainder(after - before, math.tau)) > AROUND_RAD
         if turned:
             self._recent.clear()

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import Config, RigConfig
-from edge.geodesy import Origin, VehiclePosition, east_north_of
+from edge.geodesy import Origin, east_north_of
+from edge.localization.events import GpsFix
 from edge.localization.filter import left_of
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
 from edge.localization.pose_measurement import PoseMeasurement, Vector, camera_pose
@@ -103,7 +104,7 @@ class Georeferencer:
         """A frame was used there (4,)."""
         self._readings.add(displacement_m)
 
-    def local(self, position: Position | VehiclePosition) -> Vector:
+    def local(self, position: Position | GpsFix) -> Vector:
         """Meters east and north (2,)."""
         if self.origin is None:
             self.origin = position.lat_deg, position.lon_deg

@@ -16,7 +16,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from edge.config import Config
-from edge.geodesy import east_north_of, moved
+from edge.geodesy import moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
@@ -147,7 +147,8 @@ class Tracker:
             self._move(before, frame)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
-        gps_m = self._gps_m = self._gps(frame, own)
+        gps_m = self._gps(frame, own)
+        self._gps_m = gps_m
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
@@ -178,8 +179,7 @@ class Tracker:
         if gps is None:
             return None
         self.bank.all.expect_gps(gps.sigma_m * GPS_SHARE)
-        origin = self._georeferencer.origin = self._georeferencer.origin or (gps.lat_deg, gps.lon_deg)
-        gps_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, origin))
+        gps_m = self._georeferencer.local(gps)
         off_m = gps_m - self.bank.right.position_m
         far_m = float(np.hypot(*off_m)) if self._is_placed and self.follows_gps else 0.0
         return gps_m if far_m <= GPS_FAR_M else self.bank.right.position_m + off_m * (GPS_FAR_M / far_m)
