@@ -214,7 +214,7 @@ class DeadReckoning:
             self.gaps += not is_known
             moved_m = (self._forward_mps + forward_mps) / 2 * gap_ns / 1e9 if is_known else 0.0
             behind_m = min(BACKED_M, max(0.0, self._behind_m - moved_m))
-            self.gaps += behind_m == BACKED_M > self._behind_m
+            self.gaps += behind_m == BACKED_M and self._behind_m < BACKED_M
             self._behind_m = behind_m
         # By its rate, so that the distance at a moment is the same whoever else asks for other moments.
         is_new_ground = forward_mps > 0 and self._behind_m == 0
@@ -325,10 +325,10 @@ class TurnAround:
             return False
         self._recent.append(displacement)
         if len(self._recent) >= third:
-            self.course_rad = after = _course(self._recent[-third], displacement)
+            self.course_rad = _course(self._recent[-third], displacement)
         if len(self._recent) < TURN_FRAMES:
             return False
-        before = _course(self._recent[0], self._recent[third - 1])
+        before, after = _course(self._recent[0], self._recent[third - 1]), self.course_rad
         turned = before is not None and after is not None and abs(math.remainder(after - before, math.tau)) > AROUND_RAD
         if turned:
             self._recent.clear()

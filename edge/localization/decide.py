@@ -96,10 +96,7 @@ RULES = (
     Rule(STANDING, lambda now: (now.autopilot.speed_mps or 0.0) < now.gates.min_speed_mps),
     Rule("the innovation test fails", lambda now: now.place is not None and now.place.disputed),
     Rule("impossibly far", lambda now: now.away_m > now.gates.max_move_m),
-    Rule(
-        "not confirmed by another place yet",
-        lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk,
-    ),
+    Rule("not confirmed by another place yet", lambda now: math.isinf(now.wrong) or now.wrong > now.gates.risk),
     Rule(
         "its protection level is above the alert limit",
         lambda now: not now.level.is_within(now.gates.alert_limit_m or math.inf),

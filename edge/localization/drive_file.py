@@ -27,15 +27,7 @@ from edge.errors import ConfigError, FeedError, reason
 from edge.files import BackgroundWorker
 from edge.journal.records import with_todays_keys
 from edge.localization.decide import NoFix
-from edge.localization.events import (
-    AutopilotState,
-    Discontinuity,
-    Fix,
-    FixFeedback,
-    ImageProcessed,
-    MapUpdate,
-    OdometryUpdate,
-)
+from edge.localization.events import Fix, MapUpdate
 from edge.localization.position_estimator import Entry, FixResult, PositionEstimator
 from edge.reference_map import MapHeader, MapPlaces, PlaceIndex
 
@@ -99,16 +91,7 @@ class _Restored(msgspec.Struct, frozen=True, tag="Restored"):
 
 class _ListEntry(msgspec.Struct, frozen=True, array_like=True):
     t_ns: int
-    entry: (
-        ImageProcessed
-        | AutopilotState
-        | OdometryUpdate
-        | FixFeedback
-        | Discontinuity
-        | MapUpdate
-        | FixResult
-        | _Restored
-    )
+    entry: Entry | _Restored
 
 
 class DriveFile:

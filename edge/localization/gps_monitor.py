@@ -191,7 +191,7 @@ class GpsMonitor:
             off_m = tracker.gps_from_places_m
         elif off_m is None and before.off_m is not None:
             self._has_agreed = True  # GPS was right until then, unless something else says otherwise
-        has_poses = tracker.may_leave_gps and tracker.pose() is not None
+        has_poses = tracker.may_leave_gps and tracker.pose().place is not None
         self._is_suspected = self.is_doubted and (self._is_suspected or has_poses)
         state: GpsState = "cannot say" if off_m is None else "not recognized" if is_unseen else self._state
         state = "faulty" if self._state == "faulty" else state

@@ -21,14 +21,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import chain
 from typing import Literal, TypeAlias
 
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
-from edge.localization.filter import DRAG, GPS, GYRO, POSITION, Filter
+from edge.localization.filter import Filter
 from edge.localization.measurements import SECOND_M
+from edge.localization.state import DRAG, GPS, GYRO, POSITION
 
 Name: TypeAlias = Literal["burst", "gyros", "gps dragged", "gps elsewhere", "map elsewhere", "lost", "beside", "slips"]
+Row: TypeAlias = Name | Literal["right", "before"]
 DRAG_MPS = 1.0
 """One standard deviation of a spoofing drift, in each direction."""
 ELSEWHERE_M = 100.0
@@ -45,7 +46,7 @@ HONEST: dict[Name, float] = {"burst": math.log(BURST_SHARE), "gyros": math.log(G
 ASKED: dict[Name, bool] = {"burst": True, "gyros": True, "lost": False, "beside": False, "slips": False}
 """Whether a hypothesis is asked for only with GPS, or only without it. It is run for as long after that as beginnings
 are kept; the others are run always."""
-COSTS: dict[Name, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
+COSTS: dict[Row, float] = {"map elsewhere": math.log(STRETCH_WRONG)}
 """Logarithm of how probable hypotheses are beside the others, where that is known."""
 BEGINS_S, BEGUN = 5.0, 4
 """Seconds after which what creeps may have begun again, and how many beginnings are kept: a spoofing drift of 1 m/s is
@@ -55,74 +56,88 @@ SLIP = 0.15
 
 
 class FilterBank:
-    """The filter bank: the right filter, and those of the other hypotheses."""
+    """The filter bank: one array of the right filter and of those of the other hypotheses.
+
+    The right one is its first, and that which was right until the vehicle was lost its second, if there is one.
+    """
 
     def __init__(self, right: Filter) -> None:
         self._last_s = dict.fromkeys((True, False), -math.inf)  # with GPS, and without it
-        self.begin(right)
-
-    def begin(self, right: Filter, before: Filter | None = None) -> None:
-        """All hypotheses begin with this filter. before: the one that was right until the vehicle was lost."""
-        self.right, self.before = right, before
-        self._jumped: dict[Name, Filter] = {}
-        self._crept: dict[Name, list[Filter]] = {}
         self._began_s = -math.inf
+        self.all, self.names = right.take(None), list[Row](["right"])
 
-    def each(self, use: Callable[[Filter], bool | None]) -> bool:
-        """Predict or correct all of them; what the right one returned."""
-        kept = () if self.before is None else (self.before,)
-        for one in (*kept, *self._jumped.values(), *chain.from_iterable(self._crept.values())):
-            use(one)
-        return bool(use(self.right))
+    def begin(self, right: Row = "right", before: Row | None = None) -> None:
+        """All hypotheses begin with one filter. before: the one that was right until the vehicle was lost."""
+        self._keep([self._row(right), *self._rows(before)])
+        self.names[1:] = ["before"] * (len(self.names) - 1)
+        self.names[0], self._began_s = "right", -math.inf
 
-    def of(self, name: Name) -> Filter:
-        """The likeliest filter of a hypothesis; the right one where it is none."""
-        if name in self._crept:
-            # One that has found nothing to be otherwise is only less certain.
-            begun = [one for one in self._crept[name] if name != "gps dragged" or one.is_found(DRAG)]
-            return max(begun, key=lambda one: one.likelihood, default=self.right)
-        return self._jumped.get(name, self.right)
+    def drop_before(self) -> None:
+        """The vehicle was lost."""
+        self._keep([row for row, name in enumerate(self.names) if name != "before"])
 
-    def evidence(self, *names: Name) -> float:
+    def _keep(self, rows: list[int]) -> None:
+        self.all, self.names = self.all.take(rows), [self.names[row] for row in rows]
+
+    def _rows(self, name: Row | None) -> list[int]:
+        return [row for row, one in enumerate(self.names) if one == name]
+
+    def _row(self, name: Row) -> int:
+        rows = self._rows(name)
+        if name == "gps dragged":  # one that has found nothing to be otherwise is only less certain
+            rows = [row for row, found in zip(rows, self.all.are_found(rows, DRAG), strict=True) if found]
+        return max(rows, key=self.all.likelihood.item, default=0)
+
+    @property
+    def right(self) -> Filter:
+        """The right filter."""
+        return self.all.take(0)
+
+    @property
+    def before(self) -> Filter | None:
+        """The one that was right until the vehicle was lost."""
+        return self.of("before") if "before" in self.names else None
+
+    def of(self, name: Row) -> Filter:
+        """The likeliest filter of a hypothesis; the right one where it has none."""
+        return self.all.take(self._row(name))
+
+    def evidence(self, *names: Row) -> float:
         """Logarithm of how much likelier the likeliest of some hypotheses is than that all is right; 0 at least."""
-        right = self.right.likelihood
-        return max(0.0, *(self.of(name).likelihood + COSTS.get(name, 0.0) - right for name in names))
+        likelihood: list[float] = self.all.likelihood.tolist()
+        return max(0.0, *(likelihood[self._row(name)] + COSTS.get(name, 0.0) - likelihood[0] for name in names))
 
     def judge(self, now_s: float, *, has_gps: bool) -> None:
         """After all that was measured by a time in seconds; has_gps: whether GPS counts."""
         self._last_s[has_gps] = now_s
-        unasked = [name for name, asks in ASKED.items() if now_s - self._last_s[asks] > BEGINS_S * BEGUN]
-        for name in unasked:
-            self._jumped.pop(name, None)
-            self._crept.pop(name, None)
+        unasked = {name for name, asks in ASKED.items() if now_s - self._last_s[asks] > BEGINS_S * BEGUN}
+        likelihood, right, gone = self.all.likelihood, 0, set[Row](unasked)
         for name, cost in HONEST.items():
-            honest = self.of(name)
-            if honest.likelihood + cost <= self.right.likelihood:
-                continue
-            honest.likelihood += cost
-            self.right = honest
-            self._jumped.pop(name, None)
-            self._crept.pop(name, None)
-        for name in JUMPS.keys() - unasked:
-            other = self._jumped.get(name)
-            if other is None or other.likelihood <= self.right.likelihood:
-                other = self._jumped[name] = self.right.copy()
-                JUMPS[name](other)
-        if now_s - self._began_s < BEGINS_S:
-            return
-        self._began_s = now_s
-        for name in CREEPS.keys() - unasked:
-            begun = self._crept.setdefault(name, [])
-            if len(begun) == BEGUN:  # the oldest that is not the likeliest
-                likeliest = max(begun, key=lambda one: one.likelihood)
-                begun.remove(next(one for one in begun if one is not likeliest))
-            begun.append(self.right.copy())
-            CREEPS[name](begun[-1])
+            row = self._row(name)
+            if name not in unasked and likelihood[row] + cost > likelihood[right]:
+                likelihood[row] += cost
+                right = row
+                gone.add(name)
+        begin = [name for name in JUMPS if name not in unasked and likelihood[self._row(name)] <= likelihood[right]]
+        gone.update(begin)
+        kept = [row for row, name in enumerate(self.names) if row and name not in gone]
+        if now_s - self._began_s >= BEGINS_S:
+            self._began_s = now_s
+            for name in CREEPS.keys() - unasked:
+                begun = [row for row in self._rows(name) if row in kept]
+                if len(begun) == BEGUN:  # the oldest that is not the likeliest
+                    likeliest = max(begun, key=likelihood.item)
+                    kept.remove(next(row for row in begun if row != likeliest))
+                begin.append(name)
+        self._keep([right, *kept, *[right] * len(begin)])
+        self.names = ["right", *self.names[1 : len(kept) + 1], *begin]
+        for row, name in enumerate(begin, len(kept) + 1):
+            (JUMPS | CREEPS)[name](self.all.take(row))
 
 
 def _gps_elsewhere(state: Filter) -> None:
     state.widen(GPS, ELSEWHERE_M)
-    state.keeps_gps = True
+    state.keeps_gps[...] = True
 
 
 def _map_elsewhere(state: Filter) -> None:
@@ -139,6 +154,6 @@ JUMPS: dict[Name, Callable[[Filter], None]] = {
 }
 CREEPS: dict[Name, Callable[[Filter], None]] = {
     "gps dragged": lambda state: state.widen(DRAG, DRAG_MPS),
-    "gyros": lambda state: state.widen(slice(GYRO, GYRO + 1), GYROS_RADPS),
+    "gyros": lambda state: state.widen(GYRO, GYROS_RADPS),
     "slips": lambda state: state.doubt_scale(SLIP),
 }

@@ -37,14 +37,7 @@ from edge.geodesy import VehiclePosition, along_and_across, east_north_of
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import SLOW_MPS
 from edge.localization.events import BOUND_WRONG, UNBOUNDED, AutopilotState, ProtectionLevel
-from edge.localization.evidence import (
-    SAME_RECORDING,
-    SPREAD_M,
-    STRETCH_WRONG,
-    Evidence,
-    EvidenceHistory,
-    alike_m,
-)
+from edge.localization.evidence import SAME_RECORDING, SPREAD_M, STRETCH_WRONG, Evidence, EvidenceHistory, alike_m
 from edge.localization.filter import CORRELATION_M
 from edge.localization.hypotheses import ELSEWHERE_M
 from edge.localization.odometer_calibration import AGREE_SIGMAS

@@ -114,11 +114,6 @@ class SequenceMidpoint:
     back: float
     sigma_m: float
 
-    @property
-    def length_m(self) -> float:
-        """Meters along the drive from the first to the newest frame."""
-        return abs(self.ends_m - self.begins_m)
-
 
 def sequence_midpoint(match: PlaceMatch, route: Route, frames: int) -> SequenceMidpoint | None:
     """The midpoint of a match of so many frames; None without a sequence or meters, and where it may be biased.

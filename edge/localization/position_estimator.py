@@ -40,11 +40,12 @@ from edge.localization.events import (
     OdometryUpdate,
 )
 from edge.localization.evidence import EvidenceHistory
+from edge.localization.fused_poses import FixCandidate
 from edge.localization.gps_monitor import GpsMonitor, GpsVerdict
 from edge.localization.integrity import fix_likelihood
 from edge.localization.position_aiding import PositionAiding
 from edge.localization.sequence_match import Georeferencer
-from edge.localization.tracker import FixCandidate, Tracker
+from edge.localization.tracker import Tracker
 from edge.reference_map import Route
 from edge.sequence import DeadReckoningPosition
 
@@ -150,8 +151,8 @@ class PositionEstimator:
     @property
     def pose_ns(self) -> int | None:
         """The exposure of the newest keypoint pose that may be a measurement, None without one."""
-        pose = None if self._tracker is None else self._tracker.pose()
-        return None if pose is None or pose.place is None else pose.place.stamp_ns
+        place = None if self._tracker is None else self._tracker.pose().place
+        return None if place is None else place.stamp_ns
 
     @property
     def state(self) -> EstimatorState:
@@ -205,6 +206,10 @@ class PositionEstimator:
             # By votes alone: dead reckoning would else be evidence for a place that it made credible.
             if match is not None and match.alone.accepted and match.alone.place_index == match.place_index:
                 self._observe(fix, frame.motion)
+        self._judge_gps(was_wrong=was_wrong)
+
+    def _judge_gps(self, *, was_wrong: bool) -> None:
+        """Use the newest verdict on GPS."""
         if self._gps.is_wrong and not was_wrong:
             # The vehicle is where GPS has it, less its error. What GPS has contradicted so far is not contradicted.
             self._aiding.call_gps(self._gps.verdict.off_m)
@@ -251,7 +256,7 @@ class PositionEstimator:
         if tracker is None or limits.unable or self._own.is_doubled:
             return FixCandidate()
         if limits.at == "pose" or (limits.at == "now" and limits.moves_autopilot and tracker.has_pose):
-            return tracker.pose() or FixCandidate()
+            return tracker.pose()
         if limits.at == "now":
             return FixCandidate(tracker.at(t_ns, self._moved, self._yaw_rad(t_ns)), self._moved)
         return FixCandidate(tracker.at_exposure(), self._exposed)

@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from edge.config import Config, RigConfig
-from edge.geodesy import Origin, VehiclePosition, east_north_of
-from edge.localization.filter import DriveErrors
+from edge.geodesy import Origin, east_north_of
+from edge.localization.events import GpsFix
+from edge.localization.filter import left_of
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
-from edge.localization.pose_measurement import AIM_RAD, PoseMeasurement, Vector, camera_pose
+from edge.localization.pose_measurement import PoseMeasurement, Vector, camera_pose
+from edge.localization.state import DriveErrors
 from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -102,7 +104,7 @@ class Georeferencer:
         """A frame was used there (4,)."""
         self._readings.add(displacement_m)
 
-    def local(self, position: Position | VehiclePosition) -> Vector:
+    def local(self, position: Position | GpsFix) -> Vector:
         """Meters east and north (2,)."""
         if self.origin is None:
             self.origin = position.lat_deg, position.lon_deg
@@ -127,13 +129,13 @@ class Georeferencer:
         if not heads_along(_course_rad(end.place_m - begin.place_m), _course_rad(self._since(2 * middle.back))):
             return None
         faint = 1.0 if _is_opposed(match) else max(1.0, SHARP / match.sharpness)
-        since_m = self._since(middle.back)
+        since_m, left_m = self._since(middle.back), self.rig.left_m(match.direction)
         sign = -1 if match.direction == "reverse" else 1
         drive = self.route.drive(match.place_index)
         return SequenceMatch(
             match=match,
             mapped=drive,
-            midpoint=LocalMidpoint(there.place_m + self._left_m(match) * left_of(there.along), there.along, since_m),
+            midpoint=LocalMidpoint(there.place_m + left_m * left_of(there.along), there.along, since_m),
             along_m=middle.along_m + sign * (float(np.hypot(*since_m[:2])) - self._ahead_m(match)),
             sigma_m=middle.sigma_m,
             errors=self._errors(match, drive, middle.along_m, there.along, there.map_sigma_m, timestamp_sigma_m),
@@ -192,10 +194,7 @@ class Georeferencer:
         around_m2 = drive.crept_at(along_m + CREPT_WITHIN_M) - drive.crept_at(along_m - CREPT_WITHIN_M)
         whole += ((1 - WANDERS) * map_m**2 + around_m2 / 2) * np.eye(2)
         of_map, of_match = (math.sqrt(WANDERS) * map_m, whole), (STAYS * match_m, match_m, self.rig.sigma_cross_track_m)
-        return DriveErrors(*of_map, *of_match, AIM_RAD, drive.crept_at(along_m))
-
-    def _left_m(self, match: PlaceMatch) -> float:
-        return self.rig.left_reverse_m if match.direction == "reverse" else self.rig.left_forward_m
+        return DriveErrors(*of_map, *of_match, drive.crept_at(along_m))
 
     def _on_drive(self, match: PlaceMatch, along_m: float) -> RoutePoint | None:
         """Where the vehicle is on the map's drive when its sequence match is at `along_m`."""
@@ -217,11 +216,6 @@ class Georeferencer:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
-
-
-def left_of(along: Vector) -> Vector:
-    """The unit vectors (..., 2) to the left of others."""
-    return np.asarray(along[..., ::-1] * np.array([-1.0, 1.0]))
 
 
 def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:

@@ -10,36 +10,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
 
 import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
 from edge.config import Config
-from edge.geodesy import east_north_of, moved
+from edge.geodesy import moved
 from edge.journal.records import PlaceFix
 from edge.localization import measurements
 from edge.localization.dead_reckoning import Odometry
 from edge.localization.events import GPS_SIGMA_M, AutopilotState, GpsFix, ImageProcessed
 from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
-from edge.localization.filter import (
-    COMPASS,
-    CORRELATION_M,
-    GATE,
-    GPS_M,
-    GPS_SHARE,
-    HEADING,
-    POSITION,
-    SCALE,
-    Filter,
-    FilterStep,
-    Vector,
-)
-from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
+from edge.localization.filter import CORRELATION_M, GATE, Filter, FilterStep, left_of
+from edge.localization.fused_poses import FIRST, FixCandidate, FusedPoses
+from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name, Row
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
-from edge.localization.pose_measurement import PoseMeasurement
-from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
+from edge.localization.sequence_match import Georeferencer, SequenceMatch
+from edge.localization.state import COMPASS, GPS_M, GPS_SHARE, HEADING, POSITION, SCALE, DriveErrors, Slot, Vector
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -58,17 +46,6 @@ DISAGREE = 3
 """Matches in a row that fail the innovation test before positions are disputed: one false match is none."""
 CALL = 6.9
 """Logarithm of how much likelier the vehicle is lost, or its wheels slip, before that counts: 1000 to 1."""
-FIRST = 2
-"""Keypoint poses that must agree before the first one counts: a geometry may have two solutions."""
-HOLE_S = 8.0
-"""Without a keypoint pose for so long, FIRST must agree again before one is handed on: EKF3 takes the first one after
-10 s for its position, whatever it was before (`posTimeout` and `ResetPosition` of its source). And so long what has
-outvoted where the vehicle was is on probation: five poses in a bend of road 990 agreed 7 to 8 m behind it."""
-DEPARTS_M, SURE_M = 2.5, 1.5
-"""By how much more than usual GPS is away from keypoint poses that know the vehicle to SURE_M before it is left where
-poses are fused. An honest GPS that wanders by a meter was left in none of 34 drives of 1.2 km, by 2.0 m in two. Where
-GPS had to be suspect by its evidence, which lets the map be wrong in its place, a vehicle that GPS misled by 1 m/s was
-11 m beside its lane by then, and lost (road 996)."""
 BESIDE_M = 6.0
 """Cross-track standard deviation of a lane, for a vehicle that steers itself by its own position: on recorded drives at
 dusk matches of the lane were off cross-track by -0.94 and -1.02 times the vehicle's distance from it. Without it, rms
@@ -83,18 +60,6 @@ MISLED_RAD = math.radians(15)
 """One standard deviation of the heading of an autopilot that followed a faulty GPS: 7 to 18 degrees on six drives."""
 
 
-class FixCandidate(NamedTuple):
-    """A position that may be asked for, and the vehicle's motion at its moment; None: not known.
-
-    pose_sigma_m: of a keypoint pose, its standard deviation in the direction where that is largest, without the error
-    of the map, which is in `place`.
-    """
-
-    place: PlaceFix | None = None
-    motion: Odometry | None = None
-    pose_sigma_m: float | None = None
-
-
 class TrackScore:
     """The newest match that passed the innovation test, its time, and meters driven since it and since the first one.
 
@@ -103,7 +68,7 @@ class TrackScore:
 
     def __init__(self, by_chance: float) -> None:
         self.newest: SequenceMatch | None = None
-        self.stamp_ns = self.matches = self.disagreeing = self.points = 0
+        self.stamp_ns = self.matches = self.disagreeing = 0
         self.since_m = self.driven_m = self.confidence = 0.0
         self.by_chance = by_chance
 
@@ -111,7 +76,6 @@ class TrackScore:
         """One more match that passed the test."""
         self.newest, self.stamp_ns, self.since_m, self.disagreeing = measured, stamp_ns, 0.0, 0
         self.matches, self.confidence = self.matches + 1, max(self.confidence, measured.match.confidence)
-        self.points = measured.pose.inliers if measured.pose else 0
 
     @property
     def is_confirmed(self) -> bool:
@@ -129,7 +93,7 @@ class Tracker:
     """Follows the vehicle over the ground along the drives of a map."""
 
     def __init__(self, georeferencer: Georeferencer, config: Config) -> None:
-        self._config, self._rig, self._georeferencer = config.tracking, config.rig, georeferencer
+        self._config, self._georeferencer = config.tracking, georeferencer
         self._assumed = self._config.scale_error_percent / 100
         self.bank = FilterBank(Filter(math.radians(self._config.heading_error_deg), self._assumed))
         self.follows_gps = True
@@ -147,15 +111,11 @@ class Tracker:
         self._is_placed = self._is_begun = False  # where the vehicle is: known, or begun at the newest match
         self._gps_m: Vector | None = None
         self._at: ImageProcessed | None = None
-        self._corrected_ns: float = -math.inf  # when poses outvoted where the vehicle was
         self._bridged_m = 0.0  # the most by which a speed that was bridged may have moved it wrongly by then
         self._yaw_rad: float | None = None  # the autopilot's heading at the newest frame
         self._exposure: PlaceFix | None = None
         self._track: TrackScore | None = None
-        self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
-        self._pose: FixCandidate | None = None
-        self._usual_off_m: Vector | None = None  # GPS from keypoint poses, and how many in a row are elsewhere
-        self._departing = 0
+        self._poses = FusedPoses()
         self.cross_track: tuple[float, float] | None = None
         """Cross-track distance of the vehicle by dead reckoning since GPS from the matches' road, and its sigma."""
 
@@ -178,7 +138,7 @@ class Tracker:
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
-            self._track = self._exposure = self._pose = None
+            self._lose_position()
         has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
         if has_stood or frame.missed > self._georeferencer.length // 2:
             self._georeferencer.clear()
@@ -187,17 +147,17 @@ class Tracker:
             self._move(before, frame)
         if frame.in_line:
             self._georeferencer.add(_vector(motion))
-        gps_m = self._gps_m = self._gps(frame, own)
+        gps_m = self._gps(frame, own)
+        self._gps_m = gps_m
         if gps_m is not None and self.follows_gps:
             if not self._is_placed:
                 self._place(gps_m)
-            fix_m = gps_m
-            self.bank.each(lambda state: measurements.by_gps(state, fix_m))
+            measurements.by_gps(self.bank.all, gps_m)
         if before is not None:
-            self.bank.each(lambda state: measurements.by_compass(state, has_gps=own.gps_sigma_m is not None))
+            measurements.by_compass(self.bank.all, has_gps=own.gps_sigma_m is not None)
         track = self._track
         if track is not None and self._is_lost(track, frame.stamp_ns, 0.0):
-            self._track = self._exposure = self._pose = None
+            self._lose_position()
         measured = None
         is_evidence = match is not None and match.alone.accepted and timestamp_sigma_m <= UNDATED_M
         if match is not None and match.accepted and (timestamp_sigma_m <= UNDATED_M or gps_m is None):
@@ -218,17 +178,15 @@ class Tracker:
             gps = GpsFix(*own.position.at(frame.stamp_ns), own.gps_sigma_m)
         if gps is None:
             return None
-        for_all = gps.sigma_m * GPS_SHARE
-        self.bank.each(lambda state: state.expect_gps(for_all))
-        origin = self._georeferencer.origin = self._georeferencer.origin or (gps.lat_deg, gps.lon_deg)
-        gps_m = np.array(east_north_of(gps.lat_deg, gps.lon_deg, origin))
+        self.bank.all.expect_gps(gps.sigma_m * GPS_SHARE)
+        gps_m = self._georeferencer.local(gps)
         off_m = gps_m - self.bank.right.position_m
         far_m = float(np.hypot(*off_m)) if self._is_placed and self.follows_gps else 0.0
         return gps_m if far_m <= GPS_FAR_M else self.bank.right.position_m + off_m * (GPS_FAR_M / far_m)
 
     def _place(self, position_m: Vector) -> None:
         self.bank.right.place(position_m, ELSEWHERE_M**2 * np.eye(2))
-        self.bank.begin(self.bank.right)
+        self.bank.begin()
         self._is_placed = True
 
     def lose_gps(self, shown: ScaleFactor | None) -> None:
@@ -239,7 +197,7 @@ class Tracker:
             scale = ScaleFactor(0.0, usual if is_usual else self._assumed).and_also(shown)
             self._is_shown = scale.later < self._assumed
             if self._is_shown:
-                self.bank.each(lambda state: state.expect_scale(scale))
+                self.bank.all.expect_scale(scale)
         self._is_bound = False
 
     def bind(self) -> None:
@@ -272,25 +230,21 @@ class Tracker:
     @property
     def has_pose(self) -> bool:
         """Whether there was a keypoint pose within the last CORRELATION_M."""
-        return self.bank.right.since_pose_m < CORRELATION_M
+        return bool(self.bank.right.since_pose_m < CORRELATION_M)
 
-    def call_gps(self, name: Name) -> None:
+    def call_gps(self, right: Row) -> None:
         """GPS is faulty as a hypothesis has it, and may have turned the heading of the autopilot."""
-        self._ignore_gps(self.bank.of(name))
-
-    def _ignore_gps(self, state: Filter) -> None:
-        state.lose_gps()
-        state.keeps_gps = False
-        state.set(COMPASS, 0.0, MISLED_RAD**2)
+        self.bank.begin(right)
+        self.bank.all.lose_gps()
+        self.bank.all.set(COMPASS, 0.0, MISLED_RAD**2)
         self.follows_gps = self._is_shown = False
-        self._exposure = self._pose = None  # the filter that followed GPS had the vehicle there
-        self.bank.begin(state)
+        self._lose_position(self._track)  # the filter that followed GPS had the vehicle there
 
     def doubt_scale(self) -> None:
         """What GPS has shown of the velocity's scale does not hold."""
         if self._is_shown:
             self._is_shown = False
-            self.bank.each(lambda state: state.doubt_scale(self._assumed))
+            self.bank.all.doubt_scale(self._assumed)
 
     @property
     def velocity_errors(self) -> tuple[float, float] | None:
@@ -298,7 +252,7 @@ class Tracker:
         if not self._is_shown or self._is_bound:
             return None
         state = self.bank.right
-        scale, heading_rad = (math.hypot(state.mean[at], state.sigma(at)) for at in (SCALE, HEADING))
+        scale, heading_rad = (math.hypot(state.value(at), state.sigma(at)) for at in (SCALE, HEADING))
         return scale, heading_rad
 
     @property
@@ -309,7 +263,7 @@ class Tracker:
         """
         state = self.bank.right
         is_known = self._track is not None and state.since_pose_m < CORRELATION_M
-        return (float(state.mean[HEADING]), state.sigma(HEADING)) if is_known else None
+        return (state.value(HEADING), state.sigma(HEADING)) if is_known else None
 
     def _measured(
         self, match: PlaceMatch, with_pose: SequenceMatch | None, timestamp_sigma_m: float
@@ -325,99 +279,52 @@ class Tracker:
     def _use(self, measured: SequenceMatch, own: AutopilotState, stamp_ns: int, *, is_evidence: bool) -> None:
         if not self._is_placed:
             self._begin(measured)
-        track = self._track
-        if track is None:
-            track = TrackScore(self._by_chance(measured))
+        track = self._track or TrackScore(self._by_chance(measured))
         if own.drives_itself:
             lane_m = math.hypot(measured.errors.lane_m, BESIDE_M)
             measured = dataclasses.replace(measured, errors=dataclasses.replace(measured.errors, lane_m=lane_m))
-        pose, drive, errors = measured.pose, measured.drive, measured.errors
-
-        def use(state: Filter) -> bool:
-            slot = state.slot(drive, errors)
-            if pose is not None:
-                return measurements.by_pose(state, slot, pose, is_evidence=is_evidence)
-            return measurements.by_sequence(state, slot, measured, is_evidence=is_evidence)
-
-        self._compare_across(measured)
-        if pose is not None and self._contradicts_gps(pose) and self.may_leave_gps:
-            self._leave_gps(measured, stamp_ns)
-        if self.bank.each(use):
+        pose, slot = measured.pose, self.bank.all.slot(measured.drive, measured.errors)
+        self._compare_across(measured, slot)
+        gps_m, since_pose_m = (self._gps_m if self.follows_gps else None), float(self.bank.right.since_pose_m)
+        if pose is not None and self._poses.contradict_gps(pose, gps_m, since_pose_m) and self.may_leave_gps:
+            self._leave_gps(measured.errors, slot, stamp_ns)
+        if pose is not None:
+            is_used = measurements.by_pose(self.bank.all, slot, pose, is_evidence=is_evidence)
+        else:
+            is_used = measurements.by_sequence(self.bank.all, slot, measured, is_evidence=is_evidence)
+        if is_used[0]:  # by the right filter
             self._add(track, measured, stamp_ns)
         else:
             track.disagreeing += 1
 
-    def _contradicts_gps(self, pose: PoseMeasurement) -> bool:
-        """Whether GPS is away from keypoint poses by so much more than usual, FIRST times in a row.
-
-        What is usual is the error of the map, and of the receiver, by the poses of the last CORRELATION_M.
-        """
-        if not self.follows_gps or self._gps_m is None:
-            self._usual_off_m = None
-            return False
-        if float(np.trace(pose.covariance)) > SURE_M**2:
-            return False
-        off_m, usual_m = self._gps_m - pose.position_m, self._usual_off_m
-        if usual_m is None or float(np.hypot(*(off_m - usual_m))) <= DEPARTS_M:
-            news = 1.0 if usual_m is None else min(1.0, self.bank.right.since_pose_m / CORRELATION_M)
-            self._usual_off_m = off_m if usual_m is None else usual_m + news * (off_m - usual_m)
-            self._departing = 0
-        else:
-            self._departing += 1
-        return self._departing >= FIRST
-
-    def _leave_gps(self, measured: SequenceMatch, stamp_ns: int) -> None:
+    def _leave_gps(self, errors: DriveErrors, slot: Slot, stamp_ns: int) -> None:
         """Begin where the poses are, with what is known of the vehicle, and nothing of what GPS said of the map."""
-        right, errors = self.bank.right, measured.errors
-        self._departing = 0
-        slot = right.slot(measured.drive, errors)
-        right.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
-        right.set(slot.whole, 0.0, errors.whole)
-        self._ignore_gps(right)
-        right.widen(POSITION, GPS_SIGMA_M)
-        self.bank.begin(right)
-        self._agreeing, self._posed_ns = FIRST - 1, stamp_ns
+        self.call_gps("right")
+        self.bank.all.set(slot.map, 0.0, errors.map_m**2 * np.eye(2))
+        self.bank.all.set(slot.whole, 0.0, errors.whole)
+        self.bank.all.widen(POSITION, GPS_SIGMA_M)
+        self._poses.leave_gps(stamp_ns)
 
     def _add(self, track: TrackScore, measured: SequenceMatch, stamp_ns: int) -> None:
         """A match passed the innovation test."""
         self._track, self.is_checked = track, measured.mapped.checked_m > 0
         track.add(measured, stamp_ns)
         if track.is_confirmed and self.cross_track is None:
-            self.bank.before = None
+            self.bank.drop_before()
         if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
-        if measured.pose is not None:
-            self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
-            self._posed_ns, self._pose = stamp_ns, self._pose_fix(measured, measured.pose)
-
-    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> FixCandidate | None:
-        """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
-        exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
-        if exposure is None or origin is None or at is None or at.motion is None:
-            return None
-        if self._agreeing < FIRST or self._is_on_probation:
-            return None
-        lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
-        axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
-        axes = np.concatenate([axes, left_of(axes)])
-        errors = measured.errors
-        of_map = errors.map_m**2 * np.eye(2) + errors.whole
-        along_m, cross_m = np.sqrt((axes @ (pose.covariance + of_map) @ axes.T).diagonal())
-        place = replace(
-            exposure,
-            lat_deg=lat_deg,
-            lon_deg=lon_deg,
-            heading_deg=math.degrees(pose.heading_rad) % 360,
-            sigma_along_m=float(along_m),
-            sigma_cross_track_m=float(cross_m),
-        )
-        return FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
+        at, origin = self._at, self._georeferencer.origin
+        if measured.pose is not None and at is not None and origin is not None:
+            self._poses.add(measured, measured.pose, at, self._exposure, origin)
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
         since_m = measured.midpoint.since_m
         self._place(measured.midpoint.place_m + self.bank.right.truly(since_m[:2], since_m[2:]))
         self._is_begun = True
+
+    def _lose_position(self, track: TrackScore | None = None) -> None:
+        self._track, self._exposure, self._poses.newest = track, None, FixCandidate()
 
     def _by_chance(self, measured: SequenceMatch) -> float:
         """Probability that a match anywhere along the road would be where it is expected.
@@ -431,16 +338,15 @@ class Tracker:
         reach_m = AGREE_SIGMAS * math.sqrt(float(along @ self.bank.right.spread @ along))
         return 0.0 if reach_m <= CORRELATION_M else min(1.0, 2 * reach_m / SPREAD_M)
 
-    def _compare_across(self, measured: SequenceMatch) -> None:
+    def _compare_across(self, measured: SequenceMatch, slot: Slot) -> None:
         """A vehicle beside the road stays there until its motion says otherwise, whatever street matches."""
         if measured.pose is not None and self.bank.before is None:
             self.cross_track = None  # the pose measures the cross-track position
             return
-        state, left = (self.bank.before or self.bank.right).copy(), left_of(measured.midpoint.along)
-        slot = state.slot(measured.drive, measured.errors)
+        state, left = self.bank.before or self.bank.right, left_of(measured.midpoint.along)
         if measured.pose is not None:
             off_m = float(left @ (measured.pose.position_m - state.position_m))
-            rows = state.rows((POSITION, [left]), (slot.map, [left]), (slot.whole, [left]))
+            rows = state.rows((POSITION, left[None]), (slot.map, left[None]), (slot.whole, left[None]))
             noise = float(left @ measured.pose.pose_covariance[:2, :2] @ left)
         else:
             both, innovation, noises = measurements.sequence_innovation(state, slot, measured)
@@ -459,19 +365,19 @@ class Tracker:
         if not self._is_placed or bank.evidence(*names) < CALL:
             return False
         name = max(names, key=bank.evidence)
-        right = bank.of(name)
+        before = bank.before
         if name == "slips":
             self._is_shown = False
-            bank.begin(right, bank.before)
+            bank.begin(name, "before")
             return True
         if name == "beside":
-            self._corrected_ns = stamp_ns
-        if bank.before is not None and _apart(right, bank.before) <= GATE[2]:  # it was not lost, after all
-            bank.begin(bank.before)
+            self._poses.outvote(stamp_ns)
+        if before is not None and _apart(bank.of(name), before) <= GATE[2]:  # it was not lost, after all
+            bank.begin("before")
             self._track = TrackScore(0.0)
         else:
             is_elsewhere = name == "lost"  # where matches must agree for a correlation length
-            bank.begin(right, (bank.before or bank.right) if is_elsewhere else bank.before)
+            bank.begin(name, "right" if is_elsewhere and before is None else "before")
             self._track = TrackScore(math.inf if is_elsewhere else 0.0)
         self._track.matches = FIRST - 1  # those that outvoted what was known
         return True
@@ -481,23 +387,15 @@ class Tracker:
         exposure = self._exposure
         return exposure if exposure is None else replace(exposure, disputed=self._is_disputed)
 
-    def pose(self) -> FixCandidate | None:
+    def pose(self) -> FixCandidate:
         """The newest keypoint pose that passed the innovation test, as did the one before it within HOLE_S.
 
-        None before the first one, and once the vehicle is lost.
+        Without a place before the first one, and once the vehicle is lost.
         """
-        pose, exposure = self._pose, self.at_exposure()
-        if pose is None or pose.place is None or exposure is None:
-            return None
-        return pose._replace(place=replace(pose.place, disputed=exposure.disputed))
-
-    @property
-    def _is_on_probation(self) -> bool:
-        """Whether poses have outvoted where the vehicle was, for less than HOLE_S: they may be outvoted again.
-
-        None is handed on then, and no position speaks against those that are right afterward.
-        """
-        return self._at is not None and self._at.stamp_ns - self._corrected_ns < HOLE_S * 1e9
+        pose = self._poses.newest
+        if pose.place is None or self._exposure is None:
+            return FixCandidate()
+        return pose._replace(place=replace(pose.place, disputed=self._is_disputed))
 
     @property
     def _is_disputed(self) -> bool:
@@ -505,7 +403,8 @@ class Tracker:
         track = self._track
         if track is None:
             return False
-        return self._is_on_probation or not track.is_confirmed or track.disagreeing >= DISAGREE
+        is_on_probation = self._at is not None and self._poses.are_on_probation(self._at.stamp_ns)
+        return is_on_probation or not track.is_confirmed or track.disagreeing >= DISAGREE
 
     def at(self, stamp_ns: int, displacement: Odometry | None, yaw_rad: float | None) -> PlaceFix | None:
         """The position at another moment, moved on by the autopilot's velocity; None while that is not known.
@@ -536,7 +435,7 @@ class Tracker:
         unknown_m = now.motion.unknown_since(before.motion)
         self._bridged_m = self._bridged_m + unknown_m if unknown_m > 0 else 0.0
         driven_m = float(np.hypot(*step.moved_m))
-        self.bank.each(lambda state: state.predict(step))
+        self.bank.all.predict(step)
         if self._track is not None:
             self._track.since_m += driven_m
             self._track.driven_m += driven_m
@@ -570,7 +469,7 @@ class Tracker:
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
         self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
-        self.bank.each(lambda state: _shift(state, shift_m))
+        self.bank.all.mean[..., POSITION] -= shift_m
 
     def _fix(
         self, track: TrackScore, state: Filter, stamp_ns: int, since_m: float, yaw_rad: float | None
@@ -585,7 +484,7 @@ class Tracker:
         heading_rad, has_pose = math.radians(found.heading_deg), state.since_pose_m < CORRELATION_M
         slot = state.newest
         if has_pose and yaw_rad is not None and slot is not None:
-            heading_rad = yaw_rad + state.mean[HEADING] + state.mean[slot.aim]
+            heading_rad = yaw_rad + state.value(HEADING) + state.value(slot.aim)
         along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
         covariance = state.spread
         if newest.pose is None:
@@ -607,10 +506,10 @@ class Tracker:
             recording=newest.mapped.recording,
             checked_m=newest.mapped.checked_m or UNSET,
             confidence=match.confidence,
-            velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
+            velocity_error=math.hypot(state.value(HEADING), state.value(SCALE)),
             disputed=self._is_disputed,
             by_lane=not has_pose,
-            points=(track.points or UNSET) if stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
+            points=newest.pose.inliers if newest.pose and stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
             map=UNSET if match.map is None else match.map,
         )
 
@@ -628,10 +527,6 @@ def _apart(one: Filter, other: Filter) -> float:
     """How far the positions of two filters are apart: squared, in standard deviations."""
     off_m = one.position_m - other.position_m
     return float(off_m @ np.linalg.solve(one.spread + other.spread, off_m))
-
-
-def _shift(state: Filter, by_m: Vector) -> None:
-    state.mean[POSITION] -= by_m
 
 
 def _vector(displacement: Odometry) -> Vector:

@@ -316,7 +316,7 @@ class PlaceSearch:
         before = self._driven if len(self._driven) > 1 else [now - usual]
         self._driven = [*before, now][-length - 1 :]
         span = length * (now - self._driven[0]) / (len(self._driven) - 1)
-        if span > self._span + EXACT or length < self._span > 2 * ROOM * span:
+        if span > self._span + EXACT or self._span > max(length, 2 * ROOM * span):
             self._span = max(length, ROOM * span)
             self._renew()
 

@@ -73,7 +73,7 @@ class StreamRequests:
                 is_heard = heard_ns is not None and now_ns - heard_ns <= STREAM_SILENT_NS
                 if is_heard:
                     one.pause.reset()
-                if not one.times if is_heard else one.is_due(now_ns):
+                if (is_heard and not one.times) or (not is_heard and one.is_due(now_ns)):
                     self._newest = one
                     one.ask(now_ns)
                     one.pause.failed(now_ns)

@@ -132,7 +132,7 @@ class SourceSelection:
 
     def restore(self, now_ns: int) -> list[Message]:
         """The command for set 1 at the end, where GPS is consistent and set 2 may still be selected by us."""
-        return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET != self.in_use else []
+        return self._select(GPS_SET, now_ns) if self.wanted == GPS_SET and self.in_use != GPS_SET else []
 
     def read_acknowledgement(self, result: int, now_ns: int) -> None:
         """The COMMAND_ACK of the command that was addressed to us."""

@@ -94,7 +94,7 @@ class Vehicle:
 
     def _notice_double(self, now_ns: int) -> None:
         turns_ns = self._turns_ns
-        is_found = len(turns_ns) == TURNS and turns_ns[-1] - turns_ns[0] <= TURNS_NS >= now_ns - turns_ns[-1]
+        is_found = len(turns_ns) == TURNS and max(turns_ns[-1] - turns_ns[0], now_ns - turns_ns[-1]) <= TURNS_NS
         if is_found != self.is_doubled:
             self.is_doubled = is_found
             log.error("system %s is %s", self.system_id, "two autopilots" if is_found else "one autopilot again")

@@ -102,9 +102,10 @@ def _refined(match: PlaceMatch, route: Route, readings: OdometryWindow) -> tuple
     if middle is None:
         return 0.0, float("nan")
     driven_m = float((readings.back(0) - readings.back(2 * middle.back))[0])
-    if abs(middle.length_m - driven_m) > ALIKE_M + ALIKE_SHARE * driven_m:
+    length_m = abs(middle.ends_m - middle.begins_m)
+    if abs(length_m - driven_m) > ALIKE_M + ALIKE_SHARE * driven_m:
         return 0.0, float("nan")
-    return (driven_m - middle.length_m) / 2, middle.sigma_m
+    return (driven_m - length_m) / 2, middle.sigma_m
 
 
 class MapDrives:

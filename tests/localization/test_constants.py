@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import math
 from pathlib import Path
 
 import pytest
+
+from edge.localization.state import OF_ALL, OF_DRIVE
 
 EDGE = Path(__file__).parents[2] / "edge"
 ROOMS = [path for room in ("localization", "sequence") for path in sorted((EDGE / room).glob("*.py"))]
@@ -25,3 +28,10 @@ def test_each_constant_has_its_reason_beside_it(path: Path) -> None:
         and "#" not in lines[(node.end_lineno or node.lineno) - 1]
     ]
     assert not bare, f"{path}: lines without a reason: {bare}"
+
+
+def test_the_docs_have_each_part_of_the_state_and_within_what_it_changes() -> None:
+    rows = (EDGE.parent / "docs/noises.md").read_text(encoding="utf-8").splitlines()
+    for part in OF_ALL + OF_DRIVE:
+        over = [f"| {one:g} {unit} |" for one, unit in ((part.over_m, "m"), (part.over_s, "s")) if one < math.inf]
+        assert any(row.startswith(f"| {part.what}") and all(one in row for one in over) for row in rows), part.what

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.config import GatesConfig, RigConfig
 from edge.localization import Fix, GpsVerdict
-from edge.localization.filter import GPS_S, LINE_M
+from edge.localization.state import GPS_S, LINE_M
 from edge.sequence import PlaceMatch
 from tests.localization.events_of import SPEED_MPS, Road, Vehicle, gps_at, left_m, settings
 from tests.localization.route_course import SPACING_M, Stretch
