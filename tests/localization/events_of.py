@@ -7,6 +7,7 @@ north of HOME. `route_bench` drives winding roads, with the errors that were mea
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -158,6 +159,10 @@ class Vehicle(StandIn):
         self.sign = 1 if direction == "forward" else -1
         self.north_m, self.driven_m = north_m, 0.0
         self.odometer, self.aside_m, self.off_m, self.compass_rad, self.nose_deg = 1.0, 0.0, 0.0, 0.0, 0.0
+
+    def copy(self) -> Vehicle:
+        """The same vehicle, for another way to go on; road and map are shared."""
+        return copy.deepcopy(self, {id(one): one for one in (self.road, self.road.maps)})
 
     def go(self, meters: float, sees: Sees | None = None, *, gps: bool = False) -> list[str | None]:
         """Drive on; why there is no position for ArduPilot after each frame, None where there is one."""

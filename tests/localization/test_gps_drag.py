@@ -18,7 +18,7 @@ from sim.research.trial import gps_histories
 from tests.localization.events_of import FRAME_NS, SPEED_MPS, Road, Vehicle, gps_at, left_m, match, north_m, settings
 from tests.localization.route_course import SPACING_M, Stretch
 
-LENGTH_M, FROM_S = 1200.0, 60.0
+LENGTH_M, FROM_S = 900.0, 30.0
 EVERY, LOOK_M, SECOND, SECOND_M = 4, 0.4, 0.1, 2.5
 """Frames from look to look; how far off one is; which share of them is a second solution, and by how much."""
 SETTINGS = settings(RigConfig(look_sigma_m=0.01))
@@ -162,9 +162,9 @@ def test_an_honest_gps_is_not_called_wrong(long_road: Road, kind: str, odometer:
 
 
 CREPT = {
-    "25 m over 500": (300.0, 800.0, 25.0, 0.0),
-    "12 m over 300": (400.0, 700.0, 0.0, 12.0),
-    "6 m": (600.0, 601.0, 6.0, 0.0),
+    "25 m over 500": (200.0, 700.0, 25.0, 0.0),
+    "12 m over 300": (300.0, 600.0, 0.0, 12.0),
+    "6 m": (450.0, 451.0, 6.0, 0.0),
 }
 
 
