@@ -110,7 +110,7 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(env -u OMP_NUM_THREADS nproc) -o soak
 
-check: lint docs test-all test-kernels smoke
+check: lint docs test-all test-kernels
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -12,10 +12,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 1600,
+    "edge": 1550,
     "edge/camera": 800,
-    "edge/commands": 300,
-    "edge/descriptor": 500,
+    "edge/commands": 250,
+    "edge/descriptor": 450,
     "edge/feed": 500,
     "edge/health": 250,
     "edge/journal": 400,
@@ -26,7 +26,7 @@ ROOMS = {
     "edge/sequence": 1300,
     "edge/telemetry": 3000,
     "edge_plugins": 0,
-    "edge_plugins/cameras": 450,
+    "edge_plugins/cameras": 400,
     "edge_plugins/doctor": 700,
     "edge_plugins/home": 1050,
     "edge_plugins/layers": 200,
@@ -40,7 +40,7 @@ ROOMS = {
     "sim": 550,
     "sim/bench": 800,
     "sim/calibration": 650,
-    "sim/compare": 1650,
+    "sim/compare": 1600,
     "sim/coverage": 800,
     "sim/datasets": 2500,
     "sim/demo": 200,
@@ -49,12 +49,12 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 650,
-    "sim/research": 4750,
+    "sim/research": 4800,
     "sim/shadow": 550,
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_350,
+    "tests": 36_550,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

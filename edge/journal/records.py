@@ -146,7 +146,7 @@ class FrameUsed(Record, frozen=True, tag="frame"):
 
     frame: Annotated[int, unit("", "index of the frame in its camera, or its row in the feed")]
     stamp_ns: Annotated[int, unit("ns", "exposure time")]
-    accepted: Annotated[bool, unit("", "whether the place is believed; false is the answer off the map")] = False
+    accepted: Annotated[bool, unit("", "whether the place is accepted; false is the answer off the map")] = False
     emitted: Annotated[bool, unit("", "whether it was published as an event: accepted, and not held off")] = False
     missed: Annotated[
         int | UnsetType, unit("places", "passed without a frame before this one; only where there were any")

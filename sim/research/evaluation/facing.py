@@ -28,7 +28,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
 
 def of_worlds(seen: list[World]) -> Iterator[str]:
     """The rows of some roads."""
-    yield "| the way along the map | best match right | believed: by the votes; GPS before | wrong |"
+    yield "| the way along the map | best match right | accepted: by the votes; GPS before | wrong |"
     yield "|---|---|---|---|"
     for words, knows_course in (("not known", False), ("known by the course", True)):
         lines, alone, known = zip(*(_judged(world, knows_course=knows_course) for world in seen), strict=True)

@@ -155,7 +155,7 @@ class Tables:
 
     def on_map(self, only: Sequence[LightName] | None = None) -> Iterator[str]:
         """Rows of the table by drive and light; only: some lights."""
-        yield "| drive | light | first belief | with keypoints | at rest | believed | with keypoints | wrong |"
+        yield "| drive | light | first accepted | with keypoints | at rest | accepted | with keypoints | wrong |"
         yield "|---|---|---|---|---|---|---|---|"
         for drive, lights in LIGHTS.items():
             for light in (one for one in lights if only is None or one in only):
@@ -165,7 +165,7 @@ class Tables:
     def off_map(self) -> Iterator[str]:
         """Rows of the table by where the vehicle is, of the first draw."""
         seen = {drive: list(self._mapped(drive, OFF_MAP_LIGHTS, self._draws[0])) for drive in LIGHTS}
-        yield "| a road that is not mapped | frames | believed without keypoints | with them |"
+        yield "| a road that is not mapped | frames | accepted without keypoints | with them |"
         yield "|---|---|---|---|"
         for where in (NOWHERE, *LAYOUTS):
             confidences = [

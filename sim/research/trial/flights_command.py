@@ -32,7 +32,7 @@ OF_POSITIONS = (
     "levels, exceeded along-track, cross-track",
 )
 COLUMNS = (
-    *("drive", *OF_POSITIONS, "first after", "longest silence", "frames used, believed, false"),
+    *("drive", *OF_POSITIONS, "first after", "longest silence", "frames used, accepted, false"),
     *("dead reckoning's error", "autopilot's error", "beside its lane"),
 )
 KINDS_COLUMNS = "drives", *OF_POSITIONS, "dead reckoning's error, median of the drives"
