@@ -131,7 +131,7 @@ notebook: $(VENV)/.dev
 
 benchmark: $(VENV)/.dev
 	$(BIN)/lookback compare benchmark --network fc6=fc6 -o build/benchmark
-	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/tables/benchmark.md
+	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/tables/evaluation.md
 
 bench: $(VENV)/.dev
 	$(BIN)/lookback dev bench --stages -o docs/bench.md

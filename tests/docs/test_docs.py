@@ -65,7 +65,6 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 KINDS_OF_BLOCKS = ("sh", "toml", "python", "text", "yaml", "math", "mermaid")
 MOST_S = 600
 SHORTER = {
-    "--seconds 5 ": "--seconds 1 ",
     "--gps-lost-after 20 ": "--gps-lost-after 2 ",
     "--light night ": "--light night --rehearsals 2 ",
 }
@@ -91,12 +90,8 @@ def script_of(text: str, page: Path, folder: Path) -> str:
     return "\n".join([*commands, "kill $(jobs -p) 2> /dev/null || true"])
 
 
-PRINTS = {
-    "README": r"the matched place lies (?P<ahead>\d+\.\d) m ahead ± (?P<sigma>\d\.\d) m \(reverse, same\)",
-    "api": r"(?m)^-27\.47\d{4} 153\.0[23]\d{4} reverse 0\.\d\d$",  # the program
-}
-"""What the commands of some pages must print."""
-AHEAD_M = 6.0  # of the vehicle is README's camera at home
+PRINTS = {"api": r"(?m)^-27\.47\d{4} 153\.0[23]\d{4} reverse 0\.\d\d$"}
+"""What the commands of a page must print."""
 
 AFTER_README = "](../README.md#your-own-recordings)"
 """The link of a page whose commands go on in the folder of README's."""
@@ -127,11 +122,8 @@ def test_every_command_works(page: Path, tmp_path: Path, make_once: Callable[...
         if AFTER_README in page.read_text(encoding="utf-8"):
             shutil.copytree(make_once("readme", run_readme), tmp_path, dirs_exist_ok=True)
         output = run_page(page, tmp_path)
-    printed = re.search(PRINTS.get(page.stem, ""), output)
-    assert printed
+    assert re.search(PRINTS.get(page.stem, ""), output)
     if page == README:
-        # Of what three stretches of road say, 95 in 100 are within so many standard deviations (Student's t).
-        assert abs(float(printed["ahead"]) - AHEAD_M) <= 4.3 * float(printed["sigma"])
         said, now = (readme.printed(text) for text in (page.read_text(encoding="utf-8"), output))
         # Another processor rounds otherwise.
         assert said == pytest.approx(now, rel=0.1), "write README's figures anew: python -m tests.docs.readme"
@@ -267,7 +259,7 @@ def test_every_state_is_explained() -> None:
 
 MOST_WORDS = 35
 """In a sentence: longer ones are read twice."""
-MOST_WORDS_IN_ALL = 22_680
+MOST_WORDS_IN_ALL = 22_550
 """Of all pages in `docs/`, as `wc -w docs/*.md` counts. Whoever makes a page shorter lowers it."""
 WRITTEN = re.compile(r"<!-- (.*?): begin -->.*?<!-- \1: end -->", re.DOTALL)
 """What a command writes: tables, and lists of whatever was found."""
