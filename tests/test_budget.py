@@ -34,8 +34,8 @@ ROOMS = {
     "edge_plugins/motion": 650,
     "edge_plugins/nmea": 250,
     "edge_plugins/page": 650,
-    "edge_plugins/recording": 300,
-    "edge_plugins/ros2": 300,
+    "edge_plugins/recording": 275,
+    "edge_plugins/ros2": 275,
     "lookback": 500,
     "sim": 550,
     "sim/bench": 800,
@@ -54,7 +54,7 @@ ROOMS = {
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_550,
+    "tests": 36_600,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 

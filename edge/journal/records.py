@@ -287,6 +287,16 @@ class SteeringChanged(Record, frozen=True, tag="steering"):
     by: Annotated[str, unit("", "GPS, places, dead reckoning, or unknown: nobody knows where it is")]
 
 
+class PositionStated(Record, frozen=True, tag="position_stated"):
+    """The operator said where the vehicle is: a measurement, until GPS or a position that was sent replaces it."""
+
+    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)", 7)]
+    lon_deg: Annotated[float, unit("deg", "longitude", 7)]
+    sigma_m: Annotated[float, unit("m", "one standard deviation, as stated", 1)]
+    by: Annotated[str, unit("", "page, or the system and component that sent the command")]
+    rejected: Annotated[str, unit("", "why it does not count; empty if it does")]
+
+
 class GpsJudged(Record, frozen=True, tag="gps_judged"):
     """What the recognized places say of GPS has changed; docs/integrity.md says how they are compared."""
 

@@ -30,6 +30,7 @@ from edge.localization.decide import NoFix
 from edge.localization.events import (
     AutopilotState,
     Discontinuity,
+    ExternalPosition,
     Fix,
     FixFeedback,
     ImageProcessed,
@@ -105,6 +106,7 @@ class _ListEntry(msgspec.Struct, frozen=True, array_like=True):
         | OdometryUpdate
         | FixFeedback
         | Discontinuity
+        | ExternalPosition
         | MapUpdate
         | FixResult
         | _Restored
