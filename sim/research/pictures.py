@@ -148,6 +148,21 @@ def write_page_picture(folder: Path) -> None:
                 note(folder, PAGE, checksum_of_sources(PAGE))
 
 
+def write_report_pictures(folder: Path) -> None:
+    """What `lookback try` and `map coverage` write of the same road, as a browser shows it."""
+    with TemporaryDirectory() as passing:
+        at = Path(passing)
+        for name, scenario in (("out", OUT), ("home", HOME)):
+            record_drive(scenario, at / name)
+        coverage = ["map", "coverage", "try/map", "--light", "night", "--report", "coverage.html"]
+        for command in (["try", "out", "home"], coverage):
+            subprocess.run([sys.executable, "-m", "edge", *command], cwd=at, check=True)
+        for page in (at / "try/report.html", at / "coverage.html"):
+            if photograph_page(page.as_uri(), shot := page.with_suffix(".png"), *PAGE_PX):
+                shown = np.asarray(cv2.imread(str(shot)))
+                cv2.imwrite(str(folder / f"{page.stem}.webp"), shown, [cv2.IMWRITE_WEBP_QUALITY, 80])
+
+
 def photograph_page(url: str, path: Path, width: int, height: int) -> bool:
     """The live page as a browser shows it; False, and a line in the log, without Chromium or without an answer."""
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -190,3 +205,4 @@ if __name__ == "__main__":
     pictures.mkdir(parents=True, exist_ok=True)
     write_grid_picture(pictures)
     write_page_picture(pictures)
+    write_report_pictures(pictures)

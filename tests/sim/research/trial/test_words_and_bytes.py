@@ -98,7 +98,8 @@ def test_what_people_read_is_what_the_autopilot_heard(name: str, shared: Path, t
     reader = Reader(drive.link)
     with closing(RoadLibrary(Network.load(Path(FIRST_NETWORK)), tmp_path / "views")) as library:
         heard = replay(drive, drive.used, tmp_path / "now", library, keypoints=True, watch=reader)
-    journaled = [str(Steering(one.gps, one.by)) for one in records_of(tmp_path / "now" / JOURNAL, SteeringChanged)]
+    changes: Any = records_of(tmp_path / "now" / JOURNAL, SteeringChanged)
+    journaled = [str(Steering(one.gps, one.by)) for one in changes]
     texts = [one.text.removeprefix("Lookback: ") for _, one in heard if one.get_type() == "STATUSTEXT"]
     read = [one for one in texts if re.match("GPS .*(steers by|position unknown)", one)]
     # GPS in use at the start is no news to the pilot. Of many lines the newest are sent, and the last may wait.
