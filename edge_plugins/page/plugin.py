@@ -56,7 +56,7 @@ class Page(Plugin):
         if server.wanted:
             self._show(server)
         stated, now_ns = self._parts.autopilot.stated, self._parts.clock_ns()
-        server.answer_stated(lambda *values: stated.use(*values, "page", now_ns))
+        server.answer_stated(lambda lat_deg, lon_deg, sigma_m: stated.use(lat_deg, lon_deg, sigma_m, "page", now_ns))
 
     def close(self) -> None:
         """Stop serving."""
