@@ -110,7 +110,7 @@ soak: $(VENV)/.dev
 	$(BIN)/python -m pytest -m soak
 	$(BIN)/lookback dev sim fixes --case all --runs $(CASE_RUNS) --first-seed $$LOOKBACK_SEED --jobs $$(env -u OMP_NUM_THREADS nproc) -o soak
 
-check: lint docs test-all test-kernels smoke
+check: lint docs test-all test-kernels
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -131,7 +131,7 @@ notebook: $(VENV)/.dev
 
 benchmark: $(VENV)/.dev
 	$(BIN)/lookback compare benchmark --network fc6=fc6 -o build/benchmark
-	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/tables/benchmark.md
+	$(BIN)/python -m sim.research.evaluation benchmark --made build/benchmark/means.md --page docs/tables/evaluation.md
 
 bench: $(VENV)/.dev
 	$(BIN)/lookback dev bench --stages -o docs/bench.md

@@ -26,6 +26,12 @@ OUTSIDE = re.compile(
 )
 FIGURE = re.compile(r"^```mermaid\n%% (pictures/\w+\.svg): (.*)\n(?:.*\n)*?```$", re.MULTILINE)
 """Its picture, and what that shows."""
+FRONT = {
+    "page_home_night.png": "the live page, on the way home",
+    "report.webp": "<code>lookback try</code>: what is recognized, and why not",
+    "coverage.webp": "<code>lookback map coverage</code>: where the next drive will be",
+}
+"""Pictures of the first page beside that of the drive, which README has, and their words."""
 EQUATION = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -39,7 +45,13 @@ def on_config(config: Any) -> Any:
 def on_files(files: Files, config: Any) -> Files:
     """README as the first page, without badges, which are loaded from elsewhere."""
     text = BADGE.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
-    files.append(File.generated(config, "index.md", content=f"---\ntitle: Home\n---\n{text.replace('](docs/', '](')}"))
+    shown = "".join(
+        f'<figure><img src="pictures/{name}" alt="{name}"><figcaption>{words}</figcaption></figure>\n'
+        for name, words in FRONT.items()
+    )
+    pictures = f'<div class="pictures">\n{shown}</div>\n\n- **Beside its lane**'
+    text = text.replace("- **Beside its lane**", pictures).replace("](docs/", "](")
+    files.append(File.generated(config, "index.md", content=f"---\ntitle: Home\n---\n{text}"))
     return files
 
 

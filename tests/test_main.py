@@ -173,7 +173,7 @@ def test_malformed_config(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         ("dev golden x", "`lookback dev golden` is now `lookback replay`"),
         (
             "map merge a b",
-            "`lookback map merge` is gone: copy the maps of both folders into one, docs/living-maps.md",
+            "`lookback map merge` is gone: copy the maps of both folders into one, docs/mapping.md",
         ),
         ("map apply a b", "`lookback map apply` is gone: copy what is new with rsync, docs/fleet.md"),
         ("dev train x", "`lookback dev train` is gone: the source of version 0.3.0 has it"),

@@ -70,8 +70,8 @@ GONE = {
     "dev ablate": "its questions are answered; the source of version 0.3.0 has it",
     "dev alexnet": "the source at commit 386c0d62 has it; `lookback model import` takes an ONNX file",
     **dict.fromkeys(("dev gps", "sim gps"), "`lookback dev sim fixes --case D` drives wrong GPS through the daemon"),
-    "import nsavp": "write its pictures and a CSV file for `import pictures`, docs/benchmark.md",
-    "map merge": "copy the maps of both folders into one, docs/living-maps.md",
+    "import nsavp": "write its pictures and a CSV file for `import pictures`, docs/evaluation.md",
+    "map merge": "copy the maps of both folders into one, docs/mapping.md",
     **dict.fromkeys(("map delta", "map apply"), "copy what is new with rsync, docs/fleet.md"),
 }
 """Commands of earlier versions that are none any more, and what one does instead."""

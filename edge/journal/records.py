@@ -146,7 +146,7 @@ class FrameUsed(Record, frozen=True, tag="frame"):
 
     frame: Annotated[int, unit("", "index of the frame in its camera, or its row in the feed")]
     stamp_ns: Annotated[int, unit("ns", "exposure time")]
-    accepted: Annotated[bool, unit("", "whether the place is believed; false is the answer off the map")] = False
+    accepted: Annotated[bool, unit("", "whether the place is accepted; false is the answer off the map")] = False
     emitted: Annotated[bool, unit("", "whether it was published as an event: accepted, and not held off")] = False
     missed: Annotated[
         int | UnsetType, unit("places", "passed without a frame before this one; only where there were any")
@@ -285,6 +285,16 @@ class SteeringChanged(Record, frozen=True, tag="steering"):
 
     gps: Annotated[str, unit("", "in use, not used (its receiver works), lost or faulty")]
     by: Annotated[str, unit("", "GPS, places, dead reckoning, or unknown: nobody knows where it is")]
+
+
+class PositionStated(Record, frozen=True, tag="position_stated"):
+    """The operator said where the vehicle is: a measurement, until GPS or a position that was sent replaces it."""
+
+    lat_deg: Annotated[float, unit("deg", "latitude (WGS 84)", 7)]
+    lon_deg: Annotated[float, unit("deg", "longitude", 7)]
+    sigma_m: Annotated[float, unit("m", "one standard deviation, as stated", 1)]
+    by: Annotated[str, unit("", "page, or the system and component that sent the command")]
+    rejected: Annotated[str, unit("", "why it does not count; empty if it does")]
 
 
 class GpsJudged(Record, frozen=True, tag="gps_judged"):

@@ -109,6 +109,14 @@ class Discontinuity(Struct, frozen=True, tag="Break"):
     kind: Literal["blind", "carried", "reboot"]
 
 
+class ExternalPosition(Struct, frozen=True, tag=True):
+    """Where the operator says that the vehicle is now: degrees (WGS 84), one standard deviation in each direction."""
+
+    lat_deg: float
+    lon_deg: float
+    sigma_m: float
+
+
 class MapUpdate(Struct, frozen=True, tag="Maps"):
     """The maps that are searched from now on. has_grown: those so far, with further places after theirs."""
 
@@ -116,7 +124,9 @@ class MapUpdate(Struct, frozen=True, tag="Maps"):
     has_grown: bool = False
 
 
-Event: TypeAlias = ImageProcessed | AutopilotState | OdometryUpdate | FixFeedback | Discontinuity | MapUpdate
+Event: TypeAlias = (
+    ImageProcessed | AutopilotState | OdometryUpdate | FixFeedback | Discontinuity | ExternalPosition | MapUpdate
+)
 
 
 class ProtectionLevel(Struct, frozen=True, rename={"along_track_m": "along_m", "cross_track_m": "across_m"}):

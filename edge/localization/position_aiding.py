@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from edge.geodesy import Origin, east_north_of, moved
 from edge.journal.records import PlaceFix
 from edge.localization.dead_reckoning import Odometry
-from edge.localization.events import BOUND_WRONG, AutopilotState, Fix
+from edge.localization.events import BOUND_WRONG, AutopilotState, ExternalPosition, Fix
 from edge.sequence import DeadReckoningPosition
 
 SETTLED_NS = 10_000_000_000
@@ -129,6 +129,12 @@ class PositionAiding:
         where = fix.place.lat_deg, fix.place.lon_deg, sigma_m
         self._last = OdometryDatum(*where, fix.motion, own.driven_m, fix.bound_wrong)
         self.is_bounded = True
+
+    def use_external(self, stated: ExternalPosition, own: AutopilotState) -> None:
+        """The operator says where the vehicle is; as probably wrong as GPS, and nothing of it is in the autopilot."""
+        if own.motion is not None:
+            where = stated.lat_deg, stated.lon_deg, stated.sigma_m
+            self._last = OdometryDatum(*where, own.motion, own.driven_m)
 
     def dead_reckoning_position(self, motion: Odometry | None, own: AutopilotState) -> DeadReckoningPosition | None:
         """Where GPS and the vehicle's motion since have it at a displacement, without any place of the map."""

@@ -32,6 +32,7 @@ from edge.localization.events import (
     AutopilotState,
     Discontinuity,
     Event,
+    ExternalPosition,
     Fix,
     FixFeedback,
     FixRequest,
@@ -117,6 +118,9 @@ class PositionEstimator:
                 self._moved = event.motion
             case FixFeedback():
                 self._aiding.use_fix(t_ns, event.fix, self._own)
+                self._claims.contradict_nothing()
+            case ExternalPosition():
+                self._aiding.use_external(event, self._own)
                 self._claims.contradict_nothing()
             case Discontinuity(kind="reboot"):
                 self._aiding.restart()

@@ -37,6 +37,7 @@ from edge.telemetry.port import Port
 from edge.telemetry.position_history import PositionHistory
 from edge.telemetry.position_sender import DOUBTED, PositionSender, level_m
 from edge.telemetry.session import Session
+from edge.telemetry.stated_position import StatedPositions
 from edge.telemetry.steering import Steering, SteeringMonitor
 from edge.telemetry.vehicle import FIRST_SYSTEM_ID, Vehicle
 from edge.telemetry.vehicle_velocity import slip
@@ -102,6 +103,7 @@ class AutopilotConnection:
         self._own: AutopilotState | None = None
         self.velocity_aid = VelocityAid(vehicle, publisher, sends=False)
         self._gps_news, self._steering = GpsNews(publisher), SteeringMonitor(vehicle, publisher)
+        self.stated = StatedPositions(vehicle, drive, publisher)
         self._service: Service | None = None
         self.history = PositionHistory(clock_ns)
         """Its own positions at exposures, each with its accuracy and source."""
@@ -157,12 +159,17 @@ class AutopilotConnection:
         to_the_right = slip(own.east_mps, own.north_mps, own.heading_deg)
         return (None, 0.0) if to_the_right is None else (own.speed_mps, to_the_right)
 
+    @property
+    def steering(self) -> Steering:
+        """By what the vehicle steers; unknown where no autopilot is heard."""
+        return self._steering.state if self.state == "up" else Steering()
+
     def status(self) -> LinkStatus:
         """The link, and what the autopilot says of itself, for people."""
         now_ns, verdict, sent = self.clock_ns(), self.drive.state.gps, self.positions.use.newest
         position, gps = self.vehicle.position(now_ns), self.vehicle.session.gps
         along_m, cross_track_m = level_m(sent.fix.level) if sent else (None, None)
-        scale, steering = self.vehicle.velocity.shown.scale, self._steering.state if self.state == "up" else Steering()
+        scale, steering = self.vehicle.velocity.shown.scale, self.steering
         left = {name: self._port.sent[name] for name in CARRIERS if name in self._port.sent}
         return LinkStatus(
             state=self.state,
@@ -300,6 +307,8 @@ class AutopilotConnection:
                 self._answer(message)
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                     self._keep_position(now_ns)
+            if self._is_for_us(message):
+                self.send(self.stated.read(message, now_ns))
             if self._service:
                 self.send(self._service.read(message, now_ns, is_for_us=self._is_for_us(message)))
         self.vehicle.expire(now_ns)

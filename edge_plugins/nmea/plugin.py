@@ -16,7 +16,7 @@ from edge.localization import NO_PLACES, STANDING, Fix, FixRequest, NoFix, Odome
 from edge.plugin import Parts, Plugin
 from edge_plugins.nmea import NmeaConfig
 from edge_plugins.nmea.outlets import PtyOutlet, TcpOutlet
-from edge_plugins.nmea.sentences import sentences
+from edge_plugins.nmea.sentences import sentences, text_sentence
 
 PERIOD_NS = 1_000_000_000
 STOPPED_M = 1.0
@@ -56,6 +56,7 @@ class Nmea(Plugin):
         own = parts.autopilot.vehicle.position(now_ns)
         speed_mps = parts.autopilot.vehicle.motion.speed_mps(now_ns)
         data = sentences(self._unix_ns(), self._position(now_ns), speed_mps, own.alt_m if own else None)
+        data += text_sentence(str(parts.autopilot.steering))
         for outlet in (self._tcp, self._pty):
             if outlet is not None:
                 outlet.send(data)

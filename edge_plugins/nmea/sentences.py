@@ -1,4 +1,4 @@
-"""A position as sentences of NMEA 0183: GGA, RMC and, for its accuracy, GST.
+"""A position as sentences of NMEA 0183: GGA, RMC and, for its accuracy, GST; and TXT, a line that people read.
 
 The talker is GP, since phones and plotters look for no other. Nothing pretends to be a receiver's fix, though: the
 quality is 6 and the mode E (estimated), satellites are 00, and there is no dilution of precision. RMC has the status A
@@ -17,6 +17,11 @@ ESTIMATED, NO_FIX = 6, 0
 KNOTS_PER_MPS = 3600 / 1852
 MINUTE_DIGITS = 5
 """After the point: 2 cm."""
+
+
+def text_sentence(text: str) -> bytes:
+    """A line in ASCII, as receivers send notices: one sentence of one, of type 02."""
+    return _sentence("TXT", "01", "01", "02", text.replace(",", ";"))
 
 
 def sentences(unix_ns: int, fix: PlaceFix | None, speed_mps: float | None = None, alt_m: float | None = None) -> bytes:

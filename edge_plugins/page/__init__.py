@@ -13,7 +13,7 @@ from edge.config import Config, Section
 
 
 class PageConfig(Section, frozen=True):
-    """[page]: the live page, which is read-only."""
+    """[page]: the live page, on which nothing can be changed but where the operator says that the vehicle is."""
 
     plugin: ClassVar[str] = "edge_plugins.page.plugin:Page"
     bind: str = "127.0.0.1"

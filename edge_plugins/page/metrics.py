@@ -43,7 +43,7 @@ def _metrics(status: Status) -> Iterator[Metric]:
     yield _gauge("used_frames_per_second", "Rate of used frames, recently", status.fps)
     states = {state: float(state == status.state) for state in (*STATES, status.state)}
     yield _gauge("state", "1 for the current state", states, "state")
-    yield _gauge("confidence_from", "Confidence from which on a place is believed", status.confidence_from)
+    yield _gauge("confidence_from", "Confidence from which on a place is accepted", status.confidence_from)
     if newest is not None and newest.place is not None:
         yield _gauge("uniqueness", "Uniqueness of the newest match", newest.uniqueness or 0.0)
         yield _gauge("confidence", "Confidence of the newest match", newest.confidence or 0.0)

@@ -55,6 +55,8 @@ class Page(Plugin):
             server.show_map(map_view(maps, self._parts.config.camera.view))
         if server.wanted:
             self._show(server)
+        stated, now_ns = self._parts.autopilot.stated, self._parts.clock_ns()
+        server.answer_stated(lambda lat_deg, lon_deg, sigma_m: stated.use(lat_deg, lon_deg, sigma_m, "page", now_ns))
 
     def close(self) -> None:
         """Stop serving."""

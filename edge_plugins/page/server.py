@@ -1,4 +1,6 @@
-"""The live page: a web server in a thread of its own, read-only. This file is that thread.
+"""The live page: a web server in a thread of its own. This file is that thread.
+
+Read-only, but that the operator says where the vehicle is (POST /here), with a header that no foreign site can send.
 
 It costs nothing while nobody looks: a request sets `wanted`, the daemon's loop then hands over one snapshot, and all
 requests within FRESH_S share it. What goes out is drawn here, in this thread, or in the browser. A request of the
@@ -21,6 +23,7 @@ import signal
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -76,6 +79,7 @@ class StatusPage:
         self._shown_s = 0.0
         self._jpeg: tuple[int | None, bytes] = None, b""
         self._pending: asyncio.Future[None] | None = None
+        self._stated: deque[tuple[list[float], asyncio.Future[str]]] = deque(maxlen=1)
         family = socket.AF_INET6 if ":" in config.bind else socket.AF_INET
         self._socket = socket.create_server((config.bind, config.port), family=family, backlog=BACKLOG)
         self.port: int = self._socket.getsockname()[1]
@@ -93,6 +97,15 @@ class StatusPage:
     def show_map(self, map_view: MapView) -> None:
         """Show other maps from now on, after one was excluded."""
         self._map = map_view
+
+    def answer_stated(self, use: Callable[[float, float, float], str]) -> None:
+        """Have a position of the operator's used, if there is one: degrees and meters; returns why it is not, or "".
+
+        Called by the daemon's loop.
+        """
+        with contextlib.suppress(IndexError, RuntimeError):
+            stated, answered = self._stated.popleft()
+            self._loop.call_soon_threadsafe(answered.set_result, use(*stated))
 
     def close(self) -> None:
         """Stop serving, at once; more than once is harmless."""
@@ -171,6 +184,21 @@ class StatusPage:
         async def route(request: Request) -> Response:
             return Response(self._map.as_json(), media_type="application/json")
 
+        async def here(request: Request) -> Response:
+            try:
+                stated = [float(request.query_params[name]) for name in ("lat_deg", "lon_deg", "sigma_m")]
+            except (KeyError, ValueError):
+                return PlainTextResponse("lat_deg, lon_deg and sigma_m are not three numbers\n", 400)
+            if request.headers.get("X-Lookback") != "here":
+                return PlainTextResponse("not from the page\n", 403)
+            answered = self._loop.create_future()
+            self._stated.append((stated, answered))
+            try:
+                why = await asyncio.wait_for(asyncio.shield(answered), self._answer_s)
+            except asyncio.TimeoutError:
+                return PlainTextResponse("the recognizer does not answer\n", 503)
+            return PlainTextResponse(f"{why or 'used'}\n", 409 if why else 200)
+
         async def service(request: Request) -> Response:
             return JSONResponse(SERVICE)
 
@@ -184,6 +212,7 @@ class StatusPage:
                 Route("/thumbnail/{place_index}.jpg", thumbnail),
                 Route("/route.json", route),
                 Route("/register_service", service),
+                Route("/here", here, methods=["POST"]),
             ]
         )
 

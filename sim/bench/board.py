@@ -1,4 +1,4 @@
-"""`lookback dev bench`: measure this board: a row for docs/boards.md with each network that is installed.
+"""`lookback dev bench`: measure this board: a row for docs/fleet.md with each network that is installed.
 
 It needs no package beyond those of `lookback run`. `--stages` measures each stage beside its floor and its rival, with
 the packages of the extra `bench` (`make bench`).
@@ -78,7 +78,7 @@ def _run(args: argparse.Namespace) -> int:
             run = measure(Path(folder), args.places, args.seconds, network)
         print(row("" if number else board_name(), name, run), flush=True)
         print(f"{name}: {len(run.frames)} {words}", file=sys.stderr)
-    print("Please paste the table into an issue, for docs/boards.md.", file=sys.stderr)
+    print("Please paste the table into an issue, for docs/fleet.md.", file=sys.stderr)
     return 0
 
 

@@ -50,7 +50,7 @@ CAMERA, WHEELS = [Path("camera")], [Path("wheels")]
 
 WHY_DEFAULT = (
     "lower ones may reach this precision here, but a drive that never leaves the map shows too little of what is"
-    " believed elsewhere"
+    " accepted elsewhere"
 )
 
 

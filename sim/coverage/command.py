@@ -168,7 +168,7 @@ def _expected(one: SheetSpan) -> str:
 
 
 def _drives(one: SheetSpan) -> str:
-    return f"; believed on {one.believed_in} of {one.drives} earlier drives" if one.drives else ""
+    return f"; accepted on {one.believed_in} of {one.drives} earlier drives" if one.drives else ""
 
 
 def _alias(other: SegmentSpan | None) -> str:

@@ -35,6 +35,10 @@ BAR = "{l_bar}{bar}| {n:.0f} of {total:.0f} m [{elapsed}<{remaining}]"
 PAIRS = 3  # matched pictures in the report
 STARTS_S = 1000.0 + UP_S
 """The simulated clock when the vehicle sets off."""
+NO_LEVEL = (
+    " No protection level was below that: it bounds the error at a risk of 0.001 an hour, and one mapped drive of this"
+    " length has too few independent stretches for that (docs/integrity.md)."
+)
 GREEN, GRAY, RED, BLUE = "#2a8f4f", "#9aa3ad", "#c0392b", "#1f6fb4"
 
 
@@ -112,7 +116,8 @@ def sections_of(run: TrialRun) -> list[report.ReportSection]:
         ["beside the lane without GPS, 95 %", f"{lane_off_m(ours):.1f} m", f"{lane_off_m(alone):.1f} m"],
         ["ended from where it should", f"{ours.end_off_m:.1f} m", f"{alone.end_off_m:.1f} m"],
     ]
-    table = report.Table("story", "", ("", "with Lookback", "without"), rows, "Simulated; errors by the truth.")
+    note = "Simulated; errors by the truth." + NO_LEVEL * (not run.available)
+    table = report.Table("story", "", ("", "with Lookback", "without"), rows, note)
     figure = report.Figure("story_map", "True tracks", to_png(picture(run)))
     return [
         report.ReportSection("Take me home", text, figures=[figure]),

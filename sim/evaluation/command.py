@@ -22,9 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Of `lookback eval`."""
     parser.description = (
         "Recognize recordings with known positions on a map of other recordings, as `lookback run` does. Precision: of"
-        " the believed frames, the share within the tolerance. Recall: of the frames on the map, the share that is"
-        " believed and right; and the share at the lowest confidence from which no frame is wrong, within the tolerance"
-        " and within twice the tolerance. Errors: median and 95 % of believed frames, after the offsets in [rig] of"
+        " the accepted frames, the share within the tolerance. Recall: of the frames on the map, the share that is"
+        " accepted and right; and the share at the lowest confidence from which no frame is wrong, within the tolerance"
+        " and within twice the tolerance. Errors: median and 95 % of accepted frames, after the offsets in [rig] of"
         " --config, which `lookback calibrate` measures."
     )
     parser.add_argument("feeds", nargs="+", type=Path, metavar="FEED", help="recordings with positions")
@@ -58,7 +58,7 @@ def _run(args: argparse.Namespace) -> int:
         if abs(one.ahead_m) > OFFSET_SHARE * args.tolerance_m:
             side = "ahead of" if one.ahead_m > 0 else "behind"
             print(
-                f"{one.name}: the median believed place lies {abs(one.ahead_m):.0f} m {side} the vehicle, and the"
+                f"{one.name}: the median accepted place lies {abs(one.ahead_m):.0f} m {side} the vehicle, and the"
                 f" tolerance is {args.tolerance_m:g} m: measure the camera's offset with `lookback calibrate`, and name"
                 " the config with its [rig] by --config",
                 file=sys.stderr,
@@ -93,7 +93,7 @@ def _write(
     table = report.Table("recordings", "In numbers", COLUMNS, rows)
     section = report.ReportSection("Recordings", tables=[table], figures=[plot])
     lead = [
-        f"{one.name}: {int(one.believed.sum())} of {len(one.believed)} frames believed, precision {one.precision:.3f},"
+        f"{one.name}: {int(one.believed.sum())} of {len(one.believed)} frames accepted, precision {one.precision:.3f},"
         f" recall {one.recall:.3f}"
         for one in judged
     ]

@@ -39,9 +39,9 @@ def route_plot(road_m: Points, right_m: Points, wrong_m: Points, missed_m: Point
     axes = figure.subplots()
     axes.plot(*road_m.T, color=GRAY, lw=3, label="the map's route")
     if len(missed_m):
-        axes.plot(*missed_m.T, ".", color=ORANGE, ms=4, label="not believed")
+        axes.plot(*missed_m.T, ".", color=ORANGE, ms=4, label="not accepted")
     if len(right_m):
-        axes.plot(*right_m.T, "o", color=BLUE, ms=4, label="believed")
+        axes.plot(*right_m.T, "o", color=BLUE, ms=4, label="accepted")
     if len(wrong_m):
         axes.plot(*wrong_m.T, "x", color=RED, ms=7, label=f"over {tolerance_m:.0f} m off")
     axes.set(xlabel="east, m", ylabel="north, m")
@@ -57,8 +57,8 @@ def cost_matrix(costs: NDArray[np.float32], places: Points, accepted: Flags) -> 
     shown = axes.imshow(costs.T, origin="lower", aspect="auto", cmap="viridis", vmin=0.6, vmax=1.1)
     figure.colorbar(shown, label="cosine distance")
     rows = np.arange(len(places))
-    axes.plot(rows[~accepted], places[~accepted], ".", color="white", ms=3, label="best, not believed")
-    axes.plot(rows[accepted], places[accepted], ".", color=ORANGE, ms=4, label="believed")
+    axes.plot(rows[~accepted], places[~accepted], ".", color="white", ms=3, label="best, not accepted")
+    axes.plot(rows[accepted], places[accepted], ".", color=ORANGE, ms=4, label="accepted")
     axes.set(xlabel="frame of this drive", ylabel="place of the map", ylim=(0, costs.shape[1]))
     # Below the matrix, which is full; on gray, so that the white dots are visible.
     figure.legend(loc="outside lower center", ncols=3, fontsize=9, facecolor=GRAY, markerscale=2.5)
@@ -71,9 +71,9 @@ def confidence_plot(at: Points, unit: str, confidence: Points, right: Flags, wro
     axes = figure.subplots()
     axes.plot(at, confidence, color=GRAY, lw=1)
     if right.any():
-        axes.plot(at[right], confidence[right], ".", color=BLUE, ms=4, label="believed")
+        axes.plot(at[right], confidence[right], ".", color=BLUE, ms=4, label="accepted")
     if wrong.any():
-        axes.plot(at[wrong], confidence[wrong], "x", color=RED, ms=5, label="believed, wrong")
+        axes.plot(at[wrong], confidence[wrong], "x", color=RED, ms=5, label="accepted, wrong")
     axes.axhline(least, color=ORANGE, lw=1, label=f"asked for: {least:g}")
     axes.set(xlabel=f"driven, {unit}", ylabel="confidence", ylim=(0, 1.03))
     axes.legend(fontsize=8, loc="lower right", ncols=3)

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, help="the network that the map was made with, unless it is grid or fc6")
     parser.add_argument("--config", type=Path, help="read all settings of the recognizer from this file")
     parser.add_argument("--sequence-length", type=int, metavar="L", help="frames in a sequence")
-    parser.add_argument("--confidence-from", type=float, metavar="P", help="probability from which a place is believed")
+    parser.add_argument("--confidence-from", type=float, metavar="P", help="probability from which a place is accepted")
     parser.add_argument("--all", action="store_true", help="write a line for every used frame, not only for events")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write to this file, not to standard output")
     add_spacing_options(parser)
@@ -148,4 +148,4 @@ def _write(lines: Iterator[FrameUsed], stream: TextIO, feed: Feed, *, every: boo
             bar.update(line.frame + 1 - bar.n)
             if every or line.emitted:
                 stream.write(as_line(line))
-    print(f"{feed.path}: {believed} of {used} used frames believed, {events} events", file=sys.stderr)
+    print(f"{feed.path}: {believed} of {used} used frames accepted, {events} events", file=sys.stderr)

@@ -212,7 +212,7 @@ def _fitted(config: Config, maps: MapSet, query: Feed, network: MemoizingNetwork
 def _measure(map_path: Path, query: Feed, network: MemoizingNetwork) -> tuple[list[Offset], str]:
     """The camera's offsets; where there are none, also why."""
     try:
-        return measure_rig(open_map(map_path), [query], network=network)[0], "too few places are believed"
+        return measure_rig(open_map(map_path), [query], network=network)[0], "too few places are accepted"
     except (FeedError, MapError) as error:
         return [], str(error).replace(f"{map_path.parent}/", "")  # which is written under another name, see `replacing`
 

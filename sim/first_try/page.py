@@ -29,7 +29,7 @@ from sim.traverse import distances_m, driven_m
 PAIRS = 4
 """Matched pairs on the page, spread over the believed frames."""
 MOST_STRETCHES = 20
-COLUMNS = "", "believed, %", "the first", "precision", "recall", "error, m", "95 %, m"
+COLUMNS = "", "accepted, %", "the first", "precision", "recall", "error, m", "95 %, m"
 FILM_S, FILM_FPS, FILM_PX = 20, 10, (320, 240)
 
 
@@ -125,10 +125,10 @@ def _pictures(tried: TryResult) -> report.ReportSection:
     """Believed frames beside their places; where there are none, the best matches."""
     seen, query, places = tried.seen, FeedImages(tried.seen.feed), FeedImages(tried.reference)
     rows = np.flatnonzero(seen.believed)
-    title = "Believed places"
+    title = "Accepted places"
     if not rows.size:
         rows = np.array([row for row, one in enumerate(seen.used) if one.map_row is not None], dtype=int)
-        title = "Best matches, none of them believed"
+        title = "Best matches, none of them accepted"
     chosen = rows[np.unique(np.linspace(0, len(rows) - 1, PAIRS).round().astype(int))] if rows.size else rows
     pairs, network = [], KeypointNetwork()
     for row in chosen:
@@ -147,7 +147,7 @@ def _pictures(tried: TryResult) -> report.ReportSection:
     film = _film(tried, query, places)
     query.close()
     places.close()
-    words = "left: the query; right: the place that it is believed to be, dark where none is"
+    words = "left: the query; right: the place that is accepted, dark where none is"
     return report.ReportSection(title if pairs else "No place was matched", pictures=pairs, film=film, film_words=words)
 
 

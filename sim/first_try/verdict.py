@@ -77,7 +77,7 @@ class TryResult:
     gray: Floats
     faults: tuple[str, ...]
     offsets: tuple[Offset, ...] = ()
-    why_no_offset: str = "too few places are believed"
+    why_no_offset: str = "too few places are accepted"
     keypoints: WithKeypoints | None = None
 
     @property
@@ -107,7 +107,7 @@ def verdict(tried: TryResult) -> Verdict:
     """What follows from all that is known."""
     believed, could = tried.seen.believed, tried.could_be_believed
     share = float(believed[could].mean()) if could.any() else 0.0
-    facts = [f"{100 * share:.0f} % of the {int(could.sum())} frames after the start are believed"]
+    facts = [f"{100 * share:.0f} % of the {int(could.sum())} frames after the start are accepted"]
     if tried.judged is None:
         facts.append("whether they are right is not known: it needs positions in both recordings")
     else:
@@ -115,7 +115,7 @@ def verdict(tried: TryResult) -> Verdict:
         unknown = int(believed.sum() - tried.judged.believed.sum())
         if unknown:
             facts.append(
-                f"{unknown} more believed places are neither right nor wrong: the frame or the place has no position"
+                f"{unknown} more accepted places are neither right nor wrong: the frame or the place has no position"
             )
     found = ", ".join(
         f"{_ahead(one.ahead_m)} ± {one.ahead_sigma_m:.1f} m ({one.direction}, {one.order})" for one in tried.offsets
@@ -137,7 +137,7 @@ def _headline(tried: TryResult, share: float) -> str:
     judged = tried.judged
     if judged is not None and judged.believed.any() and judged.precision < TRUSTED:
         wrong = int((judged.believed & ~judged.answers.correct).sum())
-        return f"Not to be trusted: {wrong} of {int(judged.believed.sum())} believed places are wrong"
+        return f"Not to be trusted: {wrong} of {int(judged.believed.sum())} accepted places are wrong"
     if not tried.could_be_believed.any():
         return "Nothing could be recognized"
     recall = float(tried.seen.believed.mean()) if judged is None else judged.recall
@@ -149,15 +149,15 @@ def _headline(tried: TryResult, share: float) -> str:
 
 def _judged_facts(judged: RecognitionScore, tolerance_m: float) -> list[str]:
     if not judged.believed.any():
-        return ["no place with a position is believed, so there is no precision"]
+        return ["no place with a position is accepted, so there is no precision"]
     errors_m = judged.error_m[judged.believed]
     surest = recall_at_precision(precision_recall(judged.answers), 1.0)
     believed, on_map = int(judged.believed.sum()), int(judged.answers.has_truth.sum())
     return [
-        f"precision {judged.precision:.3f} of {believed} believed places (within {tolerance_m:g} m)",
+        f"precision {judged.precision:.3f} of {believed} accepted places (within {tolerance_m:g} m)",
         f"recall {judged.recall:.3f} of {on_map} frames on the mapped road, those of the first sequence too;"
         f" {surest:.3f} at the lowest confidence without a wrong place",
-        f"error of the believed places: median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m",
+        f"error of the accepted places: median {np.median(errors_m):.1f} m, 95 % {np.percentile(errors_m, 95):.1f} m",
     ]
 
 
@@ -177,7 +177,7 @@ def _stretches(tried: TryResult) -> list[FailureSpan]:
 def _reason(tried: TryResult, row: int) -> str:
     """Why a used frame is not believed, "" if it is."""
     if tried.seen.believed[row]:
-        return f"believed, but over {tried.tolerance_m:g} m off" if tried.is_wrong[row] else ""
+        return f"accepted, but over {tried.tolerance_m:g} m off" if tried.is_wrong[row] else ""
     state, is_dark = tried.seen.states[row], tried.gray[row] < DARK
     if tried.faults[row]:
         why = tried.faults[row]
@@ -187,7 +187,7 @@ def _reason(tried: TryResult, row: int) -> str:
         why = f"not on the mapped road: no place of the map within {tried.tolerance_m:g} m"
     elif state == "off the map":
         least = tried.config.acceptance.confidence_from
-        why = f"not believed: confidence below {least:g}{', and the picture is dark' if is_dark else ''}"
+        why = f"not accepted: confidence below {least:g}{', and the picture is dark' if is_dark else ''}"
     else:
         why = state
     return why

@@ -30,7 +30,7 @@ def facts(found: WithKeypoints, seen: Recognition) -> list[str]:
     alone, both = (f"{100 * one.believed.mean():.0f} % ({first_words(one)})" for one in (found.alone, seen))
     return [
         *found.known,
-        f"of all frames, {alone} are believed by the sequence alone, {both} with keypoints",
+        f"of all frames, {alone} are accepted by the sequence alone, {both} with keypoints",
         errors_words(found, seen),
     ]
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.keypoints.points import FEWEST_ROWS, REACH_M
+from edge.keypoints.drive_points import SPARSE_REACH_M
+from edge.keypoints.points import FEWEST_ROWS
 from edge.keypoints.pose import FEWEST_POINTS
 from edge.reference_map import ReferenceMap
 
@@ -51,8 +52,8 @@ def _why(reference_map: ReferenceMap) -> str:
         return "the recording has no headings, and no positions whose course would be one"
     steps_m = np.concatenate([np.diff(places["route_m"][one.start : one.end]) for one in reference_map.header.segments])
     apart_m = float(np.nanmedian(steps_m))
-    if apart_m * (FEWEST_ROWS - 1) > 2 * REACH_M:
-        return f"places are {apart_m:.0f} m apart, and a distance needs {FEWEST_ROWS} pictures within {REACH_M:g} m"
+    if apart_m > SPARSE_REACH_M:
+        return f"places are {apart_m:.0f} m apart, and a distance needs {FEWEST_ROWS} within {SPARSE_REACH_M:g} m"
     return (
         f"what is seen does not move as positions and a field of view of {key.fov_deg:g} degrees say, or little is seen"
         " again: check --fov-deg, the view, and the times of the positions"

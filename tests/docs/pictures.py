@@ -126,6 +126,24 @@ def write_page_picture() -> None:
     (PICTURES / MADE_OF).write_text(checksum_of_sources(), encoding="utf-8")
 
 
+def write_report_pictures() -> None:
+    """What `lookback try` and `map coverage` write of the same road, as a browser shows it."""
+    with TemporaryDirectory() as passing:
+        at = Path(passing)
+        for name, scenario in (("out", OUT), ("home", HOME)):
+            record_drive(scenario, at / name)
+        coverage = ["map", "coverage", "try/map", "--light", "night", "--report", "coverage.html"]
+        for command in (["try", "out", "home"], coverage):
+            subprocess.run([sys.executable, "-m", "edge", *command], cwd=at, check=True)
+        with browser(*PAGE_PX) as driver:
+            for page in (at / "try/report.html", at / "coverage.html"):
+                driver.get(page.as_uri())
+                driver.save_screenshot(str(shot := page.with_suffix(".png")))
+                shown = np.asarray(cv2.imread(str(shot)))
+                cv2.imwrite(str(PICTURES / f"{page.stem}.webp"), shown, [cv2.IMWRITE_WEBP_QUALITY, 80])
+
+
 if __name__ == "__main__":
     write_grid_picture()
     write_page_picture()
+    write_report_pictures()

@@ -7,48 +7,14 @@ import re
 from tests.common import ROOT
 from tests.docs.figures import ARCHITECTURE, architecture, stale
 from tests.docs.pictures import MADE_OF, PICTURES, checksum_of_sources
-
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def page(name: str) -> str:
-    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+from tests.docs.readme import PRINTED, README, by_tables, page, printed
 
 
-def test_the_flights_of_readme_are_those_of_their_page() -> None:
-    flights = page("flights.md")
-    (now,) = re.findall(r"^- now: (\d+) positions; of (\d+) whose .* has, 0 beyond three", flights, re.MULTILINE)
-    by_night = dict(re.findall(r"^\| \d+ (\w+), night \| \d+ \| ([\d.]+) /", flights, re.MULTILINE))
-    sent, known = (f"{int(number):,}" for number in now)
-    assert (
-        f"{sent} positions, median error at night {by_night['ArduPilot']} m (ArduPilot), {by_night['PX4']} m (PX4)"
-        in README
-    )
-    assert f"none of the {known} with a recorded sigma exceeds 3 sigma" in README
-
-
-def test_each_drive_of_readme_is_one_of_the_page() -> None:
-    """With Lookback and without, wheels right and 3 % wrong."""
-    flown = r"^\| (\d+) \| (right|3 % wrong) \| (.* m) \| (.* m) \|$"
-    by_road = {found[:2]: found[2:] for found in re.findall(flown, page("flights.md"), re.MULTILINE)}
-    rows = re.findall(r"^\| (\d{3}) \| (.* m) \|$", README, re.MULTILINE)
-    assert len(rows) == 3
-    for road, cells in rows:
-        assert cells.split(" | ") == [*by_road[road, "right"], *by_road[road, "3 % wrong"]]
-    p95_m = [[float(cell.split(" / ")[1]) for cell in by_road[road, "3 % wrong"]] for road, _ in rows]
-    with_m, alone_m = zip(*p95_m, strict=True)
-    said = (
-        f"{min(with_m)} to {max(with_m)} m (95th percentile, three roads), {min(alone_m)} to {max(alone_m)} m without"
-    )
-    assert said in README
-
-
-def test_where_a_drive_is_recognized_is_said_as_its_page_says_it() -> None:
-    table = page("keypoints.md").partition("<!-- keyframes: begin -->")[2]
-    medians_m = re.findall(r"^\| \w+ \| \w+ \| \d+, \d+ m \| (\d+), \d+ m \|", table, re.MULTILINE)
-    (said_m,) = re.findall(r"usually accepted \(believed\) after (\d+) m with", README)
-    assert len(medians_m) >= 6
-    assert sorted(medians_m)[len(medians_m) // 2] == said_m
+def test_the_figures_of_readme_are_those_of_the_tables() -> None:
+    """Those that its commands print are compared where these run: test_every_command_works."""
+    text = README.read_text(encoding="utf-8")
+    assert by_tables(text) == text, "write them anew: python -m tests.docs.readme"
+    assert len(printed(text)) == sum(said.count("{}") for _, said in PRINTED)
 
 
 def test_two_cameras_back_to_back_are_said_to_do_what_their_table_says() -> None:
@@ -68,7 +34,7 @@ def test_two_cameras_back_to_back_are_said_to_do_what_their_table_says() -> None
     assert now == 0
     assert f"none of {frames:,} is accepted with GPS, {late} are 500 m after its loss, {alone} without any" in said
     assert f"{of['a fork'][2]} of {of['a fork'][0]:,} are accepted" in said
-    (wrong,) = re.findall(r"0 of \d+ frames and 0 of (\d+) frames are believed and wrong", table)
+    (wrong,) = re.findall(r"0 of \d+ frames and 0 of (\d+) frames are accepted and wrong", table)
     assert f"none of {int(wrong):,} frames is accepted and wrong" in said
 
 

@@ -128,12 +128,23 @@ NO_MESSAGE |= {"position aiding", "discontinuity", "kidnapped"}
 """Terms of code and docs alone: no message, help or comment of the config speaks of such a thing."""
 
 
-def test_each_other_term_is_found_in_a_message() -> None:
-    """In strings that are no docstrings, in the config's comments, or on the page."""
+def messages() -> list[str]:
+    """Strings that are no docstrings, the config's comments, and the page."""
     said = [file.read_text("utf-8") for file in (ROOT / "edge/default.toml", ROOT / "edge_plugins/page/page.html")]
     for file in (file for package in PACKAGES for file in (ROOT / package).rglob("*.py")):
         nodes = [*ast.walk(ast.parse(file.read_text("utf-8")))]
         docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
         strings = (node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings)
         said += [node.value for node in strings if isinstance(node.value, str) and " " in node.value]
-    assert {row[0] for row in ROWS if not any(is_used(row[0], one) for one in said)} == NO_MESSAGE
+    return said
+
+
+def test_each_other_term_is_found_in_a_message() -> None:
+    assert {row[0] for row in ROWS if not any(is_used(row[0], one) for one in messages())} == NO_MESSAGE
+
+
+def test_a_place_is_accepted_in_each_text_that_a_person_reads() -> None:
+    """The journal's word; "believed" stood beside it."""
+    pages = [*OTHER_PAGES, *(ROOT / "docs/tables").glob("*.md")]
+    texts = [*messages(), *(page.read_text("utf-8") for page in pages)]
+    assert [one[:80] for one in texts if re.search(r"(?<!{)\b[Bb]elieve[ds]\b", one)] == []

@@ -73,6 +73,8 @@ def test_the_site_is_made_for_it(site: Path) -> None:
     home = (site / "0.4/index.html").read_text(encoding="utf-8")
     assert "<title>Home - Lookback</title>" in home and 'href="https://github.com/us/lookback"' in home
     assert home.count('name="__palette"') == 2 and "site/mark.svg" in home and "site/site.css" in home
+    shown = re.findall(r'src="(pictures/[^"]+)"', home)
+    assert len(shown) == 4 and all((site / "0.4" / one).exists() for one in shown), "the drive, the page, two reports"
     api = (site / "0.4/api.html").read_text(encoding="utf-8")
     assert "__getattr__" not in api and re.search("blob/v[^/]+/docs/notebook.ipynb", api), "which GitHub renders"
 

@@ -131,4 +131,4 @@ def test_a_recording_is_played_to_a_new_run(
 
         put_forward_s = ahead_s
         drive_until(autopilot, cable, lambda: told_up(tmp_path) == 2, process)
-        figures(f"{len(recorded)} frames played again, none believed; heard again {ahead_s:g} s on")
+        figures(f"{len(recorded)} frames played again, none accepted; heard again {ahead_s:g} s on")

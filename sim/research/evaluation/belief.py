@@ -117,7 +117,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far the place belief can be trusted: parts of the roads mapped, then roads that are on no map."""
     roads = args.seeds, args.length, args.cache
     seen = {name: list(worlds(*roads, name)) for name in args.networks}
-    yield "| network, drive | mapped | recall, votes alone | with GPS | first belief, votes alone | with GPS | lowest |"
+    yield "| network, drive | mapped | recall, votes alone | with GPS | first place, votes alone | with GPS | lowest |"
     yield "|---|---|---|---|---|---|---|"
     wrong = []
     for name, of_network in seen.items():
@@ -132,7 +132,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
             f"{sum(map(wrong_frames, ones))} of {sum(len(one.belief.correct) for one in ones)} frames"
             for ones in (of_votes, answers)
         )
-        wrong.append(f"- {name}: {words} are believed and wrong, by the votes alone and with GPS before.")
+        wrong.append(f"- {name}: {words} are accepted and wrong, by the votes alone and with GPS before.")
     of_networks = [f"{name}: {', '.join(('the votes alone', *GPS))}" for name in seen]
     yield from ["", *wrong, "", f"| a road that is not mapped | frames | {' | '.join(of_networks)} |"]
     yield "|---|---|" + "---|" * len(seen)

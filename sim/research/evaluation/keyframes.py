@@ -167,7 +167,7 @@ class Bench:
 def on_map(args: argparse.Namespace) -> Iterator[str]:
     """What the recognizer believes, with keypoints and without."""
     bench = Bench(args.cache)
-    yield "| drive | light | first belief | with keypoints | at rest | believed | with keypoints | wrong |"
+    yield "| drive | light | first accepted | with keypoints | at rest | accepted | with keypoints | wrong |"
     yield "|---|---|---|---|---|---|---|---|"
     for drive, lights in LIGHTS.items():
         for light in lights:
@@ -234,7 +234,7 @@ def on_streets(args: argparse.Namespace) -> Iterator[str]:
 def off_map(args: argparse.Namespace) -> Iterator[str]:
     """What it believes where no place is right."""
     bench = Bench(args.cache)
-    yield "| a road that is not mapped | frames | believed without keypoints | with them |"
+    yield "| a road that is not mapped | frames | accepted without keypoints | with them |"
     yield "|---|---|---|---|"
     for where in (NOWHERE, *LAYOUTS):
         each = [np.concatenate(list(_off_map(bench, args.seeds, where, keypoints=one))) for one in (False, True)]

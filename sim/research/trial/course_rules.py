@@ -139,12 +139,12 @@ def never_wrong(run: CourseRun) -> str:
 
 def known_at_rest(run: CourseRun) -> str:
     """A place is believed before the vehicle sets off."""
-    return "" if run.known_after_m < AT_REST_M else f"believed after {run.known_after_m:.0f} m"
+    return "" if run.known_after_m < AT_REST_M else f"accepted after {run.known_after_m:.0f} m"
 
 
 def known_again(run: CourseRun) -> str:
     """A place is believed within 80 m of where the vehicle was set down."""
-    return "" if run.known_after_m <= LINE_M else f"believed after {run.known_after_m:.0f} m"
+    return "" if run.known_after_m <= LINE_M else f"accepted after {run.known_after_m:.0f} m"
 
 
 def resumes(run: CourseRun) -> str:

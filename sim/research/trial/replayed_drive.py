@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -55,12 +56,19 @@ DAY: tuple[LightName, int] = ("day", 1)
 
 
 def replay(
-    drive: RecordedDrive, matched: list[FrameUsed], folder: Path, library: RoadLibrary, *, keypoints: bool = False
+    drive: RecordedDrive,
+    matched: list[FrameUsed],
+    folder: Path,
+    library: RoadLibrary,
+    *,
+    keypoints: bool = False,
+    watch: Callable[[Daemon, Playback], object] | None = None,
 ) -> list[tuple[float, Message]]:
     """Run the daemon on a recorded drive; what it sent, and when. Journal and lists, one of each run, stay in `folder`.
 
     matched: what was recognized on the drive's map, by whichever drive. keypoints: of a map that has them, unless it
-    was made on the way. FeedError where the map was learned, and RuntimeError where a plug-in failed.
+    was made on the way. watch: is called after each turn of the daemon. FeedError where the map was learned, and
+    RuntimeError where a plug-in failed.
     """
     if drive.is_learned:
         raise FeedError("its map was learned from several, and it has no record of what they were made of")
@@ -87,7 +95,8 @@ def replay(
                 )
                 daemon = Daemon(opened)
                 while daemon.turn():
-                    pass
+                    if watch:
+                        watch(daemon, playback)
                 if run is drive.runs[-1]:
                     daemon.last_words()
                 received += playback.received

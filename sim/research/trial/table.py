@@ -37,7 +37,7 @@ ALL = (
 LITTLE_SAID = "autopilot's error 95 %, alone", "share sent"
 """Over several courses."""
 TABLES = {
-    "known": ("course", "drives", "place believed after", "positions", "in sigmas, rms / largest", "places wrong"),
+    "known": ("course", "drives", "place accepted after", "positions", "in sigmas, rms / largest", "places wrong"),
     "keypoints": (
         *(
             "course",
@@ -47,7 +47,7 @@ TABLES = {
             "heading, rms",
             "in sigmas, rms / largest",
         ),
-        *("cross-track 95 %, alone", "first after", "believed", "wrong"),
+        *("cross-track 95 %, alone", "first after", "accepted", "wrong"),
     ),
 }
 """Columns of the tables in docs, by their marks: of vehicles that nobody knew; and of courses on maps without and with
@@ -63,7 +63,7 @@ def line(name: str, run: CourseRun) -> str:
     return (
         f"{name:<26} seed {run.seed:3d} road {run.world:3d}  {len(sent.time_s):4d} positions  {_spread(sent.error_m)}"
         f"  first known after {run.known_after_m:.0f} m, sent after {run.first_after_m:.0f} m"
-        f"  believed {run.believed} of {run.used}, wrong {run.wrong}"
+        f"  accepted {run.believed} of {run.used}, wrong {run.wrong}"
         f"  cross-track, alone: {lanes}  end, alone: {ends}  {verdict}"
     )
 
@@ -140,9 +140,9 @@ class CourseScore:
             "first after": _meters(
                 np.median([m for run in runs if not math.isnan(m := run.first_after_m)] or [math.nan])
             ),
-            "believed": f"{sum(run.believed for run in runs)} of {sum(run.used for run in runs)}",
+            "accepted": f"{sum(run.believed for run in runs)} of {sum(run.used for run in runs)}",
             "wrong": f"{sum(run.wrong for run in runs)}",
-            "place believed after": ", ".join(_meters(run.known_after_m) for run in runs),
+            "place accepted after": ", ".join(_meters(run.known_after_m) for run in runs),
             "places wrong": f"{sum(int((run.known[:, 1] > WRONG_M).sum()) for run in runs)}",
         }
 

@@ -331,6 +331,20 @@ def test_in_large_it_says_whether_gps_is_lost_and_by_what_the_vehicle_steers(
             assert size >= 30, "readable at arm's length"
             if PICTURES:
                 driver.save_screenshot(str(Path(PICTURES) / f"steering_{name}_{width}.png"))
+        show("lost", "unknown")
+        click(driver, "#fit")
+        until(driver, "!document.getElementById('here-words').hidden")
+        click(driver, "#route")
+        driver.switch_to.alert.accept()
+        stated = list[tuple[float, ...]]()
+
+        def answered(_: Any) -> bool:
+            page.answer_stated(lambda *at: stated.append(at) or "")  # type: ignore[func-returns-value]
+            return bool(stated)
+
+        WebDriverWait(driver, PATIENCE_S).until(answered)
+        until(driver, "document.getElementById('here-words').textContent.endsWith('used.')")
+        assert stated[0] == pytest.approx((150 / 110_574, 0.0, 30.0), abs=5e-4), "the middle of the map"
         driver.execute_script("document.getElementById('details').open = true")
         show("lost", "places", position=AT, **sent)
         until(

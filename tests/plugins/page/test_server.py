@@ -307,6 +307,30 @@ def test_it_is_read_only(page: StatusPage, method: str) -> None:
     assert get(page, "/status.json", method)[0] == 405
 
 
+def test_the_operator_says_where_the_vehicle_is(page: StatusPage) -> None:
+    said, stop, path = list[tuple[float, ...]](), threading.Event(), "/here?lat_deg=-27.5&lon_deg=153&sigma_m=30"
+
+    def use(*values: float) -> str:
+        said.append(values)
+        return "" if len(said) == 1 else "GPS is in use"
+
+    def turn() -> None:
+        while not stop.wait(0.002):
+            page.answer_stated(use)
+
+    assert get(page, path, "POST")[0] == 403, "a form of a foreign site has no such header"
+    own = {"X-Lookback": "here"}
+    assert get(page, path.replace("30", "wide"), "POST", **own)[0] == 400
+    assert get(page, path, "POST", **own)[0] == 503, "nobody takes it"
+    page.answer_stated(lambda *values: "")
+    (thread := threading.Thread(target=turn)).start()
+    answers = [get(page, path, "POST", **own)[:2] for _ in range(2)]
+    stop.set()
+    thread.join()
+    assert answers == [(200, b"used\n"), (409, b"GPS is in use\n")]
+    assert said == [(-27.5, 153.0, 30.0)] * 2
+
+
 def raw(page: StatusPage, data: bytes, address: str = "127.0.0.1") -> socket.socket:
     connection = socket.create_connection(("127.0.0.1", page.port), CUT_OFF_S, source_address=(address, 0))
     connection.sendall(data)

@@ -64,7 +64,7 @@ def test_search_and_its_rival_find_the_same_lines() -> None:
 
 
 def test_products_of_the_networks() -> None:
-    """Of an AlexNet up to fc6, as docs/boards.md has them for two regions, and of the grid."""
+    """Of an AlexNet up to fc6, as docs/fleet.md has them for two regions, and of the grid."""
     fc6 = stages.products_of(onnx.load(resolve_model(None)), (2, 224, 224, 3))
     assert fc6 == pytest.approx(1.39e9, rel=0.01)
     one, two = (stages.products_of(onnx.load(GRID), (count, 128, 256, 3)) for count in (1, 2))

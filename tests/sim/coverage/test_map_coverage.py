@@ -101,7 +101,7 @@ def test_the_command(maps: MapSet, tmp_path: Path, capsys: pytest.CaptureFixture
     assert main(["map", "coverage", str(maps.path), *journals, *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{maps.path}: 2 earlier ones"
-    expected = "drive 1,     0 to   200 m:  60 % of the frames; within 100 m 100 %; believed on 2 of 2 earlier drives"
+    expected = "drive 1,     0 to   200 m:  60 % of the frames; within 100 m 100 %; accepted on 2 of 2 earlier drives"
     assert lines[1].startswith(expected)
     assert lines[3].startswith("drive 2,     0 to   200 m: not driven")
     assert lines[5] == "longest gap: 2 m, up to 2 m of drive 1; 0 m of drift at 5 %"
@@ -327,4 +327,4 @@ def test_drives_beside_gps_that_went_this_way_in_this_light_replace_the_rehearsa
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith("and 3 earlier ones")
     assert [line.split("m: ")[1].split(" of the")[0].strip() for line in lines[1:3]] == ["0 %", "100 %"]
-    assert "believed on 3 of 3 earlier drives" in lines[2]
+    assert "accepted on 3 of 3 earlier drives" in lines[2]

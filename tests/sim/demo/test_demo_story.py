@@ -39,6 +39,10 @@ def _run() -> TrialRun:
 def test_the_table_tells_both_drives_side_by_side() -> None:
     rows = {str(name): (ours, alone) for name, ours, alone in sections_of(_run())[1].tables[0].rows}
     assert rows["first position after the failure"] == ("80 m further on", "none")
+    assert rows["protection level below 15 m"][0] == "0 % of the way home"
+    assert "No protection level was below that: it bounds" in sections_of(_run())[1].tables[0].note
+    levels = np.array([[LENGTH_M / 10.0 + 8.0, 9.0, 9.0]])
+    assert "No protection" not in sections_of(replace(_run(), levels=levels))[1].tables[0].note
     assert rows["beside the lane without GPS, 95 %"] == ("2.0 m", "30.0 m")
     assert rows["ended from where it should"] == ("3.0 m", "80.0 m")
     assert rows["largest standard deviation sent"][0] == "4.0 m"

@@ -123,7 +123,7 @@ def test_an_offset_near_the_tolerance_is_warned_of(
     options = ["eval", str(again), "--map", str(street_map), "--config", str(config)]
     assert main(options) == 0
     warning = capsys.readouterr().err
-    assert f"again: the median believed place lies 30 m {side} the vehicle, and the tolerance is 40 m" in warning
+    assert f"again: the median accepted place lies 30 m {side} the vehicle, and the tolerance is 40 m" in warning
     assert "lookback calibrate" in warning
     assert main([*options, "--tolerance-m", "20"]) == 0
     at_100, within_twice = map(float, capsys.readouterr().out.splitlines()[1].split()[5:7])

@@ -114,7 +114,7 @@ def test_where_gps_had_a_gap_nothing_is_right_or_wrong(
     printed = capsys.readouterr().out
     assert "\nRecognized" in printed and "precision 1.000" in printed and "nan" not in printed, printed
     assert "m (forward, same): measured on this query, and used" in printed, "where both have positions"
-    assert "20 more believed places are neither right nor wrong: the frame or the place has no position" in printed
+    assert "20 more accepted places are neither right nor wrong: the frame or the place has no position" in printed
 
 
 @pytest.mark.parametrize("is_located", [False, True])

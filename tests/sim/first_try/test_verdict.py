@@ -51,8 +51,8 @@ def test_a_good_drive_needs_no_advice() -> None:
 
 def test_wrong_places_come_before_everything_else() -> None:
     found = verdict(a_try(range(20, 100), range(90)))
-    assert found.headline == "Not to be trusted: 10 of 80 believed places are wrong"
-    assert found.stretches[-1] == FailureSpan(90, 99, "believed, but over 40 m off")
+    assert found.headline == "Not to be trusted: 10 of 80 accepted places are wrong"
+    assert found.stretches[-1] == FailureSpan(90, 99, "accepted, but over 40 m off")
 
 
 def test_each_reason_is_named_where_it_holds() -> None:
@@ -61,10 +61,10 @@ def test_each_reason_is_named_where_it_holds() -> None:
     tried = replace(tried, gray=gray, faults=("",) * 70 + ("the image is frozen",) * 5 + ("",) * 25)
     found = verdict(tried)
     assert [(one.first, one.why) for one in found.stretches[1:]] == [
-        (50, "not believed: confidence below 0.92"),
-        (60, "not believed: confidence below 0.92, and the picture is dark"),
+        (50, "not accepted: confidence below 0.92"),
+        (60, "not accepted: confidence below 0.92, and the picture is dark"),
         (70, "the image is frozen"),
-        (75, "not believed: confidence below 0.92, and the picture is dark"),
+        (75, "not accepted: confidence below 0.92, and the picture is dark"),
         (80, "not on the mapped road: no place of the map within 40 m"),
     ]
     assert "20 % of the query is not on the mapped road" not in " ".join(found.advice)

@@ -41,7 +41,7 @@ def test_a_try_shows_both_and_how_far_single_pictures_are_off(
     known = re.search(r"(\d+) of 50 keyframes have map points", printed)
     assert known and int(known[1]) > 40
     shares = re.search(
-        r"of all frames, (\d+) % \((.*)\) are believed by the sequence alone, (\d+) % \((.*)\) with", printed
+        r"of all frames, (\d+) % \((.*)\) are accepted by the sequence alone, (\d+) % \((.*)\) with", printed
     )
     assert shares and int(shares[3]) > 80 > int(shares[1])
     assert shares[4] == "first after 4 m"

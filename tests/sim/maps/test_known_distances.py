@@ -155,7 +155,7 @@ def test_few_distances_have_a_reason(drive: Feed, tmp_path: Path, capsys: Printe
         (
             (still, 2, "the recording has neither positions nor distances for its pictures"),
             (driven, 2, "the recording has no headings, and no positions whose course would be one"),
-            (drive.rows, 12, "places are 12 m apart, and a distance needs 3 pictures within 10 m"),
+            (drive.rows, 24, "places are 24 m apart, and a distance needs 3 within 20 m"),
             (sides, 2, "what is seen does not move as positions and a field of view of 80 degrees say"),
         )
     ):
@@ -163,6 +163,22 @@ def test_few_distances_have_a_reason(drive: Feed, tmp_path: Path, capsys: Printe
         spaced = [] if rows is still else ["--spacing-m", str(spacing_m)]
         assert main(["map", "build", str(feed), "-o", str(tmp_path / f"map{number}"), "--fov-deg", "80", *spaced]) == 0
         assert f": few, since {why}" in capsys.readouterr().out
+
+
+def test_pictures_at_irregular_spacing_have_distances(drive: Feed, tmp_path: Path, capsys: Printed) -> None:
+    """4 to 12 m apart, as those of a phone each second: none of them has two others within 10 m on each side."""
+    kept = [0, 5, 8, 13, 15, 20, 23, 28]
+    rows = tuple(drive.rows[at] for at in kept)
+    with FeedWriter(tmp_path / "feed", drive.header) as writer:
+        for row in rows:
+            writer.write((drive.path / row.file).read_bytes(), row)
+    command = ["map", "build", str(tmp_path / "feed"), "-o", str(tmp_path / "map"), "--fov-deg", "80"]
+    assert main([*command, "--spacing-frames", "1"]) == 0
+    share = re.search(r"(\d+) of 8 keyframes have map points", capsys.readouterr().out)
+    assert share is not None and int(share[1]) >= 6
+    reference = lookback.Map.open(tmp_path / "map")
+    pose = reference.pose(FeedImages(drive).read(kept[4] - 1), 4)
+    assert pose is not None and (pose.right_m, pose.ahead_m) == pytest.approx((0.0, -2.0), abs=0.5)
 
 
 def test_the_course_is_that_of_some_meters_and_unknown_where_it_stands(drive: Feed) -> None:

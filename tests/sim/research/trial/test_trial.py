@@ -217,11 +217,11 @@ def with_levels(along_m: float, cross_track_m: float) -> CourseRun:
         (course_rules.first_in_time, run_of(sent=NOTHING), "first after inf s"),
         (course_rules.never_wrong, run_of(known=BELIEVED), "1 places wrong, up to 90 m"),
         (course_rules.never_wrong, run_of(known=BELIEVED[1:]), ""),
-        (course_rules.known_at_rest, run_of(known=BELIEVED), "believed after 72 m"),
+        (course_rules.known_at_rest, run_of(known=BELIEVED), "accepted after 72 m"),
         (course_rules.known_at_rest, run_of(known=BELIEVED, set_down_m=71.6), ""),
         (course_rules.known_again, run_of(known=BELIEVED), ""),
-        (course_rules.known_again, run_of(known=BELIEVED[:1]), "believed after nan m"),
-        (course_rules.known_again, run_of(known=BELIEVED, set_down_m=100.0), "believed after 140 m"),
+        (course_rules.known_again, run_of(known=BELIEVED[:1]), "accepted after nan m"),
+        (course_rules.known_again, run_of(known=BELIEVED, set_down_m=100.0), "accepted after 140 m"),
     ],
 )
 def test_what_a_rule_finds(rule: Rule, run: CourseRun, found: str) -> None:
