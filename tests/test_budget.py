@@ -49,7 +49,7 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 650,
-    "sim/research": 3550,
+    "sim/research": 3500,
     "sim/shadow": 550,
     "sim/trial": 750,
     "sim/vehicle": 1300,

@@ -5,16 +5,41 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from sim.compare import plots
+from sim.compare.matching import errors_of
 from sim.compare.method_runner import MethodResult, MethodRunner
 from sim.compare.plan import Pair
 from sim.compare.scores import at_threshold, intervals, of_curve, recall_at_1, recall_at_100
 from sim.compare.traverses import open_pictures
 from sim.evaluation import figures
+from sim.evaluation.figures import WIDTH_IN, to_png
 from sim.evaluation.metrics import OFFSET_SHARE, precision_recall
 from sim.evaluation.report import Cell, Figure, Interval, Picture, ReportSection, ScoreGroup, Table, format_cell
+
+
+def match_plot(
+    errors: NDArray[np.float64],
+    costs: NDArray[np.floating],
+    place: NDArray[np.intp],
+    judged: NDArray[np.intp],
+    tolerance: float,
+) -> bytes:
+    """The cost matrix (Q, N), the true band, and every answer: of `judged` queries right ones green, wrong ones red."""
+    figure, axes = plt.subplots(figsize=(WIDTH_IN, 5.0))
+    low, high = np.quantile(costs, [0.02, 0.98])
+    axes.imshow(costs, cmap="Greys_r", aspect="auto", vmin=low, vmax=high, interpolation="nearest")
+    axes.contour(errors <= tolerance, levels=[0.5], colors="tab:blue", linewidths=0.7)
+    right, is_judged = errors_of(place, errors) <= tolerance, np.isin(np.arange(len(place)), judged)
+    kinds = ((right & is_judged, "tab:green", "right"), (~right & is_judged, "tab:red", "wrong"))
+    for chosen, color, label in (*kinds, (~is_judged, "tab:gray", "not judged")):
+        shown = np.flatnonzero(chosen & (place >= 0))
+        axes.plot(place[shown], shown, ".", color=color, markersize=2.5, label=label)
+    axes.set(xlabel="place of the reference", ylabel="query frame", xlim=(0, costs.shape[1] - 1))
+    axes.legend(fontsize=7, loc="upper right", markerscale=3)
+    return to_png(figure)
+
 
 Results = dict[tuple[str, str], MethodResult]
 """Outcome by the names of pair and method."""
@@ -43,7 +68,7 @@ def pair_section(runner: MethodRunner, pair: Pair, results: Results) -> ReportSe
     shown = shown_outcome(runner, pair, results)
     slug = _slug(pair.name)
     curves = {outcome.method.name: precision_recall(outcome.answers) for outcome in outcomes}
-    plot = plots.match_plot(shown.errors, shown.matches.costs, shown.matches.place, shown.judged, pair.tolerance)
+    plot = match_plot(shown.errors, shown.matches.costs, shown.matches.place, shown.judged, pair.tolerance)
     return ReportSection(
         title=f"{pair.name}" + (f" (like the paper's {pair.figure})" if pair.figure else ""),
         text=_describe(pair, shown),

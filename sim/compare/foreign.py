@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.descriptor.model_file import METADATA_KEY, ModelInfo
+from edge.config import NETWORKS
+from edge.descriptor.model_file import METADATA_KEY, ModelInfo, resolve_model
 from edge.descriptor.network import CPU, Network
-from edge.errors import ModelError, reason
+from edge.errors import ConfigError, ModelError, reason
+from sim.compare.plan import NetworkPlan
 
-import onnxruntime  # isort: skip  # after the import above, which turns its telemetry off
+import onnxruntime  # isort: skip  # after the network's import, which turns its telemetry off
 
 Triple = tuple[float, float, float]
 IMAGENET_MEAN: Triple = (0.485, 0.456, 0.406)
@@ -120,3 +122,14 @@ def _session(path: Path) -> Any:
 
 def _rejected(path: Path, error: Exception) -> ModelError:
     return ModelError(f"{path}: ONNX Runtime rejects it: {' '.join(str(error).split())[:300]}")
+
+
+def open_network(name: str, plan: NetworkPlan, folder: Path) -> Network:
+    """ConfigError names what is missing."""
+    if plan.model in NETWORKS:
+        return Network.load(Path(plan.model))
+    file = folder / plan.model
+    file = resolve_model(file) if file.is_dir() else file
+    if not file.is_file():
+        raise ConfigError(f"[networks.{name}]: {file}: no such network")
+    return open_file(file, plan.size, plan.mean, plan.std)

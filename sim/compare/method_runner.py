@@ -19,7 +19,7 @@ from edge.reference_map import COST_ONE
 from edge.reference_map.costs import CostMatcher, encode
 from edge.sequence.submap import RowMatcher
 from sim.compare.as_run import config_of, match_as_run
-from sim.compare.descriptions import Descriptions
+from sim.compare.descriptions import Descriptions, Verification
 from sim.compare.matching import (
     Matches,
     as_costs,
@@ -36,7 +36,6 @@ from sim.compare.methods import SEQUENCES, Method, find_method, query_rows, refe
 from sim.compare.plan import Pair, Plan
 from sim.compare.traverses import MethodTraverse, place_coordinates, true_errors
 from sim.compare.truth import read_matrix
-from sim.compare.verification import Verification
 from sim.evaluation.metrics import Answers
 
 FEWEST = 10

@@ -24,8 +24,8 @@ from sim.coverage.sheet import KNOWN_M, SOON_M, SheetSpan, spans_of
 from sim.ground_files import GroundLine, as_geojson
 from sim.journal import records_of
 from sim.output import refusing
+from sim.shadow.drives import LIGHTS as BY_SUN
 from sim.shadow.drives import read_drives
-from sim.shadow.sun import LIGHTS as BY_SUN
 from sim.traverse import config_as_mapped
 
 VIEWS = 5  # pictures on the sheet

@@ -21,11 +21,10 @@ from edge.journal.records import PlaceFix
 from sim.evaluation import report
 from sim.evaluation.figures import to_png
 from sim.journal import records_of
-from sim.trial.draft import Draft
+from sim.trial.draft import Draft, home_at_night
 from sim.trial.records import ARRIVED_M, LANE_M, MOST_SIGMAS, TrialRun, TruthTrack, lane_off_m
 from sim.trial.run import JOURNAL, TrialDrive, map_scenario
 from sim.trial.simulation import UP_S
-from sim.trial.take_me_home import home_at_night
 from sim.trial.views import RoadLibrary, RoadViews
 from sim.vehicle.position_inputs import east_north_m
 from sim.vehicle.protection import LIMIT_M

@@ -19,10 +19,8 @@ from edge.config import GatesConfig
 from edge.errors import ConfigError
 from sim.coverage.picture import UNKNOWN, Band, write_page
 from sim.ground_files import GroundLine, as_geojson, write_by_suffix
-from sim.shadow.drives import JUDGED_SHARE, MOST_GPS_M, ShadowDrive, read_drives
-from sim.shadow.judging import MORE, Factor, GpsComparison, SpanReadiness, compared, judge, ready_m
-from sim.shadow.road import Road
-from sim.shadow.sun import LIGHTS
+from sim.shadow.drives import JUDGED_SHARE, LIGHTS, MOST_GPS_M, ShadowDrive, read_drives
+from sim.shadow.judging import MORE, Factor, GpsComparison, Road, SpanReadiness, compared, judge, ready_m
 
 READY, UNTRIED, NOT_READY = "#0072B2", "#E69F00", "#D55E00"
 LEGEND = ((READY, "ready"), (UNTRIED, MORE), (NOT_READY, "not ready"), (UNKNOWN, "not driven in this light"))

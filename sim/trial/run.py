@@ -28,11 +28,10 @@ from edge_plugins.mapping.plugin import Mapping
 from edge_plugins.page import PageConfig
 from sim import geodetic
 from sim.journal import records_of
-from sim.trial.cameras import PlacedNetwork
 from sim.trial.draft import Draft
 from sim.trial.records import Array, FixErrors, TrialRun, TruthTrack
 from sim.trial.simulation import STEP_S, NullLink, Simulation
-from sim.trial.views import RoadLibrary
+from sim.trial.views import PlacedNetwork, RoadLibrary
 from sim.vehicle.position_inputs import east_north_m, vision_deg
 from sim.vehicle.protection import protection_levels
 from sim.vehicle.pty_link import Cable

@@ -8,17 +8,39 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.camera import CameraHealth, Frame
 from edge.telemetry.link import Link
 from sim import Pose
-from sim.trial.cameras import PlacedNetwork, TrialCamera, View
 from sim.trial.draft import Draft
-from sim.trial.driver import Driver
-from sim.trial.receiver_errors import WANDERS_AT_S, receiver_errors
+from sim.trial.views import PlacedNetwork, TrialCamera, View
+from sim.trial.way import Driver
 from sim.vehicle.autopilot import SimulatedAutopilot
 from sim.vehicle.gps import NO_FIX, GpsReport
+
+STAYS = 0.625
+"""Of one standard deviation; the rest of the variance is a first-order Gauss-Markov process."""
+WANDERS_AT_M, WANDERS_AT_S = 200.0, 30.0
+"""Correlation length of that process, of a drive that is mapped and of one in time."""
+
+
+def receiver_errors(count: int, step: float, length: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Errors east and north (count, 2) of positions `step` apart, each with a standard deviation of 1.
+
+    length: correlation length of what wanders, in the unit of `step`.
+    """
+    sigma = math.sqrt(1 - STAYS**2)
+    kept = math.exp(-step / length)
+    stays, error = rng.normal(0.0, STAYS, 2), rng.normal(0.0, sigma, 2)
+    moves = rng.normal(0.0, sigma * math.sqrt(1 - kept**2), (count, 2))
+    errors = np.empty((count, 2))
+    for row in range(count):
+        errors[row] = stays + error
+        error = kept * error + moves[row]
+    return errors
+
 
 STEP_S, FRAME_S = 0.02, 0.1
 UP_S = 3.0  # before the vehicle sets off

@@ -113,13 +113,13 @@ def write_page_picture() -> None:
         build_map([read_feed(at / "out")], at / "map", *made_as, keypoints=key)
         (at / "lookback.toml").write_text(CONFIG, encoding="utf-8")
         with ExitStack() as running:
+            driver = running.enter_context(browser(*PAGE_PX))
             for words in (f"dev sim autopilot {AUTOPILOT}", "run lookback.toml"):
                 command = [sys.executable, "-m", "edge", *words.split()]
                 process = subprocess.Popen(command, cwd=at, stdout=subprocess.DEVNULL)
                 running.callback(process.wait)
                 running.callback(process.terminate)
             time.sleep(UNDER_WAY_S)
-            driver = running.enter_context(browser(*PAGE_PX))
             driver.get(f"http://127.0.0.1:{PAGE_PORT}/")
             time.sleep(DRAWN_S)
             driver.save_screenshot(str(PICTURES / PAGE))

@@ -76,35 +76,45 @@ def mapped(folder: Path, road: Scenario, view: View) -> ReferenceMap:
     return open_map(path, every_file=True)
 
 
+class Truth:
+    """Where a drive's frames are beside the places of a map."""
+
+    def __init__(self, reference: ReferenceMap) -> None:
+        places = reference.places
+        self._origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
+        self._at_m = east_north(places["lat_deg"], places["lon_deg"], self._origin)
+        faces_back = np.pi * (reference.header.segments[0].view == "rear")
+        self._headings = np.radians(places["heading_deg"]) + faces_back
+
+    def near(self, row: FeedRow) -> range:
+        """Places around the one nearest to a frame."""
+        nearest = int(np.hypot(*(self._at_m - self._here_m(row)).T).argmin())
+        return range(max(0, nearest - AROUND), min(len(self._at_m), nearest + AROUND + 1))
+
+    def off(self, row: FeedRow, place: int, right_m: float, ahead_m: float, turn_rad: float) -> NDArray[np.float64]:
+        """What a pose beside a place is off by (3,): meters right and ahead, and radians turned."""
+        heading = float(self._headings[place])
+        cos, sin, off_m = np.cos(heading), np.sin(heading), self._here_m(row) - self._at_m[place]
+        turn = (np.radians(row.heading_deg or 0.0) - heading + np.pi) % (2 * np.pi) - np.pi
+        return np.array([right_m, ahead_m, turn_rad]) - [off_m @ (cos, -sin), off_m @ (sin, cos), turn]
+
+    def _here_m(self, row: FeedRow) -> NDArray[np.float64]:
+        return np.asarray(east_north(np.array([row.lat_deg], float), np.array([row.lon_deg], float), self._origin)[0])
+
+
 def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
     """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
-    network, feed, places = KeypointNetwork(), read_feed(query), reference.places
-    images, origin = FeedImages(feed), (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
-    at_m = east_north(places["lat_deg"], places["lon_deg"], origin)
-    headings = np.radians(places["heading_deg"]) + np.pi * (reference.header.segments[0].view == "rear")
-    found = []
+    network, feed, truth = KeypointNetwork(), read_feed(query), Truth(reference)
+    images, found = FeedImages(feed), []
     for index, row in enumerate(feed.rows):
-        (here_m,) = east_north(np.array([row.lat_deg], float), np.array([row.lon_deg], float), origin)
-        nearest = int(np.hypot(*(at_m - here_m).T).argmin())
         keypoints = network.extract(images.read(index))
-        near = range(max(0, nearest - AROUND), min(len(places), nearest + AROUND + 1))
-        poses = [(pose, place) for place in near if (pose := _pose(reference, place, keypoints)) is not None]
+        poses = [(pose, place) for place in truth.near(row) if (pose := _pose(reference, place, keypoints)) is not None]
         if poses:
             pose, place = max(poses, key=lambda one: one[0].inliers)
-            true = _beside(row, here_m - at_m[place], float(headings[place]))
-            found.append(
-                (np.array([pose.right_m, pose.ahead_m, pose.turn_rad]) - true, np.sqrt(np.diag(pose.covariance)))
-            )
+            off = truth.off(row, place, pose.right_m, pose.ahead_m, pose.turn_rad)
+            found.append((off, np.sqrt(np.diag(pose.covariance))))
     images.close()
     return np.array(found), len(feed.rows)
-
-
-def _beside(row: FeedRow, off_m: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
-    """Where a frame is beside a place (3,): meters right and ahead, and radians turned."""
-    assert row.heading_deg is not None
-    cos, sin = np.cos(heading), np.sin(heading)
-    turn = (np.radians(row.heading_deg) - heading + np.pi) % (2 * np.pi) - np.pi
-    return np.array([off_m @ (cos, -sin), off_m @ (sin, cos), turn])
 
 
 def _pose(reference: ReferenceMap, place: int, keypoints: Keypoints) -> RelativePose | None:

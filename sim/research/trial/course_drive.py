@@ -26,12 +26,11 @@ from sim.journal import records_of
 from sim.research.trial.course import Course, CourseDraft, drafted
 from sim.research.trial.course_map import build_map
 from sim.research.trial.course_rules import WRONG_M, CourseRun, failures, within_protection_level
-from sim.trial.cameras import TrialCamera, View
-from sim.trial.driver import Driver, Leg
 from sim.trial.records import Array, TrialRun
 from sim.trial.run import TrialDrive
 from sim.trial.simulation import FRAME_S, STEP_S, NullLink, Simulation
-from sim.trial.views import RoadLibrary
+from sim.trial.views import RoadLibrary, TrialCamera, View
+from sim.trial.way import Driver, Leg
 from sim.vehicle.autopilot import BOOTS_S, SimulatedAutopilot
 from sim.vehicle.firmware import FIRMWARES
 from sim.vehicle.gps import NO_FIX, GpsReport

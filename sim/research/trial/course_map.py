@@ -18,9 +18,9 @@ from edge_plugins.mapping.builder import NAN, MapBuilder, Place
 from edge_plugins.mapping.keypoint_rows import MOST_OF_PLACE, keypoints_key
 from sim import ORIGIN_ALT_M, geodetic
 from sim.research.trial.course import CourseDraft, MapStretch
-from sim.trial.receiver_errors import WANDERS_AT_M, receiver_errors
 from sim.trial.records import Array
 from sim.trial.run import RIG, map_scenario
+from sim.trial.simulation import WANDERS_AT_M, receiver_errors
 from sim.trial.views import RoadLibrary
 from sim.world.route import WorldRoute
 from sim.world.scenario import Scenario

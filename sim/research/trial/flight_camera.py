@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from edge.camera import Frame
 from sim import Pose
-from sim.trial.cameras import SimulatedCamera
 from sim.trial.records import Array
+from sim.trial.views import SimulatedCamera
 from sim.world.camera import open_renderer
 from sim.world.light import LIGHTS
 from sim.world.scenario import Scenario, View

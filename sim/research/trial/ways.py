@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.research.trial.course import CourseDraft
-from sim.trial.driver import Leg
-from sim.trial.way import Way, along
+from sim.trial.way import Leg, Way, along
 
 
 def placed(way: Way, east_m: float, north_m: float, heading_rad: float) -> Way:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from edge.errors import ConfigError
-from sim.compare.plots import match_plot
+from sim.compare.comparison import match_plot
 from sim.evaluation.report import Cell, Figure, Interval, Picture, ReportSection, ScoreGroup, Table, write_report
 from tests.chromium import NEEDS_CHROMIUM, browser
 

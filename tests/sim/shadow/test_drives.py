@@ -19,9 +19,9 @@ from edge.telemetry.shadow import ShadowPosition
 from sim.journal import records_of
 from sim.shadow.drives import ShadowDrive, read_drives
 from sim.shadow.judging import GpsComparison, compared
+from sim.trial.draft import home_at_night
 from sim.trial.run import TrialDrive
 from sim.trial.simulation import Simulation
-from sim.trial.take_me_home import home_at_night
 from sim.trial.views import RoadLibrary
 from sim.vehicle.gps import GpsReport
 from sim.vehicle.position_inputs import east_north_m

@@ -20,8 +20,7 @@ from edge.journal.journal import Journal
 from edge.localization import CORRELATION_M
 from edge.telemetry.shadow import ShadowPosition
 from sim.shadow.command import report, text, verdict
-from sim.shadow.drives import LATE_S, read_drives
-from sim.shadow.sun import elevation_deg
+from sim.shadow.drives import LATE_S, elevation_deg, read_drives
 
 HOME = (48.1, 11.5)
 NOON_S = datetime(2026, 6, 1, 11, 0, tzinfo=timezone.utc).timestamp()

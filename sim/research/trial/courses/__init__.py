@@ -4,7 +4,7 @@ A course is a function of a draft: a road of some length, a seeded generator, an
 road that is mapped whole, GPS lost after 9 s, the autopilot steering itself). It changes what its case is about.
 """
 
-from sim.research.trial.courses import errors, gps, home, links, maps, motion, streams
-from sim.research.trial.courses.registry import CASES, COURSES, courses_of
+from sim.research.trial.course import CASES, COURSES, courses_of
+from sim.research.trial.courses import gps, home, links, maps, motion, streams
 
-__all__ = ["CASES", "COURSES", "courses_of", "errors", "gps", "home", "links", "maps", "motion", "streams"]
+__all__ = ["CASES", "COURSES", "courses_of", "gps", "home", "links", "maps", "motion", "streams"]

@@ -10,25 +10,11 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from edge.telemetry.codec import Message
+from sim.research.trial import course_rules as rule
 from sim.research.trial import gps_histories
-from sim.research.trial.course import GPS_S, CourseDraft, MapStretch, is_command
-from sim.research.trial.course_rules import (
-    HONEST,
-    USUAL,
-    back_to_usual,
-    called_before_50_m,
-    called_on_map,
-    called_soon,
-    never_called,
-    never_sent,
-    resumes,
-    sends,
-    told_after,
-    warned_before_50_m,
-)
-from sim.research.trial.courses.registry import course
+from sim.research.trial.course import GPS_S, CourseDraft, MapStretch, course, is_command
 from sim.research.trial.ways import turned_twice
-from sim.trial.driver import Leg
+from sim.trial.way import Leg
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 GPS_WORKS = {
@@ -50,14 +36,14 @@ SPOOFS: dict[str, Callable[[float], gps_histories.History]] = {
 BY_SCRIPT = ("jump", "drag-1-along")
 
 
-@course("D", "gps-{}", *GPS_WORKS, rules=(never_sent,))
+@course("D", "gps-{}", *GPS_WORKS, rules=(rule.never_sent,))
 def _gps_works(draft: CourseDraft, value: str) -> None:
     """GPS works (RTK, PPP, the second receiver, a lost request for its messages), so no position may be sent."""
     draft.gps_at = lambda time_s: GPS_WORKS[value]
     draft.loses = lambda time_s, message, outgoing: value == "lost-request" and not outgoing and _requests_gps(message)
 
 
-@course("D", "gps-500-m", rules=(*USUAL, sends))
+@course("D", "gps-500-m", rules=(*rule.USUAL, rule.sends))
 def _gps_500_m(draft: CourseDraft) -> None:
     """A 3-D fix that is 500 m accurate, by its own word: GPS must count as lost."""
     draft.gps_at = lambda time_s: GpsReport(accuracy_m=1.0 if time_s < GPS_S else 500.0)
@@ -69,7 +55,7 @@ def _gps_flicker(draft: CourseDraft) -> None:
     draft.gps_at = lambda time_s: GpsReport() if time_s < GPS_S or time_s % 8 < 4 else NO_FIX
 
 
-@course("D", "gps-one-message", rules=(*USUAL, resumes))
+@course("D", "gps-one-message", rules=(*rule.USUAL, rule.resumes))
 def _gps_one_message(draft: CourseDraft) -> None:
     """A single good report in the middle of an outage."""
     at_s = draft.share(0.5) / 8.0
@@ -89,7 +75,7 @@ def _gps_drag(draft: CourseDraft, value: float) -> None:
     draft.unsent = [(0.0, (GPS_S + 40.0) * 8.0)]
 
 
-@course("D", "gps-back-150", rules=(*HONEST, called_soon))
+@course("D", "gps-back-150", rules=(*rule.HONEST, rule.called_soon))
 def _gps_back(draft: CourseDraft) -> None:
     """GPS comes back 150 m wrong; a person drives."""
     back_s, (east_m, north_m) = draft.share(0.5) / 8.0, draft.side(150.0)
@@ -98,7 +84,7 @@ def _gps_back(draft: CourseDraft) -> None:
     draft.steers, draft.doubted_gps = False, "switch"
 
 
-@course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0, rules=(*HONEST, called_on_map))
+@course("D", "gps-wrong-after-gap-{}", 60, 150, least_m=1000.0, rules=(*rule.HONEST, rule.called_on_map))
 def _gps_wrong_after_gap(draft: CourseDraft, value: float) -> None:
     """GPS is consistent with the map for 400 m; in a gap of the map of 250 m it begins to be wrong. A person drives."""
     _wrong_in_gap(draft, 250.0, value)
@@ -110,7 +96,7 @@ def _gps_off_after_gap(draft: CourseDraft, value: str) -> None:
     """GPS is consistent with the map for 400 m; in a gap of the map of 250 m or 800 m it begins to be 30 m off, also
     where nothing but GPS measures the velocity. A person drives, who must read of it soon."""
     gap_m = 800.0 if value == "far-gap" else 250.0
-    draft.rules = (*HONEST, told_after(400.0 + gap_m, _wrong_in_gap(draft, gap_m, 30.0)))
+    draft.rules = (*rule.HONEST, rule.told_after(400.0 + gap_m, _wrong_in_gap(draft, gap_m, 30.0)))
     if value == "gap-unaided":
         draft.errors = replace(draft.errors, source="none")
 
@@ -126,7 +112,7 @@ def _wrong_in_gap(draft: CourseDraft, gap_m: float, off_m: float) -> float:
     return from_s
 
 
-@course("D", "gps-turned-twice", rules=(never_called, never_sent))
+@course("D", "gps-turned-twice", rules=(rule.never_called, rule.never_sent))
 def _gps_turned_twice(draft: CourseDraft) -> None:
     """Half of the way out by day, 200 m back, and out again, mapped on the way; an honest GPS must not be called."""
     way, turns = turned_twice(draft, 0.0)
@@ -136,7 +122,7 @@ def _gps_turned_twice(draft: CourseDraft) -> None:
     draft.gps_at = lambda time_s: GpsReport()
 
 
-@course("D", "gps-{}", "multipath", "rtk-2-cm", rules=(never_called,))
+@course("D", "gps-{}", "multipath", "rtk-2-cm", rules=(rule.never_called,))
 def _gps_honest(draft: CourseDraft, value: str) -> None:
     """An honest GPS, with bursts of multipath and outages or with RTK, must not be declared faulty."""
     follow_history(draft, gps_histories.multipath if value == "multipath" else gps_histories.rtk)
@@ -149,10 +135,10 @@ def _gps_spoofed(draft: CourseDraft, value: str) -> None:
     start_s = draft.share(0.55) / 8.0
     follow_history(draft, SPOOFS[value](start_s))
     draft.steers, draft.doubted_gps = False, "send" if value in BY_SCRIPT else "switch"
-    draft.rules = (called_before_50_m if "drag" in value else called_soon, back_to_usual)
+    draft.rules = (rule.called_before_50_m if "drag" in value else rule.called_soon, rule.back_to_usual)
 
 
-@course("D", "gps-steered-aside", rules=(never_sent, warned_before_50_m))
+@course("D", "gps-steered-aside", rules=(rule.never_sent, rule.warned_before_50_m))
 def _gps_steered_aside(draft: CourseDraft) -> None:
     """A spoofed GPS drifts to the left of the road at 1 m/s; the autopilot steers by it, and leaves the road."""
     start_s = draft.share(0.35) / 8.0

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from sim.research.trial import course_rules as rule
 from sim.research.trial import gps_histories
-from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, MapStretch
-from sim.research.trial.course_rules import USUAL, arrives, close, on_its_lane, resumes, sends
+from sim.research.trial.course import CONFIRMED_M, DOWN_S, CourseDraft, MapStretch, course
 from sim.research.trial.courses.gps import follow_history
-from sim.research.trial.courses.registry import course
 from sim.research.trial.ways import beside, turned_twice
-from sim.trial.driver import Leg
-from sim.trial.take_me_home import SET_OFF_M, home_by, out_and_home
-from sim.trial.way import along
+from sim.trial.draft import SET_OFF_M, home_by, out_and_home
+from sim.trial.way import Leg, along
 from sim.vehicle.gps import NO_FIX, GpsReport
 
 HOME_LIGHTS = ("day", "dusk", "night", "rain")
@@ -21,15 +19,15 @@ OUTAGES_S, OUTAGE_FROM_S = (5, 12), 30.0
 BACKED_M, BACKED_AT = (20, 60), (1 / 3, 2 / 3)
 """By how much, and after which shares of the way out."""
 
-HOME = (*USUAL, arrives, on_its_lane, resumes)
+HOME = (*rule.USUAL, rule.arrives, rule.on_its_lane, rule.resumes)
 
 
-@course("G", "home", rules=(*USUAL, resumes), keypoint_rules=(close, sends))
+@course("G", "home", rules=(*rule.USUAL, rule.resumes), keypoint_rules=(rule.close, rule.sends))
 def _home(draft: CourseDraft) -> None:
     """The main task: the autopilot drives home at night without GPS, over a road that is mapped whole."""
 
 
-@course("G", "home-fused", keypoint_rules=(close, sends))
+@course("G", "home-fused", keypoint_rules=(rule.close, rule.sends))
 def _home_fused(draft: CourseDraft) -> None:
     """The main task with an ArduPilot that fuses keypoint poses (firmware_config/ardupilot_rover_fused.param)."""
     draft.firmware = "ardupilot-fused"
@@ -42,7 +40,7 @@ def _again(draft: CourseDraft) -> None:
     draft.drive(along(draft.home, 0.0, draft.length_m))
 
 
-@course("G", "repeat-{}", *REPEAT_LIGHTS, rules=(*USUAL, resumes), keypoint_rules=(close, sends))
+@course("G", "repeat-{}", *REPEAT_LIGHTS, rules=(*rule.USUAL, rule.resumes), keypoint_rules=(rule.close, rule.sends))
 def _repeat(draft: CourseDraft, value: str) -> None:
     """The same way by a front camera on a front camera's day map, half a meter beside its lane, in this light."""
     draft.home = draft.road(light=value, direction="forward")
@@ -68,7 +66,7 @@ def _home_knocked(draft: CourseDraft, value: str) -> None:
     draft.drive(along(draft.home, draft.length_m, 0.0))
 
 
-@course("G", "home-dusk", rules=(*USUAL, resumes), keypoint_rules=(close, sends))
+@course("G", "home-dusk", rules=(*rule.USUAL, rule.resumes), keypoint_rules=(rule.close, rule.sends))
 def _home_at_dusk(draft: CourseDraft) -> None:
     """The main task at dusk."""
     draft.home = draft.road(light="dusk")
@@ -135,7 +133,7 @@ def _home_after_turns(draft: CourseDraft) -> None:
     home_by(draft, out, turns)
 
 
-@course("G", "take-me-home-switched-off", least_m=1200.0, rules=(*USUAL, sends))
+@course("G", "take-me-home-switched-off", least_m=1200.0, rules=(*rule.USUAL, rule.sends))
 def _home_after_switched_off(draft: CourseDraft) -> None:
     """The same at night, where computer and autopilot were off at the turn and GPS is gone after; a person drives."""
     _home_in(draft, "night")
@@ -148,14 +146,14 @@ def _home_after_switched_off(draft: CourseDraft) -> None:
     draft.unsent = [(0.0, out.to_m + CONFIRMED_M)]
 
 
-@course("G", "take-me-home-multipath", rules=(*USUAL, resumes))
+@course("G", "take-me-home-multipath", rules=(*rule.USUAL, rule.resumes))
 def _home_after_multipath(draft: CourseDraft) -> None:
     """The same at night, where GPS was 10 m off or gone for seconds now and then on the way out, as in a town."""
     _home_in(draft, "night")
     follow_history(draft, gps_histories.multipath)
 
 
-@course("G", "person", rules=(*USUAL, sends, resumes))
+@course("G", "person", rules=(*rule.USUAL, rule.sends, rule.resumes))
 def _person(draft: CourseDraft) -> None:
     """A person keeps to the lane, whatever the autopilot believes."""
     draft.steers = False

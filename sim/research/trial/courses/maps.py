@@ -7,18 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.research.trial.course import CONFIRMED_M, GPS_S, Course, CourseDraft, MapStretch
-from sim.research.trial.course_rules import (
-    HONEST,
-    USUAL,
-    never_called,
-    not_worse,
-    resumes,
-    sends,
-    told_after,
-    within_sigmas,
-)
-from sim.research.trial.courses.registry import course
+from sim.research.trial import course_rules as rule
+from sim.research.trial.course import CONFIRMED_M, GPS_S, Course, CourseDraft, MapStretch, course
 from sim.research.trial.ways import bent, beside
 from sim.trial.way import along
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -33,7 +23,7 @@ def _one_stretch(draft: CourseDraft) -> None:
     draft.map = [MapStretch(start_m, start_m + 220.0)]
 
 
-@course("C", "false-{}", 140, 260, 400, rules=(*USUAL, resumes))
+@course("C", "false-{}", 140, 260, 400, rules=(*rule.USUAL, rule.resumes))
 def _false(draft: CourseDraft, value: float) -> None:
     """Part of the map is 300 m wrong, and GPS fails before it is reached."""
     start_m = draft.share(0.3)
@@ -96,13 +86,13 @@ def _twin_after(draft: CourseDraft, value: float) -> None:
     draft.steers, draft.unsent = False, [(after_m, math.inf)]
 
 
-@course("C", "late-30", rules=HONEST)
+@course("C", "late-30", rules=rule.HONEST)
 def _late(draft: CourseDraft) -> None:
     """The map is of a recording whose pictures are 30 m late, and which nobody has aligned."""
     draft.map = [MapStretch(0.0, draft.length_m, late_m=30.0)]
 
 
-@course("C", "recording-{}", "25-ahead", "12-aside", least_m=1200.0, rules=(*HONEST, never_called))
+@course("C", "recording-{}", "25-ahead", "12-aside", least_m=1200.0, rules=(*rule.HONEST, rule.never_called))
 def _recording_off(draft: CourseDraft, value: str) -> None:
     """400 m of a recording are off, ahead or to the side, as another carriageway; GPS is right, and lost at their end,
     and a person drives. 12 m to the side is no more than multipath; of 25 m ahead the pilot is told."""
@@ -113,36 +103,36 @@ def _recording_off(draft: CourseDraft, value: str) -> None:
     draft.gps_at = lambda time_s: GpsReport() if time_s < 650.0 / 8.0 else NO_FIX
     draft.steers = False
     if way == "ahead":
-        draft.rules = (*draft.rules, told_after(300.0))
+        draft.rules = (*draft.rules, rule.told_after(300.0))
 
 
-@course("C", "far-origin", least_m=1200.0, rules=(*USUAL, sends))
+@course("C", "far-origin", least_m=1200.0, rules=(*rule.USUAL, rule.sends))
 def _far_origin(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 260 m off; a person drives, and the map is right."""
     _no_gps(draft)
     draft.origin_off_m = draft.side(260.0)
 
 
-@course("C", "no-gps", least_m=1200.0, rules=(*USUAL, sends))
+@course("C", "no-gps", least_m=1200.0, rules=(*rule.USUAL, rule.sends))
 def _no_gps(draft: CourseDraft) -> None:
     """No GPS from boot, and an origin that was set by hand 6 m off; a person drives, and the map is right."""
     draft.has_gps = draft.steers = False
     draft.unsent = [(0.0, CONFIRMED_M)]
 
 
-@course("C", "shifted-40", rules=(within_sigmas, not_worse))
+@course("C", "shifted-40", rules=(rule.within_sigmas, rule.not_worse))
 def _shifted(draft: CourseDraft) -> None:
     """The whole map is 40 m wrong."""
     draft.map = [MapStretch(0.0, draft.length_m, off_m=draft.side(40.0))]
 
 
-@course("C", "two-drives-40", rules=(within_sigmas, not_worse))
+@course("C", "two-drives-40", rules=(rule.within_sigmas, rule.not_worse))
 def _two_drives(draft: CourseDraft) -> None:
     """Two drives over the road disagree by 40 m, and nobody says which of them is right."""
     draft.map = [MapStretch(0.0, draft.length_m), MapStretch(0.0, draft.length_m, left_m=1.0, off_m=draft.side(40.0))]
 
 
-@course("C", "two-laps", rules=HONEST)
+@course("C", "two-laps", rules=rule.HONEST)
 def _two_laps(draft: CourseDraft) -> None:
     """Laps of 120 m whose places are 300 m wrong, without GPS from boot: a lap must not confirm another."""
     start_m = draft.length_m / 2

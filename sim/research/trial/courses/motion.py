@@ -7,12 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.research.trial.course import CourseDraft, MapStretch
-from sim.research.trial.course_rules import HONEST, USUAL, known_again, known_at_rest, never_wrong, resumes, sends
-from sim.research.trial.courses.registry import course
+from sim.research.trial import course_rules as rule
+from sim.research.trial.course import CourseDraft, MapStretch, course
 from sim.research.trial.ways import bent, beside, carried_on, carried_to, joined, towed
-from sim.trial.driver import Leg
-from sim.trial.way import Way, along
+from sim.trial.way import Leg, Way, along
 
 APART_M = 12.0
 STANDS_S = 10.0
@@ -54,7 +52,7 @@ def _there_and_back(draft: CourseDraft, at_m: float) -> tuple[Way, Way, Way]:
     return way, turned, turned.then(along(draft.road(direction="forward"), at_m + 1, draft.length_m))
 
 
-@course("B", "figure-eight", rules=(*USUAL, sends))
+@course("B", "figure-eight", rules=(*rule.USUAL, rule.sends))
 def _figure_eight(draft: CourseDraft) -> None:
     """A loop to the right and one to the left, and the first once more."""
     middle_m = draft.share(0.5)
@@ -64,7 +62,7 @@ def _figure_eight(draft: CourseDraft) -> None:
     draft.map = [MapStretch(0.0, draft.length_m, on_way=True)]
 
 
-@course("B", "circle-twice", rules=(*USUAL, sends))
+@course("B", "circle-twice", rules=(*rule.USUAL, rule.sends))
 def _circle_twice(draft: CourseDraft) -> None:
     """The same circle twice."""
     lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
@@ -72,7 +70,7 @@ def _circle_twice(draft: CourseDraft) -> None:
     draft.map = [MapStretch(0.0, draft.length_m, on_way=True)]
 
 
-@course("B", "laps-12-apart", rules=(*USUAL, sends))
+@course("B", "laps-12-apart", rules=(*rule.USUAL, rule.sends))
 def _laps_apart(draft: CourseDraft) -> None:
     """A circle, and then another one 12 m outside; both are mapped."""
     lap = bent(along(draft.home, draft.length_m - 2, draft.share(0.4)))
@@ -90,13 +88,13 @@ def _lane_beside(draft: CourseDraft) -> None:
     draft.drive(beside(draft.way, lambda m: left_m))
 
 
-@course("B", "parallel-streets-12", rules=(*USUAL, sends))
+@course("B", "parallel-streets-12", rules=(*rule.USUAL, rule.sends))
 def _parallel_12(draft: CourseDraft) -> None:
     """Another street 12 m to the left or to the right, both mapped, and seen from both."""
     draft.map = [draft.map[0], replace(draft.map[0], left_m=float(draft.rng.choice((-APART_M, APART_M))))]
 
 
-@course("B", "parallel-streets-30", rules=(*USUAL, sends))
+@course("B", "parallel-streets-30", rules=(*rule.USUAL, rule.sends))
 def _parallel_30(draft: CourseDraft) -> None:
     """Another street 30 m to the left or to the right, both mapped, which looks different."""
     other = replace(draft.map[0], left_m=float(draft.rng.choice((-30.0, 30.0))), appearance=draft.world + 100)
@@ -110,7 +108,7 @@ def _reversing(draft: CourseDraft, value: float) -> None:
     draft.drive(draft.way, Leg(middle_m), Leg(middle_m - 60, -value), Leg(draft.way.length_m - 2))
 
 
-@course("B", "stop", rules=(*USUAL, resumes))
+@course("B", "stop", rules=(*rule.USUAL, rule.resumes))
 def _stop(draft: CourseDraft) -> None:
     """45 s at rest, and on."""
     draft.drive(draft.way, Leg(draft.share(0.6), then_wait_s=45.0), Leg(draft.way.length_m - 2))
@@ -132,7 +130,7 @@ def _tow(draft: CourseDraft) -> None:
     draft.drive(towed(draft.way, int(draft.share(0.5)), int(draft.share(0.5) + 100)))
 
 
-@course("L", "standing-start", rules=(*HONEST, never_wrong, known_at_rest))
+@course("L", "standing-start", rules=(*rule.HONEST, rule.never_wrong, rule.known_at_rest))
 def _standing_start(draft: CourseDraft) -> None:
     """Switched on at rest anywhere on the map of repeat-dusk, without GPS, and with an origin 260 m off; then on."""
     draft.origin_off_m = draft.side(260.0)
@@ -143,7 +141,7 @@ def _standing_start(draft: CourseDraft) -> None:
     draft.has_gps = draft.steers = False
 
 
-@course("L", "kidnapped{}", "", "-off", rules=(*HONEST, never_wrong, known_again))
+@course("L", "kidnapped{}", "", "-off", rules=(*rule.HONEST, rule.never_wrong, rule.known_again))
 def _kidnapped(draft: CourseDraft, value: str) -> None:
     """Home at dusk; carried 100 m ahead on the map at rest, also while it is switched off; a person drives on."""
     draft.home = draft.road(light="dusk")

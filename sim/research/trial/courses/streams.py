@@ -4,23 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sim.research.trial.course import GPS_S, CourseDraft
-from sim.research.trial.course_rules import (
-    HONEST,
-    USUAL,
-    back_to_usual,
-    called_before_50_m,
-    close,
-    first_in_time,
-    never_sent,
-    on_its_lane,
-    resumes,
-    sends,
-    sources_restored,
-    warns,
-)
+from sim.research.trial import course_rules as rule
+from sim.research.trial.course import COURSES, GPS_S, CourseDraft, course
 from sim.research.trial.courses.gps import follow_history
-from sim.research.trial.courses.registry import COURSES, course
 from sim.research.trial.gps_histories import drag
 from sim.vehicle.estimator import OdometryErrors
 from sim.vehicle.gps import NO_FIX, GpsReport
@@ -35,7 +21,7 @@ def _run_away(draft: CourseDraft) -> None:
     draft.errors = OdometryErrors("none", acceleration_mps2=acceleration_mps2, wander_mps=WANDER_MPS, seed=seed)
 
 
-@course("H", "px4-no-velocity-aid", rules=(never_sent,))
+@course("H", "px4-no-velocity-aid", rules=(rule.never_sent,))
 def _px4_no_aid(draft: CourseDraft) -> None:
     """Nothing measures PX4's velocity, which runs away: where the vehicle is between two places, nobody knows."""
     draft.firmware, draft.steers, draft.motion = "px4", False, "off"
@@ -73,7 +59,7 @@ def _px4_camera(draft: CourseDraft, value: str) -> None:
     draft.emit = "external_position" if value not in ("", "-unused") else "auto"
     _run_away(draft)
     draft.gps_at = lambda time_s: GpsReport() if time_s < SEEN_S else NO_FIX
-    draft.rules = USUAL
+    draft.rules = rule.USUAL
     if value == "-gap":
         draft.unseen_s = GAP_FROM_S, GAP_FROM_S + GAP_S
 
@@ -87,7 +73,7 @@ def _px4_camera_sent(draft: CourseDraft, value: str) -> None:
     _turn(draft, PX4_TURNS_DEG)
     draft.emit, draft.motion = "auto", "send"
     if value == "-steers":
-        draft.steers, draft.rules = True, (*USUAL, resumes, on_its_lane)
+        draft.steers, draft.rules = True, (*rule.USUAL, rule.resumes, rule.on_its_lane)
     elif value == "-early":
         draft.gps_at = lambda time_s: GpsReport() if time_s < EARLY_S else NO_FIX
         draft.height = 1.1
@@ -101,7 +87,10 @@ def _px4_gps_dragged(draft: CourseDraft) -> None:
     follow_history(draft, drag(1.0, "left", draft.share(0.35) / 8.0))
     spoofed, right_s = draft.gps_at, draft.share(0.8) / 8.0
     draft.gps_at = lambda time_s: spoofed(time_s) if time_s < right_s else GpsReport()
-    draft.doubted_gps, draft.rules = "switch", (*HONEST, called_before_50_m, back_to_usual, sources_restored)
+    draft.doubted_gps, draft.rules = (
+        "switch",
+        (*rule.HONEST, rule.called_before_50_m, rule.back_to_usual, rule.sources_restored),
+    )
 
 
 @course("J", "rover-camera-sent{}", "", "-scale-10", "-slips", "-gap")
@@ -120,21 +109,21 @@ def _rover_camera_sent(draft: CourseDraft, value: str) -> None:
         draft.shown_m = lambda route_m: route_m * (1.1 if route_m < slips_m else 1.0)
 
 
-@course("H", "px4-aided{}", "", "-1.17", rules=(*USUAL, close, sends))
+@course("H", "px4-aided{}", "", "-1.17", rules=(*rule.USUAL, rule.close, rule.sends))
 def _px4_aided(draft: CourseDraft, value: str) -> None:
     """PX4 with a velocity sensor whose scale is 3 % wrong; 1.17 is reset by each position."""
     draft.firmware = f"px4{value}"
     draft.errors = OdometryErrors("velocity sensor", 1.0 + 0.03 * draft.rng.choice((-1.0, 1.0)))
 
 
-@course("H", "stream-unused", rules=(*HONEST, warns))
+@course("H", "stream-unused", rules=(*rule.HONEST, rule.warns))
 def _stream_unused(draft: CourseDraft) -> None:
     """PX4 whose parameters for positions are missing: a warning must say that nobody uses them."""
     draft.firmware = "px4-without-agp"
     draft.errors = OdometryErrors("velocity sensor", 1.03)
 
 
-@course("H", "px4-failsafe", rules=(*HONEST, first_in_time))
+@course("H", "px4-failsafe", rules=(*rule.HONEST, rule.first_in_time))
 def _px4_failsafe(draft: CourseDraft) -> None:
     """PX4 gives up 6 s after the loss of GPS; on a mapped road the first position must come before."""
     draft.firmware, draft.steers = "px4", False

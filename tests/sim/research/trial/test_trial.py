@@ -33,11 +33,10 @@ from sim.research.trial.table import (
     shown,
 )
 from sim.research.trial.ways import joined, placed
-from sim.trial.driver import Driver, Leg
 from sim.trial.records import FixErrors, TruthTrack
 from sim.trial.run import JOURNAL, map_scenario
 from sim.trial.views import RoadLibrary
-from sim.trial.way import along
+from sim.trial.way import Driver, Leg, along
 from sim.vehicle.estimator import Estimator, FilterNoise, OdometryErrors
 from sim.world.scenario import Scenario
 
