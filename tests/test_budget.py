@@ -20,7 +20,7 @@ ROOMS = {
     "edge/health": 250,
     "edge/journal": 400,
     "edge/keypoints": 800,
-    "edge/localization": 2700,
+    "edge/localization": 2750,
     "edge/recognition": 900,
     "edge/reference_map": 1500,
     "edge/sequence": 1300,
@@ -49,12 +49,12 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 650,
-    "sim/research": 3500,
+    "sim/research": 3550,
     "sim/shadow": 550,
     "sim/trial": 750,
     "sim/vehicle": 1300,
     "sim/world": 1750,
-    "tests": 36_200,
+    "tests": 36_450,
 }
 """A room is a package, without those in it that are rooms of their own; its lines and 15 more, rounded up to 50.
 
