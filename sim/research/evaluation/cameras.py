@@ -23,7 +23,7 @@ from edge.feed import FeedImages, read_feed
 from edge.keypoints import CameraModel
 from edge.keypoints.intrinsics import CameraDifference
 from edge.recognition.place_verification import PlaceVerification
-from edge.reference_map import Drives, MapSet, ReferenceMap
+from edge.reference_map import Drives, MapSet
 from sim.research.evaluation import poses
 from sim.world.scenario import LightName
 
@@ -82,21 +82,19 @@ def _range(values: Sequence[float], digits: int) -> str:
 
 
 def _drive(folder: Path, road: int, drive: str, light: LightName, camera: CameraModel) -> _Drive:
-    level = poses.Mounting(0.0, 0.0)
     view, made = poses.DRIVES[drive]
     scenario = replace(made, seed=road, light=light, fov_deg=WIDE.fov_deg, width=WIDE.width, height=WIDE.height)
     query = poses.recorded(folder / f"{road}_{drive}_{light}_wide", scenario, poses.QUERY_M)
-    return _verified(poses.mapped(folder, road, view, level), query, camera)
+    return _verified(MapSet.of(poses.mapped(folder, replace(poses.MAPPED, seed=road, view=view))), query, camera)
 
 
-def _verified(reference: ReferenceMap, query: Path, camera: CameraModel) -> _Drive:
+def _verified(map_set: MapSet, query: Path, camera: CameraModel) -> _Drive:
     """Each frame in turn, by a vehicle whose config says CONFIGURED."""
-    map_set = MapSet.of(reference)
     config = Config(camera=CameraConfig(fov_deg=CONFIGURED.fov_deg))
     verification = PlaceVerification(config)
     verification.use_maps(map_set, Drives(map_set, config.sampling.spacing_m))
     seen_by, feed = _pixels(camera), read_feed(query)
-    images, where = FeedImages(feed), poses.Truth(reference)
+    images, where = FeedImages(feed), poses.Truth(map_set)
     off, sigmas = [], []
     for index, row in enumerate(feed.rows):
         picture = np.asarray(cv2.remap(images.read(index), *seen_by, cv2.INTER_LINEAR), np.uint8)

@@ -1,9 +1,10 @@
 """How far beside the lane of its map a vehicle is seen by keypoints: in single pictures, and along a drive.
 
-A rear camera's map by day; home by a front camera, moved sideways from the lane of the map. A single picture, every 20
-m, is compared with the local map around the place nearest to it; a right pose is one within RIGHT_M. Along a drive the
-recognizer has a picture every 2 m, the odometer and the course, and nothing else; a frame is known if its pose is
-believed. Each drive is compared with the next road's map as well, as one of a vehicle elsewhere.
+A rear camera's map by day, without and with a front camera's of the way home in its own lane; home by a front camera,
+moved sideways from the lane of the first drive. A single picture, every 20 m, is compared with the local map
+around the place nearest to it; a right pose is one within RIGHT_M. Along a drive the recognizer has a picture every 2
+m, the odometer and the course, and nothing else; a frame is known if its pose is believed. Each drive is compared with
+the next road's map as well, as one of a vehicle elsewhere.
 """
 
 from __future__ import annotations
@@ -15,18 +16,22 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from edge.config import Config, DescriptorConfig
 from edge.feed import Feed, FeedImages, read_feed
 from edge.recognition.place_verification import PlaceVerification
 from edge.recognition.recognizer import open_recognizer
-from edge.reference_map import Drives, MapSet, ReferenceMap
+from edge.reference_map import Drives, MapSet
 from edge.sequence import KeyframeMatch, MotionPrior
 from sim.research.evaluation import poses
 from sim.world.scenario import LightName, Scenario
 
 BESIDE_M, LANE_M = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0), Scenario().lane_m
+OUT, HOME = replace(poses.MAPPED, view="rear"), replace(poses.MAPPED, direction="reverse", drive_seed=14)
+DRIVES = {"out": (OUT,), "out, home": (OUT, HOME)}
+"""Of the map, by day: the way home is driven in its own lane, by a front camera."""
 LIGHTS: tuple[LightName, ...] = ("night", "dusk")
 SPACING_M, EVERY, RIGHT_M = 2.0, 10, 2.0
 CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
@@ -34,11 +39,11 @@ CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far beside the lane of its map a vehicle is seen by keypoints."""
-    yield "| light | beside | right pose, alone | known along a drive | longest gap | position | rms over sigma |"
-    yield "|---" * 7 + "|"
-    maps = [poses.mapped(args.cache, road, "rear", poses.Mounting(0.0, 0.0)) for road in args.seeds]
-    elsewhere = [0, 0, 0]
-    for light, beside_m in product(args.light or LIGHTS, BESIDE_M):
+    yield "| map | light | beside | right pose, alone | known along a drive | longest gap | position | rms over sigma |"
+    yield "|---" * 8 + "|"
+    elsewhere = np.zeros(3, int)
+    for (drives, made), light, beside_m in product(DRIVES.items(), args.light or LIGHTS, BESIDE_M):
+        maps = [MapSet.of([poses.mapped(args.cache, replace(one, seed=road)) for one in made]) for road in args.seeds]
         feeds = [_recorded(args.cache, road, light, beside_m) for road in args.seeds]
         alone = np.concatenate([_pictures(*one) for one in zip(maps, feeds, strict=True)])
         along = [_along(*one) for one in zip(maps, feeds, strict=True)]
@@ -48,15 +53,13 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         far_m, ratio = np.hypot(*off[:, 1:3].T), np.sqrt(np.square(off[:, 1:3] / off[:, 3:]).mean(axis=0))
         shares = f"{(alone <= RIGHT_M).mean():.2f} | {len(off) / len(known):.2f}"
         yield (
-            f"| {light} | {beside_m:g} m | {shares} | {gap_m:.0f} m"
+            f"| {drives} | {light} | {beside_m:g} m | {shares} | {gap_m:.0f} m"
             f" | {np.median(far_m):.2f} / {np.percentile(far_m, 95):.2f} m | {ratio[0]:.2f}, {ratio[1]:.2f} |"
         )
         for mapped, feed in zip(maps, feeds[1:] + feeds[:1], strict=True) if len(maps) > 1 else ():
             believed = np.isfinite(_along(mapped, feed)[:, 1])
-            single = np.isfinite(_pictures(mapped, feed))
-            elsewhere = [n + m for n, m in zip(elsewhere, (believed.sum(), single.sum(), len(believed)), strict=True)]
-    yield ""
-    yield f"Elsewhere: {elsewhere[0]} of {elsewhere[2]} frames known, {elsewhere[1]} pictures with any pose."
+            elsewhere += (believed.sum(), np.isfinite(_pictures(mapped, feed)).sum(), len(believed))
+    yield f"\nElsewhere: {elsewhere[0]} of {elsewhere[2]} frames known, {elsewhere[1]} pictures with any pose."
 
 
 def _recorded(folder: Path, road: int, light: LightName, beside_m: float) -> Feed:
@@ -64,24 +67,23 @@ def _recorded(folder: Path, road: int, light: LightName, beside_m: float) -> Fee
     return read_feed(poses.recorded(folder / f"{road}_capture_{light}_{beside_m:g}m", made, SPACING_M))
 
 
-def _pictures(mapped: ReferenceMap, feed: Feed) -> NDArray[np.float64]:
+def _pictures(map_set: MapSet, feed: Feed) -> NDArray[np.float64]:
     """What each picture's pose is off by in meters, infinite without one."""
-    map_set, images, truth = MapSet.of(mapped), FeedImages(feed), poses.Truth(mapped)
+    images, truth, found = FeedImages(feed), poses.Truth(map_set), list[float]()
     verification = PlaceVerification(CONFIG)
     verification.use_maps(map_set, Drives(map_set, SPACING_M))
-    found = []
     for index in range(0, len(feed.rows), EVERY):
         near = truth.near(feed.rows[index])
         seen = verification.follow(images.read(index), [near[len(near) // 2]])
-        found.append(np.hypot(*_off(truth, feed, index, seen)[:2]) if seen else np.inf)
+        found.append(float(np.hypot(*_off(truth, feed, index, seen)[:2])) if seen else math.inf)
     images.close()
     return np.array(found)
 
 
-def _along(mapped: ReferenceMap, feed: Feed) -> NDArray[np.float64]:
+def _along(map_set: MapSet, feed: Feed) -> NDArray[np.float64]:
     """Of each frame (n, 5): meters driven; what its pose is off by to the right and ahead, and their sigmas, or NaN."""
-    recognizer = open_recognizer(CONFIG, map_set=MapSet.of(mapped))
-    images, truth, found = FeedImages(feed), poses.Truth(mapped), np.full((len(feed.rows), 5), np.nan)
+    recognizer = open_recognizer(CONFIG, map_set=map_set)
+    images, truth, found = FeedImages(feed), poses.Truth(map_set), np.full((len(feed.rows), 5), np.nan)
     for index, row in enumerate(feed.rows):
         assert row.heading_deg is not None
         travel = MotionPrior(row.distance_m, course_rad=math.radians(row.heading_deg))

@@ -25,7 +25,7 @@ from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.pose import RelativePose, pose_to_keyframe
-from edge.reference_map import ReferenceMap, open_map
+from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
@@ -34,6 +34,7 @@ from sim.world.recording import record_drive
 from sim.world.scenario import LightName, Scenario
 
 LENGTH_M, QUERY_M = 300.0, 5.0
+MAPPED = Scenario(length_m=LENGTH_M, drive_seed=11)
 DRIVES: dict[str, tuple[View, Scenario]] = {
     "front": ("front", Scenario(length_m=LENGTH_M, drive_seed=12, lane_m=2.25)),
     "home": ("rear", Scenario(length_m=LENGTH_M, drive_seed=13, direction="reverse")),
@@ -93,7 +94,8 @@ def _long(
 
 
 def _long_map(folder: Path, mounted: Mounting, repeats_m: float, road: int, view: View) -> ReferenceMap:
-    return mapped(folder, road, view, mounted, keyframes.LENGTH_M, repeats_m)
+    made = replace(MAPPED, seed=road, length_m=keyframes.LENGTH_M, repeats_m=repeats_m, view=view)
+    return mapped(folder, mounted.of(made))
 
 
 def _named(road: int, repeats_m: float) -> str:
@@ -136,7 +138,7 @@ def _of_road(
 ) -> tuple[NDArray[np.float64], int]:
     """Of the vehicle's poses, not the camera's; as `_errors`."""
     view, made = DRIVES[drive]
-    reference = mapped(folder, road, view, of_map)
+    reference = mapped(folder, of_map.of(replace(MAPPED, seed=road, view=view)))
     scenario = mounted.of(replace(made, seed=road, light=light))
     off, count = _errors(reference, recorded(folder / f"{road}_{drive}_{light}{mounted.name}", scenario, QUERY_M))
     off[:, 0, 2] -= np.radians(mounted.right_deg)
@@ -150,29 +152,29 @@ def recorded(path: Path, scenario: Scenario, spacing_m: float) -> Path:
     return path
 
 
-def mapped(
-    folder: Path, road: int, view: View, mounted: Mounting, length_m: float = LENGTH_M, repeats_m: float = 0
-) -> ReferenceMap:
-    """A road's map, which is made where it is not there yet."""
-    name = f"{_named(road, repeats_m)}_{length_m:g}m_{view}{mounted.name}"
+def mapped(folder: Path, made: Scenario) -> ReferenceMap:
+    """The map of a drive, which is made where it is not there yet."""
+    mounted = Mounting(made.camera_down_deg, made.camera_right_deg)
+    way = "_home" if made.direction == "reverse" else ""
+    name = f"{_named(made.seed, made.repeats_m)}_{made.length_m:g}m_{made.view}{way}{mounted.name}"
     path = folder / f"{name}_map"
     if not path.exists():
-        scenario = mounted.of(Scenario(road, length_m, repeats_m, view=view, drive_seed=11))
-        feed = recorded(folder / name, scenario, 2.0)
+        feed = recorded(folder / name, made, 2.0)
         key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
         build_map([read_feed(feed)], path, DescriptorConfig(), SamplingConfig(), network=network, keypoints=key)
     return open_map(path, every_file=True)
 
 
 class Truth:
-    """Where a drive's frames are beside the places of a map."""
+    """Where a drive's frames are beside the places of some maps."""
 
-    def __init__(self, reference: ReferenceMap) -> None:
-        self._places = places = reference.places
+    def __init__(self, maps: MapSet) -> None:
+        self._places = places = maps.places
         self._origin = (float(places["lat_deg"][0]), float(places["lon_deg"][0]))
         self._at_m = east_north(places["lat_deg"], places["lon_deg"], self._origin)
-        faces_back = np.pi * (reference.header.segments[0].view == "rear")
-        self._headings = np.radians(places["heading_deg"]) + faces_back
+        index = maps.index
+        faces_back = [index.view(index.segment_of(place)) == "rear" for place in range(len(places))]
+        self._headings = np.radians(places["heading_deg"]) + np.pi * np.array(faces_back)
 
     def near(self, row: FeedRow) -> range:
         """Places around the one nearest to a frame."""
@@ -196,7 +198,7 @@ class Truth:
 
 def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
     """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
-    network, feed, where = KeypointNetwork(), read_feed(query), Truth(reference)
+    network, feed, where = KeypointNetwork(), read_feed(query), Truth(MapSet.of(reference))
     images = FeedImages(feed)
     found = []
     for index, row in enumerate(feed.rows):
