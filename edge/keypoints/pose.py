@@ -47,6 +47,8 @@ is 0.009 sigma (median; 95 %: 0.26) after 8 such steps, and was 0.08 (0.67) afte
 GO_ON = 2
 PITCH_SIGMA = float(np.radians(2.0))
 """Of one picture against another."""
+MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD = 8.0, 8.0, float(np.radians(25))
+"""Of a pose on the road of its place: in another lane, between two places, in a bend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,12 @@ class RelativePose:
     def inliers(self) -> int:
         """Points that agree."""
         return int(self.inlier_mask.sum())
+
+    @property
+    def support(self) -> float:
+        """Of a pose on the road: its points, each as much as those agree that it is one of; else 0."""
+        is_beside = (np.abs(self.start) <= (MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD)).all()
+        return self.inliers * float(self.inlier_mask.mean()) ** 2 if is_beside else 0.0
 
 
 class Keyframe(NamedTuple):
