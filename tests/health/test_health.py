@@ -25,14 +25,9 @@ WELL = HealthInputs(recognizer="on the map", frames_used=50)
         ({"no_pose_m": 39.0, "right_m": -4.2}, "on the map", ""),
         ({"no_pose_m": 99.0, "right_m": -4.2}, "on the map", "no pose for 40 m, before 4.2 m left of the map's lane"),
         (
-            {"recognizer": "off the map", "off_m": 60.0, "no_pose_m": 120.0, "right_m": 0.3},
-            "off the map",
-            "not recognized for 50 m; no pose for 100 m, before 0.3 m right of the map's lane",
-        ),
-        (
-            {"recognizer": "off the map", "off_m": 60.0, "journal": "full"},
+            {"recognizer": "off the map", "off_m": 60.0, "journal": "x", "no_pose_m": 100.0, "right_m": 0.3},
             "degraded",
-            "journal: full; off the map: not recognized for 50 m",
+            "journal: x; off the map: not recognized for 50 m; no pose for 100 m, before 0.3 m right of the map's lane",
         ),
         ({"camera": "ended"}, "on the map", ""),
         ({"camera": "lost", "camera_why": "no frame"}, "degraded", "not recognized: camera: no frame"),
