@@ -49,6 +49,7 @@ class Daemon:
         self._distance_gaps = 0
         self._warned_of: set[str] = set()
         self._frame_s = 0.0  # what the last one took
+        self._posed: tuple[float, float] | None = None  # driven at the newest keypoint pose; right of the map's drive
 
     def turn(self) -> bool:
         """One turn of the loop; False when the camera has come to its end (a feed or the simulator)."""
@@ -147,6 +148,9 @@ class Daemon:
             timestamp_sigma_s=self.parts.pictures.stamp_sigma_s,
         )
         self._drive.update(now_ns, frame)
+        driven_m = vehicle.motion.driven_m(now_ns)
+        if match is not None and match.seen is not None and driven_m is not None:
+            self._posed = driven_m, match.seen.right_m * (-1 if self.parts.config.camera.view == "rear" else 1)
         if in_line:
             self._autopilot.judge_gps()
 
@@ -287,6 +291,10 @@ class Daemon:
         fault = parts.pictures.fault
         # Not the fault of a single picture, which lasts for a moment: it would be news to the pilot each time.
         undated = parts.pictures.why_undated if self._autopilot.positions.enabled else ""
+        driven_m = self._autopilot.vehicle.motion.driven_m(self._clock_ns())
+        if self._posed and (driven_m is None or driven_m < self._posed[0]):  # the odometer began anew
+            self._posed = None
+        posed_m, right_m = self._posed or (driven_m or 0.0, 0.0)
         inputs = HealthInputs(
             recognizer=self._recognizer.state,
             frames_used=parts.frames_used,
@@ -296,7 +304,9 @@ class Daemon:
             link_why=self._autopilot.why_closed,
             gps=self._autopilot.gps_fault,
             withheld=undated or self._autopilot.why_no_position,
-            driven_m=self._autopilot.vehicle.motion.driven_m(self._clock_ns()),
+            driven_m=driven_m,
+            no_pose_m=None if driven_m is None or self._posed is None else driven_m - posed_m,
+            right_m=right_m,
         )
         hang = parts.device.hang(self._clock_ns()) if parts.device else ""
         return self.parts.monitor.update(inputs, parts.camera.health, hang)

@@ -140,7 +140,7 @@ class HealthMonitor:
         if is_gap:
             self._frames_before_gap = frames_used
             inputs = replace(inputs, frames_used=0, frame_s=0.0)
-        self._publisher.publish(derive(inputs, self.health))
+        self._publisher.publish(replace(derive(inputs, self.health), no_pose_m=inputs.no_pose_m))
         if self.health.able != "on the map":
             self._off_map_ns = self._clock_ns()
         return is_gap
@@ -199,13 +199,12 @@ def notify(state: str, *, wait_s: float = MANAGER_S) -> None:
         return
     # A leading @ means the abstract namespace.
     name = "\0" + address[1:] if address.startswith("@") else address
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
+    datagrams = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC
+    # The service manager being away is no reason to stop recognizing places.
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, datagrams) as sock:
         sock.settimeout(wait_s)
-        try:
-            sock.connect(name)
-            sock.sendall(state.encode())
-        except OSError:
-            return  # the service manager being away is no reason to stop recognizing places
+        sock.connect(name)
+        sock.sendall(state.encode())
 
 
 RECENT_FRAMES = 1000

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.keypoints.mount import ROW_SIGMA, Mount
+from edge.keypoints.pose import PointMatches, RelativePose
 from edge.keypoints.view_geometry import FARTHEST_BENT_SQ, Intrinsics
 
 UNKNOWN_SIGMA = 0.12, 0.1
@@ -191,3 +192,22 @@ class CameraEvidence:
 
 UNSEEN = CameraEvidence()
 """Before any picture."""
+
+
+def by_any_camera(
+    matches: PointMatches, pose: RelativePose, evidence: CameraEvidence, enough: float
+) -> tuple[RelativePose, CameraEvidence]:
+    """A pose that is as wide as its camera is in doubt, by earlier pictures and this one; and what both say of it.
+
+    Solved for by any camera as well, since points that are off by the one so far would say that it is right. enough:
+    support from which on a picture counts whole.
+    """
+    own = matches.pose(pose.start, evidence.open)
+    if own is None or own.intrinsics is None:
+        return pose, evidence
+    share = min(1.0, own.support / enough)
+    after, doubt = (evidence.with_picture(own.intrinsics, one) for one in (share / SHARED, share))
+    if evidence.doubt > WRONG or doubt.doubt < DOUBTFUL:
+        return pose, after  # or already by the camera that was found
+    other = matches.pose(pose.start, evidence.known)
+    return pose if other is None else pose.mixed(other, doubt.doubt), after

@@ -55,10 +55,12 @@ class Rays(NamedTuple):
 def whitened(cameras: Array, inverse: Array, rays: Rays) -> tuple[Array, Array, Array]:
     """What points are off by (S, 2, n) in sigmas, its derivatives (S, U, 2, n) by the cameras, and better distances.
 
-    inverse: (S, n) of the points' distances so far. Their unknown part is eliminated: what it moves a point by in this
-    picture counts as much less as it is uncertain, along that line only (Sherman and Morrison).
+    cameras: (S, U) right, ahead, turned, pitched, rolled, and perhaps `Intrinsics`. Roll turns what is seen about the
+    middle, which alters no noise. inverse: (S, n) of the points' distances so far. Their unknown part is eliminated:
+    what it moves a point by in this picture counts as much less as it is uncertain, along that line only (Sherman and
+    Morrison).
     """
-    right_m, ahead_m, turn, pitch = cameras[:, :4].T[..., np.newaxis]
+    right_m, ahead_m, turn, pitch, roll = cameras[:, :5].T[..., np.newaxis]
     (cos, sin), (cos_pitch, sin_pitch) = (np.cos(turn), np.sin(turn)), (np.cos(pitch), np.sin(pitch))
     at_right, at_ahead = rays.at[0] - right_m, rays.at[1] - ahead_m
     beside, before = rays.beside[0] + inverse * at_right, rays.beside[1] + inverse * at_ahead
@@ -74,12 +76,15 @@ def whitened(cameras: Array, inverse: Array, rays: Rays) -> tuple[Array, Array, 
     derivatives[:, 2, 0], derivatives[:, 2, 1] = (sin + cos * by_z) * scale, cos * tilt * scale
     derivatives[:, 3, 0], derivatives[:, 3, 1] = -(z + by_z * x) * near, -tilt * x * near
     derivatives[:, 4, 0], derivatives[:, 4, 1] = u * v, 1 + v * v
+    derivatives[:, 5, 0], derivatives[:, 5, 1] = -v, u
     must_be = np.stack([u, v], axis=1)
-    if cameras.shape[1] > 4:
-        must_be = bend(must_be, derivatives, cameras[:, 4:])
+    if cameras.shape[1] > 5:
+        must_be = bend(must_be, derivatives, cameras[:, 5:])
     derivatives /= rays.pixel
     by_inverse, jacobian = derivatives[:, 0], derivatives[:, 1:]
-    off = (rays.seen - must_be) / rays.pixel + by_inverse * (inverse - rays.inverse)[:, np.newaxis]
+    (x, y), cos_roll, sin_roll = rays.seen, np.cos(roll), np.sin(roll)
+    level = np.stack([cos_roll * x + sin_roll * y, cos_roll * y - sin_roll * x], axis=1)
+    off = (level - must_be) / rays.pixel + by_inverse * (inverse - rays.inverse)[:, np.newaxis]
     along = by_inverse * rays.sigma
     length_sq, by_off = np.square(along).sum(axis=1), (along * off).sum(axis=1)
     share = ((1 - 1 / np.sqrt(1 + length_sq)) / np.maximum(length_sq, 1e-12))[:, np.newaxis] * along

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 from edge.config import Config
 from edge.geodesy import east_north
 from edge.keypoints.network import KeypointNetwork
-from edge.recognition.place_verification import MOST_AHEAD_M, PlaceVerification
+from edge.keypoints.pose import MOST_AHEAD_M
+from edge.recognition.place_verification import PlaceVerification
 from edge.reference_map import Drives, MapSet
-from edge.sequence import Correspondences, KeyframeMatch, PlaceMatch
+from edge.sequence import Correspondences, DeadReckoningPosition, KeyframeMatch, MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge.sequence.keyframe_consensus import (
     AGREE_M,
@@ -53,6 +53,8 @@ WINDOWS_M = 0.0, -10.0, 10.0
 """Along the drive, from that place to the middles of local maps."""
 BESIDE_M, DRIVES = 8.0, 3
 """From the middle of the first of them: of other drives on the road that are tried, and how many at most."""
+NEAR_SIGMAS = 2.0
+"""Of a position by GPS, by which a lane may be further from it than BESIDE_M."""
 ELSEWHERE_EVERY = 4
 """Where verification is in vain though the vehicle is reckoned, one frame in so many is verified by places anywhere."""
 
@@ -122,20 +124,22 @@ class KeyframeMatcher:
         return is_due and self.verification.is_possible and not self._is_opposed
 
     def verify(
-        self, image: Image, nearest: NearestOf, course_rad: float | None, driven_m: float, uncertain_m: float
+        self, image: Image, nearest: NearestOf, travel: MotionPrior, driven_m: float, uncertain_m: float
     ) -> None:
         """Verify a picture by the local map where the vehicle is reckoned to be, or else by its nearest places.
 
         driven_m, uncertain_m: odometer, its sigma. MapError as `costs`.
         """
-        verification, middles = self.verification, self._middles(course_rad, driven_m, uncertain_m)
+        verification, course_rad = self.verification, travel.course_rad
+        middles = self._middles(course_rad, driven_m, uncertain_m)
+        near = [] if middles else self._near(travel.dead_reckoning, course_rad)
         places = middles or verification.candidates(nearest(AMONG), course_rad, NEAREST_PLACES, PLACES_APART)
-        if not places:
+        if not (places or near):
             self._in_vain += 1
             return
         self._unverified = 0
         local = chain(middles, self._beside(middles[0], course_rad)) if middles else ()
-        seen = verification.follow(image, local) if middles else verification.verify(image, places)
+        seen = verification.follow(image, local) if middles else verification.verify(image, places, near)
         vote = self._vote_of(seen, driven_m, uncertain_m, is_reckoned=bool(middles)) if seen else None
         self._newest = (seen, vote) if seen and vote else None
         self._kept.add(vote)
@@ -165,7 +169,7 @@ class KeyframeMatcher:
 
         driven_m, uncertain_m: odometer, its sigma.
         """
-        self._is_opposed = match is not None and self.verification.direction(match.place_index) != match.direction
+        self._is_opposed = match is not None and self._is_seen_from_behind(match)
         keyframes = self._kept.belief(driven_m, self._least, self._drives.positions_m)
         if match is None or keyframes is None or keyframes.confidence < LIKELY:
             return
@@ -208,9 +212,8 @@ class KeyframeMatcher:
         """The match at a place that keyframe matches alone believe."""
         place_index = self._drives.nearest(belief.drive, belief.along_m) if seen is None else seen.place_index
         name, row = self._map_set.locate(place_index)
-        match = PlaceMatch(
-            place_index, row, belief.direction, "same", slope=0.0, distance=0.0, uniqueness=1.0, map=name
-        )
+        no_line = {"slope": 0.0, "distance": 0.0, "uniqueness": 1.0}
+        match = PlaceMatch(place_index, row, belief.direction, "same", **no_line, map=name)
         return replace(match, confidence=belief.confidence, accepted=True, seen=seen, has_line=False)
 
     def _is_one_place(self, one: PlaceBelief, other: PlaceBelief, slack_m: float) -> bool:
@@ -235,17 +238,37 @@ class KeyframeMatcher:
         places = [self._drives.nearest(one.drive, one.along_m) for one in there if self._is_mapped(one)]
         return self.verification.candidates(np.array(places, np.intp), course_rad, len(WINDOWS_M), 1)
 
-    def _beside(self, place: int, course_rad: float | None) -> Iterator[int]:
+    def _near(self, reckoned: DeadReckoningPosition | None, course_rad: float | None) -> list[int]:
+        """The middles of local maps around the position by GPS, of each drive there; none where it is not known."""
+        if reckoned is None or reckoned.sigma_m > RECKONED_M:
+            return []
+        windows_m = WINDOWS_M if reckoned.sigma_m > CENTERED_M else WINDOWS_M[:1]
+        reach_m = BESIDE_M + NEAR_SIGMAS * reckoned.sigma_m
+        nearest = self._nearest_of_drives((reckoned.lat_deg, reckoned.lon_deg), reach_m)
+        there = product(self.verification.candidates(nearest, course_rad, DRIVES, 1), windows_m)
+        return [self._drives.nearest(self._drives.drive_of(one), self._drives.along_m(one) + m) for one, m in there]
+
+    def _beside(self, place: int, course_rad: float | None) -> list[int]:
         """The nearest place of each other drive within BESIDE_M of one, the nearest first, DRIVES at most."""
-        index, here, found = self._map_set.index, self._map_set.places[place], []
-        lat_lon_deg = float(here["lat_deg"]), float(here["lon_deg"])
-        for drive, start, end in index.by_segment(self._map_set.blocks.within(*lat_lon_deg, BESIDE_M)):
+        here = self._map_set.places[place]
+        nearest = self._nearest_of_drives((float(here["lat_deg"]), float(here["lon_deg"])), BESIDE_M)
+        return self.verification.candidates(nearest[nearest != place], course_rad, DRIVES, 1)
+
+    def _nearest_of_drives(self, at_deg: tuple[float, float], reach_m: float) -> NDArray[np.intp]:
+        """The nearest places within so many meters of a latitude and longitude, one each time that a drive passed."""
+        found = []
+        for _, start, end in self._map_set.index.by_segment(self._map_set.blocks.within(*at_deg, reach_m)):
             rows = self._map_set.places[start:end]
-            away_m = np.nan_to_num(np.hypot(*east_north(rows["lat_deg"], rows["lon_deg"], lat_lon_deg).T), nan=np.inf)
-            if drive != index.segment_of(place) and away_m.min() <= BESIDE_M:
-                found.append((float(away_m.min()), start + int(away_m.argmin())))
-        places = np.array([one for _, one in sorted(found)], np.intp)
-        yield from self.verification.candidates(places, course_rad, DRIVES, 1)
+            away_m = np.nan_to_num(np.hypot(*east_north(rows["lat_deg"], rows["lon_deg"], at_deg).T), nan=np.inf)
+            found.append((float(away_m.min()), start + int(away_m.argmin())))
+        return np.array([place for away_m, place in sorted(found) if away_m <= reach_m], np.intp)
+
+    def _is_seen_from_behind(self, match: PlaceMatch) -> bool:
+        """Whether the views at a place are opposite, and those of all other drives there."""
+        if self.verification.direction(match.place_index) == match.direction:
+            return False
+        heading_rad = math.radians(float(self._map_set.places["heading_deg"][match.place_index]))
+        return not self._beside(match.place_index, heading_rad + math.pi * (match.direction == "reverse"))
 
     def _vote_of(
         self, seen: KeyframeMatch, driven_m: float, uncertain_m: float, *, is_reckoned: bool = False

@@ -22,7 +22,7 @@ from edge.config import Config, Lens
 from edge.descriptor.model_file import read_model_file, resolve_model
 from edge.keypoints import CameraModel, Keypoints, MapPoints
 from edge.keypoints.drive_points import cameras_beside
-from edge.keypoints.intrinsics import DOUBTFUL, SHARED, UNSEEN, WRONG, CameraDifference, CameraEvidence
+from edge.keypoints.intrinsics import UNSEEN, WRONG, CameraDifference, CameraEvidence, by_any_camera
 from edge.keypoints.matching import mutual_matches
 from edge.keypoints.network import NETWORK, KeypointNetwork
 from edge.keypoints.pose import STARTS, Keyframe, PointMatches, RelativePose, match_keyframes
@@ -53,8 +53,6 @@ AROUND_M = 0.0, -4.0, 4.0, -8.0, 8.0
 """Along the drive, to the places of a local map."""
 WIDE = np.array([(right, ahead, 0.0) for right in (-6.0, -3.0, 0.0, 3.0, 6.0) for ahead in (-6.0, 0.0, 6.0)])
 """Starts by a local map, as `STARTS`."""
-MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD = 8.0, 8.0, math.radians(25)
-"""Of a pose on the road of its place: in another lane, between two places, in a bend."""
 
 
 class PlaceVerification:
@@ -117,10 +115,8 @@ class PlaceVerification:
         return found
 
     def _may_be_seen(self, place: int, course_rad: float | None) -> bool:
-        if self._keys[self._map_set.index.map_of(place)] is None:
-            return False
-        direction = self.direction(place)
-        if self._only not in ("both", direction):
+        key, direction = self._keys[self._map_set.index.map_of(place)], self.direction(place)
+        if key is None or self._only not in ("both", direction):
             return False
         heading_deg = float(self._map_set.places["heading_deg"][place])
         if course_rad is None or math.isnan(heading_deg):
@@ -128,13 +124,14 @@ class PlaceVerification:
         heading_rad = math.radians(heading_deg) + math.pi * (direction == "reverse")
         return math.cos(heading_rad - course_rad) >= math.cos(MOST_OFF_COURSE_RAD)
 
-    def verify(self, image: NDArray[np.uint8], places: Sequence[int]) -> KeyframeMatch | None:
+    def verify(self, image: NDArray[np.uint8], places: Sequence[int], near: Sequence[int] = ()) -> KeyframeMatch | None:
         """The place that a picture (H, W, 3) uint8 BGR shows, of some candidates and those around them; None: none.
 
-        MapError for a map that was cut off.
+        near: middles of local maps that are candidates as well. MapError for a map that was cut off.
         """
         query = self._keypoints_of(image)
-        found = self._found(query, places)
+        local = {middle: self._pose(self._matched(query, self._around(middle)), middle, WIDE) for middle in near}
+        found = self._found(query, places, local)
         if found is None:
             return None
         place, pose = found
@@ -168,40 +165,30 @@ class PlaceVerification:
         return _match(place, wide, _support_of(pose))
 
     def _by_any_camera(self, matches: PointMatches, place: int, pose: RelativePose) -> RelativePose:
-        """A pose that is as wide as its camera is in doubt, by what earlier pictures say and by this one.
-
-        Solved for by any camera as well, since points that are off by the one so far would say that it is right. Where
-        it is, every second picture is enough: neighbors err alike.
-        """
-        evidence = self._evidence_at(place)
+        """As `by_any_camera`. Where the camera is right, every second picture is enough: neighbors err alike."""
+        camera, evidence = self._camera_at(place), self._evidence_at(place)
         self._is_asked = not (self._is_asked and evidence.is_confirmed)
-        if not self._is_asked:
-            return pose
-        own = matches.pose(pose.start, evidence.open)
-        if own is None or own.intrinsics is None:
-            return pose
-        camera = self._camera_at(place)
-        share = min(1.0, _support_of(own) / ENOUGH)
-        self._evidence[camera] = after = evidence.with_picture(own.intrinsics, share / SHARED)
-        self.camera = after.difference(camera[0]) or self.camera
-        doubt = evidence.with_picture(own.intrinsics, share).doubt
-        if evidence.doubt > WRONG or doubt < DOUBTFUL:
-            return pose  # or already by the camera that was found
-        other = matches.pose(pose.start, evidence.known)
-        return pose if other is None else pose.mixed(other, doubt)
+        if self._is_asked:
+            pose, self._evidence[camera] = by_any_camera(matches, pose, evidence, ENOUGH)
+            self.camera = self._evidence[camera].difference(camera[0]) or self.camera
+        return pose
 
-    def _found(self, query: Keypoints, places: Sequence[int]) -> tuple[int, RelativePose] | None:
-        """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good."""
+    def _found(
+        self, query: Keypoints, places: Sequence[int], tried: dict[int, RelativePose | None]
+    ) -> tuple[int, RelativePose] | None:
+        """The candidate with most support, and the pose by it; None: none, or one elsewhere is nearly as good.
+
+        tried: poses by candidates so far, by more than their own points.
+        """
         seen = ((place, self._points(place)[0].descriptors) for place in places)
         alike = sorted(((len(mutual_matches(query.descriptors, one)), place) for place, one in seen), reverse=True)
-        tried: dict[int, RelativePose | None] = {}
 
         def support_at(place: int) -> float:
             if place not in tried:
                 tried[place] = self._pose(self._matched(query, [(place, np.zeros(3))]), place)
             return _support_of(tried[place])
 
-        for _, place in alike[:VERIFIED]:
+        for place in (*tried, *(place for _, place in alike[:VERIFIED])):
             if support_at(place) >= ENOUGH:
                 break
         best = max(tried, key=support_at)
@@ -293,7 +280,4 @@ def _match(place: int, pose: RelativePose, support: float) -> KeyframeMatch:
 
 
 def _support_of(pose: RelativePose | None) -> float:
-    """Of a pose on the road: its points, each as much as those agree that it is one of; else 0."""
-    if pose is None or (np.abs(pose.start) > (MOST_RIGHT_M, MOST_AHEAD_M, MOST_TURN_RAD)).any():
-        return 0.0
-    return pose.inliers * float(pose.inlier_mask.mean()) ** 2
+    return 0.0 if pose is None else pose.support

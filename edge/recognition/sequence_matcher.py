@@ -166,11 +166,8 @@ class SequenceMatcher:
         self._consensus.settings, self._of_halves.settings = settings, settings.of_halves()
         prior = self._prior(travel.dead_reckoning)
         belief = self._consensus.update(self._vote(match), odometer_m, step, *(prior or ()))
-        belief = max(
-            filter(None, (belief, self._belief_of_halves(odometer_m, step, prior))),
-            key=lambda one: one.confidence,
-            default=None,
-        )
+        both = belief, self._belief_of_halves(odometer_m, step, prior)
+        belief = max(filter(None, both), key=lambda one: one.confidence, default=None)
         if image is not None and self._keyframes is not None and self._keyframes.is_due(self._consensus.driven_m):
             self._verify(image, travel, self.search.nearest)
         believed = self._believed(match, belief, prior)
@@ -205,7 +202,7 @@ class SequenceMatcher:
     def _verify(self, image: NDArray[np.uint8], travel: MotionPrior, nearest: NearestOf) -> None:
         if self._keyframes is not None:
             driven = self._consensus.driven_m, self._consensus.uncertain_m
-            self._keyframes.verify(image, nearest, travel.course_rad, *driven)
+            self._keyframes.verify(image, nearest, travel, *driven)
             self._stopwatch("keypoints")
 
     @property

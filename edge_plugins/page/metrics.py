@@ -85,6 +85,8 @@ def _link_metrics(status: Status) -> Iterator[Metric]:
         yield _gauge("dead_reckoning_meters", "Driven since GPS or a position counted", link.reckoned_m)
     if status.beside_lane_m is not None:
         yield _gauge("beside_lane_meters", "How far right of the map's drive it is", status.beside_lane_m)
+    if status.no_pose_m is not None:
+        yield _gauge("no_pose_meters", "Driven since the newest keypoint pose", status.no_pose_m)
     if link.sent_ns is not None:
         age_s = (status.stamp_ns - link.sent_ns) / 1e9
         yield _gauge("position_age_seconds", "Time since the newest position left", age_s)

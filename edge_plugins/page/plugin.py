@@ -83,6 +83,7 @@ class Page(Plugin):
             mapping=parts.plugins.ask("mapping", mapped),
             position=position,
             beside_lane_m=beside_lane_m(position, parts.drive.route, match.place_index) if position and match else None,
+            no_pose_m=health.no_pose_m,
         )
         server.show(self._live.snapshot(status))
 

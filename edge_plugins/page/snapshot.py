@@ -46,6 +46,7 @@ class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
     """What the daemon says of itself. stamp_ns: CLOCK_MONOTONIC now. stages_ms: medians.
 
     position: at the exposure of the last match that passed the innovation test; beside_lane_m: see `beside_lane_m`.
+    no_pose_m: driven since the newest keypoint pose, None without one.
     """
 
     stamp_ns: int
@@ -60,6 +61,7 @@ class DaemonStatus(msgspec.Struct, frozen=True, kw_only=True):
     mapping: MappingView | None = None
     position: PlaceFix | None = None
     beside_lane_m: float | None = None
+    no_pose_m: float | None = None
 
 
 class Status(DaemonStatus, frozen=True, kw_only=True):

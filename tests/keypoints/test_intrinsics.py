@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from edge.keypoints.intrinsics import DOUBTFUL, RIGHT, UNSEEN, WRONG, CameraEvidence
-from edge.keypoints.pose import RelativePose, solve_pnp
+from edge.keypoints.pose import solve_pnp
 from edge.keypoints.view_geometry import Intrinsics, bend
 from tests.keypoints.street import CAMERA, row_points, seen, street, with_noise
 
@@ -26,10 +26,9 @@ def drive(fov_deg: float, k1: float, pictures: int, pixels: float = 1.0) -> tupl
         picture = with_noise(rng, must_be, pixels)
         picture[rng.random(len(picture)) < 0.2] = rng.uniform(-0.8, 0.8, 2)
         known = points.is_known & (np.abs(must_be) < (0.84, 0.63)).all(axis=1)
-        by_config = solve_pnp(points[known], picture[known], CAMERA)
         pose = solve_pnp(points[known], picture[known], CAMERA, known=evidence.known)
-        assert by_config is not None and pose is not None
-        own = solve_pnp(points[known], picture[known], CAMERA, by_config.start, evidence.open)
+        assert pose is not None
+        own = solve_pnp(points[known], picture[known], CAMERA, pose.start, evidence.open)
         assert own is not None and own.intrinsics is not None
         evidence = evidence.with_picture(own.intrinsics)
         off.append((pose.start[0] - at[:3]) / np.sqrt(np.diag(pose.covariance)))
@@ -110,15 +109,6 @@ def test_pictures_that_contradict_what_earlier_ones_said_are_heard_in_the_end() 
     for focal in [0.0] * 100 + [0.1] * 120:
         evidence = evidence.with_picture(Intrinsics(np.array([focal, 0.0]), np.diag([2500.0, 625.0])))
     assert evidence.known.values == pytest.approx([0.1, 0.0], abs=0.005)
-
-
-def test_a_mixture_of_two_poses_has_the_spread_of_both() -> None:
-    one, other = (
-        RelativePose(right_m, 0.0, 0.0, np.diag([0.04, 0.04, 1e-4]), np.ones(20, bool), 0.1) for right_m in (0.0, 2.0)
-    )
-    mixed = one.mixed(other, 0.25)
-    assert mixed.start[0] == pytest.approx([0.5, 0.0, 0.0])
-    assert np.diag(mixed.covariance) == pytest.approx([0.04 + 0.25 * 0.75 * 4.0, 0.04, 1e-4])
 
 
 def test_bent_directions_move_as_their_derivatives_say() -> None:

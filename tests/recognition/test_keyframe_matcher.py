@@ -26,7 +26,7 @@ from edge.recognition.recognizer import PlaceRecognizer, open_recognizer
 from edge.reference_map import Drives, MapSet, open_map
 from edge.reference_map.keypoint_file import KEYPOINT
 from edge.reference_map.store import KEYPOINTS
-from edge.sequence import MotionPrior, PlaceMatch
+from edge.sequence import DeadReckoningPosition, MotionPrior, PlaceMatch
 from edge.sequence.consensus import PlaceBelief
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
@@ -179,7 +179,7 @@ def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Pa
         votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
         matcher = KeyframeMatcher(map_set, drives, CONFIG)
         for _ in range(2):
-            matcher.verify(drive.images[0], partial(_first, nearest), None, 0.0, 0.0)
+            matcher.verify(drive.images[0], lambda most, places=nearest: places[:most], MotionPrior(), 0.0, 0.0)
         answer = matcher.answer(votes, None, 0.0, BESIDE_M)
         assert (answer.votes is not None and answer.votes.is_believed) == stays
 
@@ -212,10 +212,6 @@ def test_a_street_alike_counts_where_others_share_more_keypoints(twice: Path, gr
         streets.append(dataclasses.replace(reference, places=reference.places.copy()))
         streets[-1].places["lat_deg"] += 2 * number * TWICE_DEG
     assert [known_at_rest(MapSet.of(several), grid, (53, 69)) for several in (streets[1:], streets)] == [2, 0]
-
-
-def _first(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    return places[:most]
 
 
 class _Counted(KeypointNetwork):
@@ -269,6 +265,28 @@ def test_where_it_is_reckoned_every_frame_is_verified_by_the_drives_beside_as_we
         seen = [one is not None and one.seen is not None for one in driven(recognizer, drive, 60)]
         assert all(seen[5:]) if others else not any(seen[-20:])
         assert network.verified >= 55
+
+
+def test_a_position_by_gps_is_a_place_to_try_as_far_as_its_sigma_goes(maps: Path) -> None:
+    map_set, drive, row = MapSet.of(open_map(maps / "street")), Film("home_night", 60), Film("home_night", 60).rows[0]
+    assert row.lat_deg is not None and row.lon_deg is not None
+    for off_m, sigma_m, is_seen in ((0.0, 2.5, True), (9.0, 6.0, True), (0.0, 20.0, False), (120.0, 2.5, False)):
+        matcher = KeyframeMatcher(map_set, Drives(map_set, 2.0), CONFIG)
+        gps = DeadReckoningPosition(row.lat_deg + off_m / 111_000, row.lon_deg, sigma_m)
+        matcher.verify(drive.images[0], lambda most: np.zeros(0, np.intp), MotionPrior(dead_reckoning=gps), 0.0, 0.0)
+        assert (matcher.correspondences is not None) == is_seen
+
+
+def test_a_drive_whose_views_are_alike_is_verified_beside_one_whose_views_are_opposite(maps: Path) -> None:
+    street = open_map(maps / "street")
+    front = tuple(replace(one, view="front") for one in street.header.segments)
+    alike = dataclasses.replace(street, header=replace(street.header, segments=front))
+    behind = PlaceMatch(40, 40, "reverse", "swapped", 1.0, 0.0, 1.0, accepted=True)
+    for maps_there, is_due in (([alike], False), ([alike, street], True)):
+        map_set = MapSet.of(maps_there)
+        matcher = KeyframeMatcher(map_set, Drives(map_set, 2.0), CONFIG)
+        matcher.follow(behind, 0.0, 0.0, 5.0)
+        assert matcher.is_due(10.0) == is_due
 
 
 def test_the_next_pose_is_sought_after_a_meter(maps: Path, grid: Network) -> None:

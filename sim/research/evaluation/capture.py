@@ -1,9 +1,10 @@
 """How far beside the lane of its map a vehicle is seen by keypoints: in single pictures, and along a drive.
 
-A rear camera's map by day; home by a front camera, moved sideways from the lane of the map. A single picture, every 20
-m, is compared with the local map around the place nearest to it; a right pose is one within RIGHT_M. Along a drive the
-recognizer has a picture every 2 m, the odometer and the course, and nothing else; a frame is known if its pose is
-believed. Each drive is compared with the next road's map as well, as one of a vehicle elsewhere.
+A rear camera's map by day, without and with a front camera's of the way home in its own lane; home by a front camera,
+moved sideways from the lane of the first drive. A single picture, every 20 m, is compared with the local map
+around the place nearest to it; a right pose is one within RIGHT_M. Along a drive the recognizer has a picture every 2
+m, the odometer and the course, and nothing else; a frame is known if its pose is believed. Each drive is compared with
+the next road's map as well, as one of a vehicle elsewhere.
 """
 
 from __future__ import annotations
@@ -20,13 +21,15 @@ from edge.config import Config, DescriptorConfig
 from edge.feed import Feed, FeedImages, read_feed
 from edge.recognition.place_verification import PlaceVerification
 from edge.recognition.recognizer import open_recognizer
-from edge.reference_map import Drives, MapSet, ReferenceMap
+from edge.reference_map import Drives, MapSet
 from edge.sequence import MotionPrior
 from sim.research.evaluation.poses import LENGTH_M, Truth, mapped
 from sim.world.recording import recorded
 from sim.world.scenario import LightName, Scenario
 
 BESIDE_M, LANE_M = (0.0, 2.0, 3.0, 4.0, 5.0, 6.0), Scenario().lane_m
+DRIVES = {"out": 1, "out, home": 2}
+"""Of the map, by day: the way home is driven in its own lane, by a front camera."""
 LIGHTS: tuple[LightName, ...] = ("night", "dusk")
 SPACING_M, EVERY, RIGHT_M = 2.0, 10, 2.0
 CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
@@ -34,12 +37,14 @@ CONFIG = Config(descriptor=DescriptorConfig(model="grid"))
 
 def rows(args: argparse.Namespace) -> Iterator[str]:
     """How far beside the lane of its map a vehicle is seen by keypoints."""
-    yield "| light | beside | right pose, alone | known along a drive | longest gap | position | rms over sigma |"
-    yield "|---" * 7 + "|"
+    yield "| map | light | beside | right pose, alone | known along a drive | longest gap | position | rms over sigma |"
+    yield "|---" * 8 + "|"
     roads = [Scenario(road, LENGTH_M) for road in args.seeds]
-    maps = [mapped(args.cache, road, "rear") for road in roads]
+    out = [mapped(args.cache, road, "rear") for road in roads]
+    back = [mapped(args.cache, road, "front", direction="reverse", drive_seed=14) for road in roads]
     elsewhere = np.zeros(3, int)
-    for light, beside_m in product(LIGHTS, BESIDE_M):
+    for (drives_of, count), light, beside_m in product(DRIVES.items(), LIGHTS, BESIDE_M):
+        maps = [MapSet.of(both[:count]) for both in zip(out, back, strict=True)]
         home = {"direction": "reverse", "light": light, "drive_seed": 13, "lane_m": beside_m - LANE_M}
         drives = [Scenario(road, LENGTH_M, **home) for road in args.seeds]  # type: ignore[arg-type]  # keys by name
         feeds = [read_feed(recorded(one, args.cache, SPACING_M)) for one in drives]
@@ -51,7 +56,7 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
         far_m, ratio = np.hypot(*off[:, 1:3].T), np.sqrt(np.square(off[:, 1:3] / off[:, 3:]).mean(axis=0))
         shares = f"{(alone <= RIGHT_M).mean():.2f} | {len(off) / len(known):.2f}"
         yield (
-            f"| {light} | {beside_m:g} m | {shares} | {gap_m:.0f} m"
+            f"| {drives_of} | {light} | {beside_m:g} m | {shares} | {gap_m:.0f} m"
             f" | {np.median(far_m):.2f} / {np.percentile(far_m, 95):.2f} m | {ratio[0]:.2f}, {ratio[1]:.2f} |"
         )
         for of, feed in zip(maps, feeds[1:] + feeds[:1], strict=True) if len(maps) > 1 else ():
@@ -60,9 +65,9 @@ def rows(args: argparse.Namespace) -> Iterator[str]:
     yield f"\nElsewhere: {elsewhere[0]} of {elsewhere[2]} frames known, {elsewhere[1]} pictures with any pose."
 
 
-def _pictures(of: ReferenceMap, feed: Feed) -> NDArray[np.float64]:
+def _pictures(map_set: MapSet, feed: Feed) -> NDArray[np.float64]:
     """What each picture's pose is off by in meters, infinite without one."""
-    map_set, images, truth = MapSet.of(of), FeedImages(feed), Truth(of)
+    images, truth = FeedImages(feed), Truth(map_set)
     verification = PlaceVerification(CONFIG)
     verification.use_maps(map_set, Drives(map_set, SPACING_M))
     found = []
@@ -75,10 +80,10 @@ def _pictures(of: ReferenceMap, feed: Feed) -> NDArray[np.float64]:
     return np.array(found)
 
 
-def _along(of: ReferenceMap, feed: Feed) -> NDArray[np.float64]:
+def _along(map_set: MapSet, feed: Feed) -> NDArray[np.float64]:
     """Of each frame (n, 5): meters driven; what its pose is off by to the right and ahead, and their sigmas, or NaN."""
-    recognizer = open_recognizer(CONFIG, map_set=MapSet.of(of))
-    images, truth, found = FeedImages(feed), Truth(of), np.full((len(feed.rows), 5), np.nan)
+    recognizer = open_recognizer(CONFIG, map_set=map_set)
+    images, truth, found = FeedImages(feed), Truth(map_set), np.full((len(feed.rows), 5), np.nan)
     for index, row in enumerate(feed.rows):
         travel = MotionPrior(row.distance_m, course_rad=math.radians(row.heading_deg or 0.0))
         match = recognizer.observe(images.read(index), row.stamp_ns, travel)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -22,7 +23,7 @@ from edge.geodesy import east_north
 from edge.keypoints import Keypoints
 from edge.keypoints.network import KeypointNetwork
 from edge.keypoints.pose import RelativePose, pose_to_keyframe
-from edge.reference_map import ReferenceMap, open_map
+from edge.reference_map import MapSet, ReferenceMap, open_map
 from edge.reference_map.keypoint_records import camera_of, keypoints_of, points_of
 from edge_plugins.mapping.keypoint_rows import keypoints_key
 from sim.maps.command import build_map
@@ -66,9 +67,9 @@ def _row(name: str, roads: Sequence[tuple[NDArray[np.float64], int]]) -> str:
     return f"| {name} | {posed} of {frames} | {' | '.join(spelled)} |"
 
 
-def mapped(folder: Path, road: Scenario, view: View) -> ReferenceMap:
-    """The map of a road by day, with keypoints, which is made where it is not there yet."""
-    feed = recorded(replace(road, view=view, drive_seed=11), folder)
+def mapped(folder: Path, road: Scenario, view: View, **made: Any) -> ReferenceMap:
+    """The map of a road by day, with keypoints, which is made where it is not there yet; made: else of its drive."""
+    feed = recorded(replace(road, **{"view": view, "drive_seed": 11, **made}), folder)
     path = feed.with_name(f"{feed.name}_map")
     if not path.exists():
         key, network = partial(keypoints_key, fov_deg=Scenario().fov_deg), Network.load(Path("grid"))
@@ -77,14 +78,14 @@ def mapped(folder: Path, road: Scenario, view: View) -> ReferenceMap:
 
 
 class Truth:
-    """Where a drive's frames are beside the places of a map."""
+    """Where a drive's frames are beside the places of some maps."""
 
-    def __init__(self, reference: ReferenceMap) -> None:
-        places = reference.places
+    def __init__(self, maps: MapSet) -> None:
+        places, index = maps.places, maps.index
         self._origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
         self._at_m = east_north(places["lat_deg"], places["lon_deg"], self._origin)
-        faces_back = np.pi * (reference.header.segments[0].view == "rear")
-        self._headings = np.radians(places["heading_deg"]) + faces_back
+        faces_back = [index.view(index.segment_of(place)) == "rear" for place in range(len(places))]
+        self._headings = np.radians(places["heading_deg"]) + np.pi * np.array(faces_back)
 
     def near(self, row: FeedRow) -> range:
         """Places around the one nearest to a frame."""
@@ -105,7 +106,7 @@ class Truth:
 
 def _errors(reference: ReferenceMap, query: Path) -> tuple[NDArray[np.float64], int]:
     """What poses are off by and their sigmas (n, 2, 3): right, ahead, turned; and how many frames there were."""
-    network, feed, truth = KeypointNetwork(), read_feed(query), Truth(reference)
+    network, feed, truth = KeypointNetwork(), read_feed(query), Truth(MapSet.of(reference))
     images, found = FeedImages(feed), []
     for index, row in enumerate(feed.rows):
         keypoints = network.extract(images.read(index))

@@ -218,9 +218,10 @@ def test_metrics_say_what_has_left_and_by_what_the_vehicle_steers() -> None:
         "up", "serial:/dev/none:57600", "auto", gps_use="lost", steers_by="dead reckoning", reckoned_m=140.0
     )
     link = dataclasses.replace(link, sent={"COMMAND_INT": 3, "VISION_POSITION_ESTIMATE": 40}, confirmed_ns=-int(2e9))
-    text = as_metrics(msgspec.structs.replace(snapshot(1).status, stamp_ns=0, link=link)).decode()
+    text = as_metrics(msgspec.structs.replace(snapshot(1).status, stamp_ns=0, link=link, no_pose_m=42.0)).decode()
     assert 'lookback_gps_use{use="lost"} 1.0' in text and 'lookback_steering{by="dead reckoning"} 1.0' in text
     assert text.count("lookback_steering{") == 4 and "lookback_dead_reckoning_meters 140.0" in text
+    assert "lookback_no_pose_meters 42.0" in text
     assert 'lookback_positions_sent_total{message="VISION_POSITION_ESTIMATE"} 40.0' in text
     assert "lookback_position_confirmed_age_seconds 2.0" in text and "position_age" not in text, "none has left since"
 
