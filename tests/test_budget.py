@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {
-    "edge": 1550,
+    "edge": 1600,
     "edge/camera": 800,
     "edge/commands": 250,
     "edge/descriptor": 450,
@@ -49,7 +49,7 @@ ROOMS = {
     "sim/home": 150,
     "sim/maps": 1200,
     "sim/model_tools": 650,
-    "sim/research": 3550,
+    "sim/research": 3650,
     "sim/shadow": 550,
     "sim/trial": 750,
     "sim/vehicle": 1300,

@@ -165,6 +165,10 @@ def test_a_street_that_the_map_has_twice_is_known_by_no_keyframe(maps: Path, twi
     assert known_at_rest(MapSet.of(open_map(twice)), grid, spots) == 0
 
 
+def _most(nearest: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    return nearest[:most]
+
+
 def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Path, twice: Path) -> None:
     drive = Film("home_night", 53)
     for path, stays in ((maps / "street", True), (twice, False)):
@@ -179,7 +183,7 @@ def test_a_verification_that_cannot_tell_two_places_speaks_against_both(maps: Pa
         votes = PlaceBelief(drives.drive_of(there), drives.along_m(there), "reverse", 0.93, is_believed=True)
         matcher = KeyframeMatcher(map_set, drives, CONFIG)
         for _ in range(2):
-            matcher.verify(drive.images[0], lambda most, places=nearest: places[:most], MotionPrior(), 0.0, 0.0)
+            matcher.verify(drive.images[0], partial(_most, nearest), MotionPrior(), 0.0, 0.0)
         answer = matcher.answer(votes, None, 0.0, BESIDE_M)
         assert (answer.votes is not None and answer.votes.is_believed) == stays
 
