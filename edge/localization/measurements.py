@@ -24,7 +24,7 @@ from edge.localization.filter import (
     Vector,
 )
 from edge.localization.pose_measurement import SHARED_M, STANDS_M, PoseMeasurement
-from edge.localization.sequence_match import SequenceMatch, left_of
+from edge.localization.sequence_match import LocalMidpoint, SequenceMatch, StructureMeasurement, left_of
 
 GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""
@@ -97,14 +97,28 @@ def by_sequence(state: Filter, slot: Slot, line: SequenceMatch, *, is_evidence: 
     return True
 
 
+def by_structure(state: Filter, slot: Slot, seen: StructureMeasurement) -> bool:
+    """Structure: the vehicle's position in the middle of its window, along-track and cross-track.
+
+    No evidence for a hypothesis: it was searched for where the place is believed.
+    """
+    rows, off_m = _midpoint_innovation(state, slot, seen.midpoint)
+    return state.correct(rows, off_m, np.diag(np.square(seen.sigma_m)))
+
+
 def sequence_innovation(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:
     """Rows, innovation and noise of a sequence match, along-track and cross-track."""
-    along, since_m, doubtful_m = line.midpoint.along, line.midpoint.since_m[:2], line.midpoint.since_m[2:]
-    axes = np.array([along, left_of(along)])
-    rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
-    rows[:, HEADING : DOUBT + 1] = -axes @ state.slopes(since_m, doubtful_m)
+    rows, off_m = _midpoint_innovation(state, slot, line.midpoint)
     rows[0, slot.stays], rows[0, slot.changes] = 1.0, line.sigma_factor
-    of_map_m = state.mean[slot.map] + state.mean[slot.whole]
-    off_m = axes @ (line.midpoint.place_m - (state.position_m - state.truly(since_m, doubtful_m)) - of_map_m)
     off_m[0] -= state.mean[slot.stays] + line.sigma_factor * state.mean[slot.changes]
     return rows, off_m, np.diag([(line.sigma_factor * line.sigma_m) ** 2, line.errors.lane_m**2])
+
+
+def _midpoint_innovation(state: Filter, slot: Slot, midpoint: LocalMidpoint) -> tuple[Matrix, Vector]:
+    """Rows and innovation of where the vehicle was, along-track and cross-track."""
+    since_m, doubtful_m = midpoint.since_m[:2], midpoint.since_m[2:]
+    axes = np.array([midpoint.along, left_of(midpoint.along)])
+    rows = state.rows((POSITION, axes), (slot.map, axes), (slot.whole, axes))
+    rows[:, HEADING : DOUBT + 1] = -axes @ state.slopes(since_m, doubtful_m)
+    of_map_m = state.mean[slot.map] + state.mean[slot.whole]
+    return rows, axes @ (midpoint.place_m - (state.position_m - state.truly(since_m, doubtful_m)) - of_map_m)

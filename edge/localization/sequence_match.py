@@ -81,6 +81,19 @@ class SequenceMatch:
         return self.mapped.segment, self.match.direction
 
 
+@dataclass(frozen=True)
+class StructureMeasurement:
+    """Where structure has the vehicle, in local meters: in the middle of its window.
+
+    drive: what its errors are those of. sigma_m: along-track and cross-track, without the error of the map.
+    """
+
+    drive: tuple[int, Direction]
+    midpoint: LocalMidpoint
+    sigma_m: tuple[float, float]
+    errors: DriveErrors
+
+
 class Georeferencer:
     """Matches in local meters, with the odometer's readings at the frames of the sequence."""
 
@@ -180,6 +193,30 @@ class Georeferencer:
             errors=self._errors(match, drive, along_m, along, map_error_m(row), camera_m),
             sigma_factor=1.0,
             pose=measured,
+        )
+
+    def structure_measurement(self, match: PlaceMatch, timestamp_sigma_m: float) -> StructureMeasurement | None:
+        """A match's `StructureMatch` in local meters; None without one, or where the map has no positions."""
+        seen = match.structure
+        if seen is None or len(self._readings) <= seen.frames:
+            return None
+        place, rig, sign = seen.place_index, self.rig, 1 if match.direction == "forward" else -1
+        road = position_on_route(self.route, place, seen.ahead_m, match.direction)
+        if road is None or road.heading_deg is None:
+            return None
+        road_rad = math.radians(road.heading_deg)
+        along = np.array([math.sin(road_rad), math.cos(road_rad)])
+        since_m = self._since(seen.frames)
+        if not heads_along(road_rad, _course_rad(since_m)):
+            return None
+        place_m = self.local(road) + sign * seen.left_m * left_of(along) - rig.look_ahead_m(match.direction) * along
+        drive, camera_m = self.route.drive(place), math.hypot(rig.look_sigma_m or rig.sigma_along_m, timestamp_sigma_m)
+        along_m = self.route.route_m(place) + seen.ahead_m
+        return StructureMeasurement(
+            (drive.segment, match.direction),
+            LocalMidpoint(place_m, along, since_m),
+            seen.sigma_m,
+            self._errors(match, drive, along_m, along, map_error_m(road), camera_m),
         )
 
     def _errors(

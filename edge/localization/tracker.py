@@ -26,14 +26,17 @@ from edge.localization.evidence import SPREAD_M, STRETCH_WRONG
 from edge.localization.filter import (
     COMPASS,
     CORRELATION_M,
+    DOUBT,
     GATE,
     GPS_M,
     GPS_SHARE,
     HEADING,
     POSITION,
     SCALE,
+    DriveErrors,
     Filter,
     FilterStep,
+    Matrix,
     Vector,
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
@@ -205,6 +208,7 @@ class Tracker:
             measured = self._measured(match, with_pose, timestamp_sigma_m)
         if measured is not None:
             self._use(measured, own, frame.stamp_ns, is_evidence=is_evidence)
+        self._use_structure(match, timestamp_sigma_m, frame.stamp_ns)
         has_gps = gps_m is not None and self.follows_gps
         self.bank.judge(frame.stamp_ns / 1e9, has_gps=has_gps)
         if not has_gps and self._corrects_itself(frame.stamp_ns) and measured is not None:
@@ -387,32 +391,55 @@ class Tracker:
             self.bank.before = None
         if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
-        if measured.pose is not None:
-            self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
-            self._posed_ns, self._pose = stamp_ns, self._pose_fix(measured, measured.pose)
+        if (pose := measured.pose) is not None:
+            self._hand_on(pose.position_m, pose.covariance, pose.heading_rad, measured.errors, stamp_ns)
 
-    def _pose_fix(self, measured: SequenceMatch, pose: PoseMeasurement) -> FixCandidate | None:
-        """A keypoint pose that passed, as a measurement of its own: nothing of the filter's past is in it."""
+    def _hand_on(
+        self, position_m: Vector, covariance: Matrix, heading_rad: float, errors: DriveErrors, stamp_ns: int
+    ) -> None:
+        """A measurement that passed, as one of its own: nothing of the filter's past is in it.
+
+        position_m: of now (2,), and its covariance (2, 2) without the error of the map.
+        """
+        self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
+        self._posed_ns, self._pose = stamp_ns, None
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None:
-            return None
+            return
         if self._agreeing < FIRST or at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
-            return None
-        lat_deg, lon_deg = moved(*origin, float(pose.position_m[0]), float(pose.position_m[1]))
-        axes = np.array([[math.sin(pose.heading_rad), math.cos(pose.heading_rad)]])
+            return
+        axes = np.array([[math.sin(heading_rad), math.cos(heading_rad)]])
         axes = np.concatenate([axes, left_of(axes)])
-        errors = measured.errors
         of_map = errors.map_m**2 * np.eye(2) + errors.whole
-        along_m, cross_m = np.sqrt((axes @ (pose.covariance + of_map) @ axes.T).diagonal())
+        along_m, cross_m = np.sqrt((axes @ (covariance + of_map) @ axes.T).diagonal())
+        lat_deg, lon_deg = moved(*origin, float(position_m[0]), float(position_m[1]))
         place = replace(
             exposure,
             lat_deg=lat_deg,
             lon_deg=lon_deg,
-            heading_deg=math.degrees(pose.heading_rad) % 360,
+            heading_deg=math.degrees(heading_rad) % 360,
             sigma_along_m=float(along_m),
             sigma_cross_track_m=float(cross_m),
         )
-        return FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(pose.covariance)[-1])))
+        self._pose = FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])))
+
+    def _use_structure(self, match: PlaceMatch | None, timestamp_sigma_m: float, stamp_ns: int) -> None:
+        """Correct by structure where the vehicle is followed, and hand it on like a keypoint pose."""
+        track = self._track
+        if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or track is None:
+            return
+        seen = self._georeferencer.structure_measurement(match, timestamp_sigma_m)
+        if seen is None or not self.bank.each(
+            lambda state: measurements.by_structure(state, state.slot(seen.drive, seen.errors), seen)
+        ):
+            return
+        self._exposure = self._fix(track, self.bank.right, stamp_ns, track.since_m, self._yaw_rad)
+        state, since_m, doubtful_m = self.bank.right, seen.midpoint.since_m[:2], seen.midpoint.since_m[2:]
+        axes, slopes = np.array([seen.midpoint.along, left_of(seen.midpoint.along)]), state.slopes(since_m, doubtful_m)
+        velocity = state.covariance[HEADING : DOUBT + 1, HEADING : DOUBT + 1]
+        covariance = axes.T @ np.diag(np.square(seen.sigma_m)) @ axes + slopes @ velocity @ slopes.T
+        position_m = seen.midpoint.place_m + state.truly(since_m, doubtful_m)
+        self._hand_on(position_m, covariance, float(np.arctan2(*seen.midpoint.along)), seen.errors, stamp_ns)
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
