@@ -79,6 +79,11 @@ class StructureMatcher:
         self._matched_m = -math.inf
         self._unbelieved = PATIENCE  # frames
 
+    @property
+    def is_full(self) -> bool:
+        """Whether so much was driven that there may be a match."""
+        return bool(self._rows) and self._rows[-1].along_m - self._rows[0].along_m >= LAG_M + WINDOW_M + REACH_M
+
     def push(
         self, image: Image, ground_m: tuple[float, float] | None, believed: PlaceMatch | None
     ) -> StructureMatch | None:
@@ -118,7 +123,7 @@ class StructureMatcher:
     def _match(self, believed: PlaceMatch) -> StructureMatch | None:
         now_m = self._rows[-1].along_m
         middle_m = now_m - LAG_M - WINDOW_M / 2
-        if now_m - self._matched_m < self._apart_m or self._rows[0].along_m > middle_m - WINDOW_M / 2 - REACH_M:
+        if now_m - self._matched_m < self._apart_m or not self.is_full:
             return None
         sign = 1 if believed.direction == "forward" else -1
         route_m = float(self._map_set.places["route_m"][believed.place_index])

@@ -15,7 +15,18 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import belief, cameras, capture, facing, lengths, lines, pairs, poses, reliability
+from sim.research.evaluation import (
+    belief,
+    cameras,
+    capture,
+    facing,
+    lengths,
+    lines,
+    pairs,
+    poses,
+    reliability,
+    structure,
+)
 from sim.research.trial.table import put_between
 
 
@@ -42,6 +53,12 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "light": {"choices": poses.ALL_LIGHTS, "action": "append", "help": "only this one"},
     "map-mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the map's")},
     "mounted": {"type": float, "nargs": 2, "default": (0.0, 0.0), "help": MOUNTED.format("the other")},
+    "map": {"type": Path, "required": True, "help": "with keypoints"},
+    "feed": {
+        "type": Path,
+        "required": True,
+        "help": "a recording with positions, by a camera that faced the other way",
+    },
     "made": {"type": Path, "required": True, "help": "file with the table"},
     "page": {"type": Path, "help": "write the table between its marks on this page"},
 }
@@ -57,6 +74,8 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
     "cameras": (cameras.rows, (*ROADS, "light")),
     "capture": (capture.rows, (*ROADS, "light")),
+    "structure": (structure.rows, (*ROADS, "light", "draws")),
+    "structure-of": (structure.of_recording, ("map", "feed")),
     "keyframes": (poses.keyframes_on_map, (*ROADS, "light", "draws", *MOUNTS)),
     "streets": (poses.keyframes_on_streets, (*ROADS, "draws", *MOUNTS)),
     "off-map": (poses.keyframes_off_map, ("seeds", "cache", *MOUNTS)),
