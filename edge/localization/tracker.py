@@ -626,7 +626,7 @@ class Tracker:
             confidence=match.confidence,
             velocity_error=float(np.hypot(state.mean[HEADING], state.mean[SCALE])),
             disputed=self._is_disputed,
-            by_lane=not has_pose,
+            by_lane=not has_pose and self._pose is None,
             points=(track.points or UNSET) if stamp_ns - track.stamp_ns < POSE_HOLDS_NS else UNSET,
             map=UNSET if match.map is None else match.map,
         )

@@ -74,7 +74,6 @@ class StructureMatcher:
     def reset(self) -> None:
         """No frame so far counts."""
         self._rows: list[_Row] = []
-        self._placed = 0  # rows whose points are known, of those kept
         self._mount: Mount | None = None
         self._matched_m = -math.inf
         self._unbelieved = PATIENCE  # frames
@@ -117,8 +116,7 @@ class StructureMatcher:
         along_m = self._rows[-1].along_m + step_m if self._rows else 0.0
         self._rows.append(_Row(along_m, ground_m, self._network_of().extract(image, MOST_OF_FRAME)))
         self._place_rows(along_m - REACH_M)
-        passed = sum(row.along_m < along_m - LAG_M - WINDOW_M - FARTHEST_M for row in self._rows)
-        self._rows, self._placed = self._rows[passed:], self._placed - passed
+        self._rows = [row for row in self._rows if row.along_m >= along_m - LAG_M - WINDOW_M - FARTHEST_M]
 
     def _match(self, believed: PlaceMatch) -> StructureMatch | None:
         now_m = self._rows[-1].along_m
@@ -134,14 +132,16 @@ class StructureMatcher:
         points = self._own_points() - (middle_m, 0.0, 0.0)
         points[:, :2] *= sign
         fit = best_fit(points, self._points_around(believed.place_index, expected_m), expected_m, WINDOW_M, SEARCH_M)
-        if fit is None:
-            return None
-        self._matched_m = now_m
-        return self._as_match(fit, believed.place_index, middle_m)
+        found = None if fit is None else self._as_match(fit, believed.place_index, middle_m)
+        self._matched_m = self._matched_m if found is None else now_m
+        return found
 
-    def _as_match(self, fit: Fit, place_index: int, middle_m: float) -> StructureMatch:
+    def _as_match(self, fit: Fit, place_index: int, middle_m: float) -> StructureMatch | None:
+        """None where the window is not all on the drive of the map."""
         first, end = self._map_set.index.segment(self._map_set.index.segment_of(place_index))
         route_m = self._map_set.places["route_m"][first:end]
+        if not route_m[0] <= fit.along_m - WINDOW_M / 2 <= fit.along_m + WINDOW_M / 2 <= route_m[-1]:
+            return None
         nearest = int(np.abs(route_m - fit.along_m).argmin())
         at_m = np.array([row.along_m for row in self._rows])
         frames = len(at_m) - 1 - float(np.interp(middle_m, at_m, np.arange(len(at_m))))
@@ -155,22 +155,14 @@ class StructureMatcher:
 
     def _place_rows(self, up_to_m: float) -> None:
         """Find the points of the rows that have enough others to both sides."""
-        rows = self._rows
-        first = self._placed
-        while self._placed < len(rows) and rows[self._placed].along_m <= up_to_m:
-            self._placed += 1
-        if first == self._placed:
-            return
-        path, camera = self._own_path(), self._camera(rows[-1].keypoints.size)
-        which = range(first, self._placed)
+        rows, path = self._rows, self._own_path()
+        which = [number for number, row in enumerate(rows) if row.points is None and row.along_m <= up_to_m]
+        camera, faces_back = self._camera(rows[-1].keypoints.size), self._faces_back
         found = points_of_drive(
             lambda row: rows[row].keypoints,
-            path.along_m,
-            path.heading,
-            camera,
-            which,
+            *(path.along_m, path.heading, camera, which),
+            faces_back=faces_back,
             mount=self._mount,
-            faces_back=self._faces_back,
         )
         for row, (points, mount) in zip(which, found, strict=True):
             rows[row].points, self._mount = points, mount_of_drive([mount], self._mount)

@@ -8,20 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from edge.config import Config
 from edge.descriptor.network import Network
-from edge.geodesy import east_north
+from edge.feed import read_feed
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.structure_matcher import APART_M, StructureMatcher
 from edge.reference_map import MapSet, open_map
 from edge.sequence import PlaceMatch
 from edge.structure import StructureMatch
-from tests.recognition.test_keyframe_matcher import Film, _build
+from sim.research.evaluation.structure import DriveTruth
+from tests.recognition.test_keyframe_matcher import RECORDINGS, Film, _build
 
-FROM_M = 7.0
-"""By which the place that is believed is off."""
+BELIEVED_OFF_M = 7.0
 
 
 @pytest.fixture(scope="module")
@@ -30,45 +29,29 @@ def street(grid: Network, make_once: Callable[[str, Callable[[Path], object]], P
 
 
 def driven(
-    maps: MapSet, is_moved: bool = True, accepted: bool = True
-) -> list[tuple[NDArray[np.float64], StructureMatch | None]]:
-    """Meters east and north (2,) of each frame from the first place of the map, and its match."""
+    maps: MapSet, truth: DriveTruth, *, is_moved: bool = True, accepted: bool = True
+) -> dict[int, StructureMatch]:
+    """The matches, by their frames, while the vehicle is on the first drive of the map."""
     film, network = Film("again_dusk"), KeypointNetwork()
-    places = maps.places
-    origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
-    there = east_north(places["lat_deg"], places["lon_deg"], origin)
-    matcher, found = StructureMatcher(maps, Config(), lambda: network), []
-    for row, image in zip(film.rows, film.images, strict=True):
-        assert row.lat_deg is not None and row.lon_deg is not None
-        (here,) = east_north(np.array([row.lat_deg]), np.array([row.lon_deg]), origin)
-        nearest = int(np.hypot(*(there - here).T).argmin())
-        place = int(np.abs(places["route_m"] - places["route_m"][nearest] - FROM_M).argmin())
+    matcher, found = StructureMatcher(maps, Config(), lambda: network), dict[int, StructureMatch]()
+    for index, image in enumerate(film.images[: int(truth.along_m.argmax())]):
+        place = int(np.abs(truth.route_m - truth.along_m[index] - BELIEVED_OFF_M).argmin())
         believed = PlaceMatch(place, place, "forward", "swapped", 1.0, 0.0, 1.0, accepted=accepted)
-        found.append((here, matcher.push(image, (here[0], here[1]) if is_moved else None, believed)))
+        ground_m = float(truth.ground_m[index, 0]), float(truth.ground_m[index, 1])
+        seen = matcher.push(image, ground_m if is_moved else None, believed)
+        found |= {} if seen is None else {index: seen}
     return found
 
 
 def test_it_has_the_vehicle_to_a_meter_where_the_place_is_seven_meters_off(street: MapSet) -> None:
-    places = street.places
-    there = east_north(places["lat_deg"], places["lon_deg"], (float(places["lat_deg"][0]), float(places["lon_deg"][0])))
-    frames, matches = driven(street), []
-    for index, (_, seen) in enumerate(frames):
-        if seen is None:
-            continue
-        before = int(index - seen.frames)
-        share = index - seen.frames - before
-        was = frames[before][0] + share * (frames[before + 1][0] - frames[before][0])
-        heading = np.radians(float(places["heading_deg"][seen.place_index]))
-        ahead = np.array([np.sin(heading), np.cos(heading)])
-        left = np.array([-ahead[1], ahead[0]])
-        off = there[seen.place_index] + seen.ahead_m * ahead + seen.left_m * left - was
-        matches.append((index, off @ ahead, off @ left, *seen.sigma_m))
-    index, along_m, left_m, *_ = np.array(matches).T
-    assert len(matches) >= 3
-    assert np.abs(along_m).max() < 2.0 and np.abs(left_m).max() < 2.0
-    assert np.diff(index).min() * 2.0 >= APART_M - 2.0
+    truth = DriveTruth(street, read_feed(RECORDINGS / "again_dusk"))
+    matches = driven(street, truth)
+    assert len(matches) >= 3 and np.diff([truth.driven_m[index] for index in matches]).min() >= APART_M - 0.1
+    off = np.array([truth.off(index, seen) for index, seen in matches.items()])
+    assert np.abs(off[:, :2]).max() < 1.5 and np.abs(off[:, :2] / off[:, 2:]).max() < 3.0
 
 
 def test_without_an_odometer_or_a_place_that_is_believed_there_is_no_match(street: MapSet) -> None:
-    assert not any(seen for _, seen in driven(street, is_moved=False))
-    assert not any(seen for _, seen in driven(street, accepted=False))
+    truth = DriveTruth(street, read_feed(RECORDINGS / "again_dusk"))
+    assert not driven(street, truth, is_moved=False)
+    assert not driven(street, truth, accepted=False)

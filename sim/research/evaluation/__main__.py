@@ -15,18 +15,8 @@ from typing import Any
 
 import cv2
 
-from sim.research.evaluation import (
-    belief,
-    cameras,
-    capture,
-    facing,
-    lengths,
-    lines,
-    pairs,
-    poses,
-    reliability,
-    structure,
-)
+from sim.research.evaluation import belief, cameras, capture, facing, lengths, lines, pairs, poses, reliability
+from sim.research.evaluation import structure as shape
 from sim.research.trial.table import put_between
 
 
@@ -74,8 +64,8 @@ TABLES: dict[str, tuple[Callable[[argparse.Namespace], Iterator[str]], Sequence[
     "poses": (poses.rows, (*ROADS, "light", *MOUNTS)),
     "cameras": (cameras.rows, (*ROADS, "light")),
     "capture": (capture.rows, (*ROADS, "light")),
-    "structure": (structure.rows, (*ROADS, "light", "draws")),
-    "structure-of": (structure.of_recording, ("map", "feed")),
+    "structure": (shape.rows, (*ROADS, "light", "draws")),
+    "structure-of": (shape.of_recording, ("map", "feed")),
     "keyframes": (poses.keyframes_on_map, (*ROADS, "light", "draws", *MOUNTS)),
     "streets": (poses.keyframes_on_streets, (*ROADS, "draws", *MOUNTS)),
     "off-map": (poses.keyframes_off_map, ("seeds", "cache", *MOUNTS)),

@@ -22,8 +22,8 @@ from edge.feed import Feed, FeedImages, View, read_feed
 from edge.geodesy import east_north
 from edge.keypoints.network import KeypointNetwork
 from edge.recognition.structure_matcher import StructureMatcher
-from edge.reference_map import MapSet, open_map_set
-from edge.sequence import Direction, PlaceMatch
+from edge.reference_map import MapSet, ReferenceMap, open_map_set
+from edge.sequence import Direction, Order, PlaceMatch
 from edge.structure import StructureMatch
 from sim.research.evaluation import poses
 from sim.research.evaluation.lines import alikeness
@@ -64,7 +64,7 @@ def of_recording(args: argparse.Namespace) -> Iterator[str]:
     yield _row(args.feed.name, [_errors(open_map_set(args.map), read_feed(args.feed))])
 
 
-def _mapped(folder: Path, road: int, view: View) -> poses.ReferenceMap:
+def _mapped(folder: Path, road: int, view: View) -> ReferenceMap:
     return poses.mapped(folder, road, view, poses.Mounting(0.0, 0.0), LENGTH_M)
 
 
@@ -79,14 +79,13 @@ def _errors(maps: MapSet, feed: Feed) -> NDArray[np.float64]:
     header, rng, network = feed.header, np.random.default_rng(0), KeypointNetwork()
     camera = CameraConfig(view=header.view, fov_deg=UNSET if header.fov_deg is None else header.fov_deg)
     matcher = StructureMatcher(maps, Config(camera=camera), lambda: network, APART_M)
-    truth, images = _Truth(maps, feed), FeedImages(feed)
+    truth, images = DriveTruth(maps, feed), FeedImages(feed)
     found = np.full((int(truth.driven_m[-1] / APART_M) + 1, 4), np.nan)
-    way = truth.way
-    order = "swapped" if way == "forward" else "same"
+    order: Order = "swapped" if truth.way == "forward" else "same"
     for index in range(len(feed.rows)):
         believed_m = truth.along_m[index] + rng.normal(0.0, BELIEVED_SIGMA_M)
         place = int(np.abs(truth.route_m - believed_m).argmin())
-        believed = PlaceMatch(place, place, way, order, 1.0, 0.0, 1.0, accepted=True)
+        believed = PlaceMatch(place, place, truth.way, order, 1.0, 0.0, 1.0, accepted=True)
         seen = matcher.push(images.read(index), (truth.ground_m[index, 0], truth.ground_m[index, 1]), believed)
         if seen is not None:
             found[int(truth.driven_m[index] / APART_M)] = truth.off(index, seen)
@@ -94,7 +93,7 @@ def _errors(maps: MapSet, feed: Feed) -> NDArray[np.float64]:
     return found
 
 
-class _Truth:
+class DriveTruth:
     """Where a drive's frames are on the first drive of a map: along it, and to its left."""
 
     def __init__(self, maps: MapSet, feed: Feed) -> None:
@@ -102,7 +101,10 @@ class _Truth:
         self.route_m = places["route_m"].astype(np.float64)
         origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
         degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], dtype=np.float64).T
-        line, self.ground_m = east_north(places["lat_deg"], places["lon_deg"], origin), east_north(*degrees, origin)
+        line, self.ground_m = (
+            east_north(places["lat_deg"], places["lon_deg"], origin),
+            east_north(degrees[0], degrees[1], origin),
+        )
         self.driven_m = np.concatenate([[0.0], np.hypot(*np.diff(self.ground_m, axis=0).T).cumsum()])
         steps = np.diff(line, axis=0)
         length_m = np.maximum(np.hypot(*steps.T), 1e-9)
