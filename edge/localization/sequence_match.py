@@ -16,7 +16,8 @@ from edge.config import Config, RigConfig
 from edge.geodesy import Origin, VehiclePosition, east_north_of
 from edge.localization.filter import DriveErrors
 from edge.localization.place_fix import OdometryWindow, heads_along, map_error_m, position_on_route, sequence_midpoint
-from edge.localization.pose_measurement import AIM_RAD, PoseMeasurement, Vector, camera_pose
+from edge.localization.pose_measurement import AIM_RAD, LocalMidpoint, PoseMeasurement, Vector, camera_pose, left_of
+from edge.localization.structure_measurement import StructureMeasurement
 from edge.reference_map import MapDrive, Position, Route
 from edge.sequence import Direction, PlaceMatch
 
@@ -36,17 +37,6 @@ WANDERS = 0.5
 time."""
 CREPT_WITHIN_M = 1000.0
 """Of a drive whose positions crept nobody knows where they were right: so far from there all are as uncertain."""
-
-
-class LocalMidpoint(NamedTuple):
-    """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
-
-    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since.
-    """
-
-    place_m: Vector
-    along: Vector
-    since_m: Vector
 
 
 class RoutePoint(NamedTuple):
@@ -79,19 +69,6 @@ class SequenceMatch:
     def drive(self) -> tuple[int, Direction]:
         """What its errors are those of."""
         return self.mapped.segment, self.match.direction
-
-
-@dataclass(frozen=True)
-class StructureMeasurement:
-    """Where structure has the vehicle, in local meters: in the middle of its window.
-
-    drive: what its errors are those of. sigma_m: along-track and cross-track, without the error of the map.
-    """
-
-    drive: tuple[int, Direction]
-    midpoint: LocalMidpoint
-    sigma_m: tuple[float, float]
-    errors: DriveErrors
 
 
 class Georeferencer:
@@ -254,11 +231,6 @@ class Georeferencer:
 
 def _course_rad(moved_m: Vector) -> float:
     return math.atan2(moved_m[0], moved_m[1])
-
-
-def left_of(along: Vector) -> Vector:
-    """The unit vectors (..., 2) to the left of others."""
-    return np.asarray(along[..., ::-1] * np.array([-1.0, 1.0]))
 
 
 def changing_sigma_m(match: PlaceMatch, rig: RigConfig) -> float:

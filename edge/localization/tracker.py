@@ -41,8 +41,9 @@ from edge.localization.filter import (
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
-from edge.localization.pose_measurement import PoseMeasurement
-from edge.localization.sequence_match import Georeferencer, SequenceMatch, left_of
+from edge.localization.pose_measurement import PoseMeasurement, left_of
+from edge.localization.sequence_match import Georeferencer, SequenceMatch
+from edge.localization.structure_measurement import StructureAgreement
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
@@ -158,6 +159,7 @@ class Tracker:
         self._track: TrackScore | None = None
         self._agreeing, self._posed_ns = 0, 0  # keypoint poses that passed without a hole, and the newest
         self._pose: FixCandidate | None = None
+        self._structure = StructureAgreement()
         self._usual_off_m: Vector | None = None  # GPS from keypoint poses, and how many in a row are elsewhere
         self._departing = 0
         self.cross_track: tuple[float, float] | None = None
@@ -182,6 +184,7 @@ class Tracker:
             return False
         if before is not None and before.motion is not None and motion.odometry_epoch != before.motion.odometry_epoch:
             self._georeferencer.clear()
+            self._structure.clear()
             self._track = self._exposure = self._pose = None
         has_stood = before is None or frame.stamp_ns - before.stamp_ns > STOOD_NS
         if has_stood or frame.missed > self._georeferencer.length // 2:
@@ -392,22 +395,23 @@ class Tracker:
         if track.matches >= FIRST or measured.pose is None:
             self._exposure = self._fix(track, self.bank.right, stamp_ns, 0.0, self._yaw_rad)
         if (pose := measured.pose) is not None:
-            self._hand_on(pose.position_m, pose.covariance, pose.heading_rad, measured.errors, stamp_ns)
+            self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
+            self._posed_ns, self._pose = stamp_ns, None
+            if self._agreeing >= FIRST:
+                self._pose = self._pose_fix(pose.position_m, pose.covariance, pose.heading_rad, measured.errors)
 
-    def _hand_on(
-        self, position_m: Vector, covariance: Matrix, heading_rad: float, errors: DriveErrors, stamp_ns: int
-    ) -> None:
-        """A measurement that passed, as one of its own: nothing of the filter's past is in it.
+    def _pose_fix(
+        self, position_m: Vector, covariance: Matrix, heading_rad: float, errors: DriveErrors
+    ) -> FixCandidate | None:
+        """A pose or structure that passed, as a measurement of its own: nothing of the filter's past is in it.
 
         position_m: of now (2,), and its covariance (2, 2) without the error of the map.
         """
-        self._agreeing = self._agreeing + 1 if stamp_ns - self._posed_ns <= HOLE_S * 1e9 else 1
-        self._posed_ns, self._pose = stamp_ns, None
         exposure, origin, at = self._exposure, self._georeferencer.origin, self._at
         if exposure is None or origin is None or at is None or at.motion is None:
-            return
-        if self._agreeing < FIRST or at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
-            return
+            return None
+        if at.stamp_ns - self._corrected_ns < HOLE_S * 1e9:
+            return None
         axes = np.array([[math.sin(heading_rad), math.cos(heading_rad)]])
         axes = np.concatenate([axes, left_of(axes)])
         of_map = errors.map_m**2 * np.eye(2) + errors.whole
@@ -421,25 +425,29 @@ class Tracker:
             sigma_along_m=float(along_m),
             sigma_cross_track_m=float(cross_m),
         )
-        self._pose = FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])))
+        return FixCandidate(place, at.motion, math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])))
 
     def _use_structure(self, match: PlaceMatch | None, timestamp_sigma_m: float, stamp_ns: int) -> None:
-        """Correct by structure where the vehicle is followed, and hand it on like a keypoint pose."""
+        """Correct by structure that agrees with the one before, and hand on the third one like a keypoint pose."""
         track = self._track
         if match is None or not match.accepted or timestamp_sigma_m > UNDATED_M or track is None:
             return
-        seen = self._georeferencer.structure_measurement(match, timestamp_sigma_m)
-        if seen is None or not self.bank.each(
+        seen, at = self._georeferencer.structure_measurement(match, timestamp_sigma_m), self._at
+        if seen is None or at is None or at.motion is None:
+            return
+        agreeing = self._structure.count(seen, _vector(at.motion), self.bank.right.truly)
+        if agreeing < FIRST or not self.bank.each(
             lambda state: measurements.by_structure(state, state.slot(seen.drive, seen.errors), seen)
         ):
             return
         self._exposure = self._fix(track, self.bank.right, stamp_ns, track.since_m, self._yaw_rad)
-        state, since_m, doubtful_m = self.bank.right, seen.midpoint.since_m[:2], seen.midpoint.since_m[2:]
-        axes, slopes = np.array([seen.midpoint.along, left_of(seen.midpoint.along)]), state.slopes(since_m, doubtful_m)
-        velocity = state.covariance[HEADING : DOUBT + 1, HEADING : DOUBT + 1]
-        covariance = axes.T @ np.diag(np.square(seen.sigma_m)) @ axes + slopes @ velocity @ slopes.T
-        position_m = seen.midpoint.place_m + state.truly(since_m, doubtful_m)
-        self._hand_on(position_m, covariance, float(np.arctan2(*seen.midpoint.along)), seen.errors, stamp_ns)
+        if agreeing > FIRST:
+            state, midpoint = self.bank.right, seen.midpoint
+            slopes = state.slopes(midpoint.since_m[:2], midpoint.since_m[2:])
+            by_velocity = slopes @ state.covariance[HEADING : DOUBT + 1, HEADING : DOUBT + 1] @ slopes.T
+            position_m = midpoint.place_m + state.truly(midpoint.since_m[:2], midpoint.since_m[2:])
+            heading_rad = float(np.arctan2(*midpoint.along))
+            self._pose = self._pose_fix(position_m, seen.covariance + by_velocity, heading_rad, seen.errors)
 
     def _begin(self, measured: SequenceMatch) -> None:
         """Be where the first match is."""
@@ -587,6 +595,7 @@ class Tracker:
         if origin is None or float(np.hypot(*shift_m)) < FAR_M:
             return
         self._georeferencer.origin = moved(*origin, float(shift_m[0]), float(shift_m[1]))
+        self._structure.clear()
         self.bank.each(lambda state: _shift(state, shift_m))
 
     def _fix(
