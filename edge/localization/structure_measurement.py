@@ -11,8 +11,8 @@ from edge.localization.filter import GATE, DriveErrors, Matrix, Vector
 from edge.localization.pose_measurement import LocalMidpoint, left_of
 from edge.sequence import Direction
 
-DRIFT = 0.03
-"""Of the odometer between two, one standard deviation."""
+DRIFT, FAR_M = 0.03, 60.0
+"""Of the odometer between two, one standard deviation; and how far apart they may be at most, or that says little."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,9 @@ class StructureAgreement:
         if before is not None and before[0].drive == seen.drive:
             between_m = there_m - before[1]
             off_m = seen.midpoint.place_m - before[0].midpoint.place_m - truly(between_m[:2], between_m[2:])
-            drift = DRIFT**2 * float(between_m[:2] @ between_m[:2]) * np.eye(2)
-            if float(off_m @ np.linalg.solve(seen.covariance + before[0].covariance + drift, off_m)) <= GATE[2]:
+            driven_m = float(np.hypot(*between_m[:2]))
+            spread = seen.covariance + before[0].covariance + (DRIFT * driven_m) ** 2 * np.eye(2)
+            if driven_m <= FAR_M and float(off_m @ np.linalg.solve(spread, off_m)) <= GATE[2]:
                 return self._count
         self._count = 1
         return 1
