@@ -23,9 +23,8 @@ from edge.localization.filter import (
     Slot,
     Vector,
 )
-from edge.localization.pose_measurement import SHARED_M, STANDS_M, LocalMidpoint, PoseMeasurement, left_of
-from edge.localization.sequence_match import SequenceMatch
-from edge.localization.structure_measurement import StructureMeasurement
+from edge.localization.pose_measurement import SHARED_M, STANDS_M, PoseMeasurement
+from edge.localization.sequence_match import LocalMidpoint, SequenceMatch, StructureMeasurement, left_of
 
 GPS_NOISE_M = 0.8
 """Of a receiver from one fix to the next."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +27,6 @@ STANDS_M = 0.01
 AIM_RAD = math.radians(2.8)
 """One standard deviation of the yaw error that all poses against one drive of the map share: two cameras were mounted
 by hand, the map's and this one, and the map's heading is that of its vehicle."""
-
-
-class LocalMidpoint(NamedTuple):
-    """A point of a drive of the map, or of a lane beside it, that a vehicle passed.
-
-    place_m: meters (2,). along: unit vector (2,) of travel there. since_m: (4,) how the vehicle moved since.
-    """
-
-    place_m: Vector
-    along: Vector
-    since_m: Vector
 
 
 @dataclass(frozen=True)
@@ -60,11 +48,6 @@ class PoseMeasurement:
     def covariance(self) -> NDArray[np.float64]:
         """(2, 2), of the position."""
         return self.pose_covariance[:2, :2]
-
-
-def left_of(along: Vector) -> Vector:
-    """The unit vectors (..., 2) to the left of others."""
-    return np.asarray(along[..., ::-1] * np.array([-1.0, 1.0]))
 
 
 def camera_pose(

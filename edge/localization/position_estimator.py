@@ -150,7 +150,7 @@ class PositionEstimator:
 
     @property
     def pose_ns(self) -> int | None:
-        """The exposure of the newest keypoint pose that may be a measurement, None without one."""
+        """The exposure of the newest keypoint pose, or structure, that may be a measurement; None without one."""
         pose = None if self._tracker is None else self._tracker.pose()
         return None if pose is None or pose.place is None else pose.place.stamp_ns
 

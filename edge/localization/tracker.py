@@ -41,9 +41,8 @@ from edge.localization.filter import (
 )
 from edge.localization.hypotheses import ELSEWHERE_M, FilterBank, Name
 from edge.localization.odometer_calibration import AGREE_SIGMAS, NEAR_SIGMAS, ScaleFactor
-from edge.localization.pose_measurement import PoseMeasurement, left_of
-from edge.localization.sequence_match import Georeferencer, SequenceMatch
-from edge.localization.structure_measurement import StructureAgreement
+from edge.localization.pose_measurement import PoseMeasurement
+from edge.localization.sequence_match import Georeferencer, SequenceMatch, StructureAgreement, left_of
 from edge.sequence import LEAST_SHARPNESS, PlaceMatch
 
 STOOD_NS = 10_000_000_000
