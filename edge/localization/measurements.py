@@ -34,6 +34,8 @@ SECOND_SHARE, SECOND_M = 0.1, 2.5
 """Share of keypoint poses that are a second solution of their geometry, and how far off these are."""
 SECOND, PLANE, TURN = np.diag([SECOND_M, SECOND_M, 0.0]) ** 2, np.eye(3, 2), np.eye(3)[:, 2]
 """Covariance of the latter, and Jacobians of a pose (3,) by a position (2,) and by what turns it."""
+ALIKE = 1.7
+"""Times the variance of structure, whose errors 20 m apart correlate by 0.25."""
 WITHIN_M = 300.0
 """Within which a false place and a false fix may be anywhere: as far as hypotheses follow them."""
 
@@ -103,7 +105,7 @@ def by_structure(state: Filter, slot: Slot, seen: StructureMeasurement) -> bool:
     No evidence for a hypothesis: it was searched for where the place is believed.
     """
     rows, off_m = _midpoint_innovation(state, slot, seen.midpoint)
-    return state.correct(rows, off_m, np.diag(np.square(seen.sigma_m)))
+    return state.correct(rows, off_m, ALIKE * np.diag(np.square(seen.sigma_m)))
 
 
 def sequence_innovation(state: Filter, slot: Slot, line: SequenceMatch) -> tuple[Matrix, Vector, Matrix]:

@@ -39,6 +39,8 @@ CREPT_WITHIN_M = 1000.0
 """Of a drive whose positions crept nobody knows where they were right: so far from there all are as uncertain."""
 
 
+INDEPENDENT_M = 38.0
+"""Driven between two of structure whose errors are independent: they correlate by about 0.25 at 20 m, and 0 at 40 m."""
 DRIFT, FAR_M = 0.03, 60.0
 """Of the odometer between two, one standard deviation; and how far apart they may be at most, or that says little."""
 
@@ -118,6 +120,17 @@ class StructureAgreement:
         """No motion leads from those so far to the next one."""
         self._newest: tuple[StructureMeasurement, Vector] | None = None
         self._count = 0
+        self._handed_m: Vector | None = None
+
+    def is_independent(self) -> bool:
+        """Whether the newest one is to be handed on: two before agree with it, and the last such one is far enough."""
+        if self._newest is None or self._count <= 2:
+            return False
+        there_m = self._newest[1]
+        if self._handed_m is not None and float(np.hypot(*(there_m - self._handed_m)[:2])) < INDEPENDENT_M:
+            return False
+        self._handed_m = there_m
+        return True
 
     def count(self, seen: StructureMeasurement, moved_m: Vector, truly: Callable[[Vector, Vector], Vector]) -> int:
         """With a further one. moved_m: (4,) by the autopilot's velocity, at this frame. truly: see `Filter`."""

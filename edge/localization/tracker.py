@@ -440,7 +440,7 @@ class Tracker:
         ):
             return
         self._exposure = self._fix(track, self.bank.right, stamp_ns, track.since_m, self._yaw_rad)
-        if agreeing > FIRST:
+        if self._structure.is_independent():
             state, midpoint = self.bank.right, seen.midpoint
             slopes = state.slopes(midpoint.since_m[:2], midpoint.since_m[2:])
             by_velocity = slopes @ state.covariance[HEADING : DOUBT + 1, HEADING : DOUBT + 1] @ slopes.T

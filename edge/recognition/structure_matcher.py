@@ -35,8 +35,8 @@ SEARCH_M = 20.0
 """Along the drive, to each side of where the place that is believed has the vehicle."""
 APART_M = 20.0
 """Driven between two matches."""
-PATIENCE = 10
-"""Frames without a believed place in opposite views, up to which those before still count."""
+PATIENCE = 40
+"""Frames without a believed place in opposite views, as of a sequence, in which points are still found."""
 MOST_OF_FRAME = 300
 """Keypoints of a picture: as many as a map keeps of a place."""
 KEPT_PLACES = 256
