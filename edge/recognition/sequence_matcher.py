@@ -103,10 +103,9 @@ class SequenceMatcher:
             self._keyframes.grow(map_set, self._drives)
         else:  # the map of this drive has its first places
             self._keyframes = self._open_keyframes(map_set)
+        self._structure = self._structure or self._open_structure(map_set)
         if self._structure is not None:
             self._structure.use_maps(map_set)
-        else:
-            self._structure = self._open_structure(map_set)
         if self._drives.is_metric != was_metric:  # lengths have another unit
             self._begin_consensus()
 

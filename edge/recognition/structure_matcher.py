@@ -27,7 +27,7 @@ from edge.reference_map.keypoint_records import points_of
 from edge.sequence import PlaceMatch
 from edge.structure import StructureMatch
 from edge.structure.cells import USUAL_M, Fit, best_fit
-from edge.structure.path import FARTHEST_M, Path
+from edge.structure.path import FARTHEST_M, DrivePath
 
 WINDOW_M, LAG_M = 40.0, 10.0
 """Of the vehicle's path, which is compared, and what lies between its end and the newest frame."""
@@ -78,11 +78,6 @@ class StructureMatcher:
         self._matched_m = -math.inf
         self._unbelieved = PATIENCE  # frames
 
-    @property
-    def is_full(self) -> bool:
-        """Whether so much was driven that there may be a match."""
-        return bool(self._rows) and self._rows[-1].along_m - self._rows[0].along_m >= LAG_M + WINDOW_M + REACH_M
-
     def push(
         self, image: Image, ground_m: tuple[float, float] | None, believed: PlaceMatch | None
     ) -> StructureMatch | None:
@@ -121,7 +116,8 @@ class StructureMatcher:
     def _match(self, believed: PlaceMatch) -> StructureMatch | None:
         now_m = self._rows[-1].along_m
         middle_m = now_m - LAG_M - WINDOW_M / 2
-        if now_m - self._matched_m < self._apart_m or not self.is_full:
+        is_full = now_m - self._rows[0].along_m >= LAG_M + WINDOW_M + REACH_M
+        if now_m - self._matched_m < self._apart_m or not is_full:
             return None
         sign = 1 if believed.direction == "forward" else -1
         route_m = float(self._map_set.places["route_m"][believed.place_index])
@@ -148,10 +144,10 @@ class StructureMatcher:
         where = first + nearest, fit.along_m - float(route_m[nearest]), fit.left_m
         return StructureMatch(*where, frames, fit.sigma_m, fit.score)
 
-    def _own_path(self) -> Path:
+    def _own_path(self) -> DrivePath:
         ground_m = np.array([row.ground_m for row in self._rows])
         east_m, north_m = np.gradient(ground_m, axis=0).T if len(ground_m) > 1 else np.zeros((2, 1))
-        return Path(np.array([row.along_m for row in self._rows]), ground_m, np.arctan2(east_m, north_m))
+        return DrivePath(np.array([row.along_m for row in self._rows]), ground_m, np.arctan2(east_m, north_m))
 
     def _place_rows(self, up_to_m: float) -> None:
         """Find the points of the rows that have enough others to both sides."""
@@ -195,10 +191,10 @@ class StructureMatcher:
         found = [self._place(first + row) for row in range(int(rows[0]), int(rows[1]))]
         return np.concatenate([np.empty((0, 3)), *found])
 
-    def _read_path(self, segment: int) -> Path:
+    def _read_path(self, segment: int) -> DrivePath:
         rows = self._map_set.places[slice(*self._map_set.index.segment(segment))]
         route_m, heading = rows["route_m"].astype(np.float64), np.radians(rows["heading_deg"].astype(np.float64))
-        return Path(route_m, np.stack(reckoned(route_m, heading), axis=1), heading)
+        return DrivePath(route_m, np.stack(reckoned(route_m, heading), axis=1), heading)
 
     def _read_place(self, place: int) -> Floats:
         index = self._map_set.index

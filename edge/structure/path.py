@@ -19,7 +19,7 @@ REACH_M = 45.0
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class DrivePath:
     """Where a drive's rows were: meters driven (n,), meters east and north (n, 2), headings clockwise in radians."""
 
     along_m: Floats
@@ -39,10 +39,10 @@ class Path:
         heading = self.heading[row] + np.pi * faces_back
         sin, cos, right_m = np.sin(heading), np.cos(heading), places[:, 0] * depth_m
         ground_m = self.ground_m[row] + np.column_stack([depth_m * sin + right_m * cos, depth_m * cos - right_m * sin])
-        along_m, left_m = self._beside(row, ground_m)
+        along_m, left_m = self.beside(row, ground_m)
         return np.column_stack([along_m, left_m, -places[:, 1] * depth_m])
 
-    def _beside(self, row: int, ground_m: Floats) -> tuple[Floats, Floats]:
+    def beside(self, row: int, ground_m: Floats) -> tuple[Floats, Floats]:
         """Along and left (k,) of spots (k, 2) by the nearest of the steps around a row."""
         first, last = np.searchsorted(self.along_m, self.along_m[row] + np.array([-REACH_M, REACH_M]))
         first, last = max(0, min(int(first), row - 1)), min(len(self.along_m), max(int(last) + 1, row + 2))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from edge.keypoints import MapPoints
 from edge.structure.cells import Fit, best_fit
-from edge.structure.path import Path
+from edge.structure.path import DrivePath
 
 LENGTH_M, WINDOW_M, SEARCH_M = 300.0, 40.0, 20.0
 
@@ -52,7 +52,7 @@ def test_points_lie_beside_the_path_which_bends_and_beyond_its_ends_goes_on_stra
     """A quarter of a circle of 50 m to the left; a point 20 m before the camera of its last row, and one behind it."""
     angle = np.linspace(0, np.pi / 2, 40)
     ground_m = 50 * np.column_stack([np.cos(angle) - 1, np.sin(angle)])
-    path = Path(50 * angle, ground_m, -angle)
+    path = DrivePath(50 * angle, ground_m, -angle)
     points = MapPoints(np.array([[0.1, -0.05, 1 / 20], [0.0, 0.0, np.nan], [0.0, 0.0, 1 / 60]]), np.full(3, 1e-4))
     ahead = path.points_of(39, points, faces_back=False)
     assert ahead == pytest.approx(np.array([[path.along_m[-1] + 20, -2.0, 1.0]]), abs=0.5)

@@ -25,6 +25,7 @@ from edge.recognition.structure_matcher import StructureMatcher
 from edge.reference_map import MapSet, ReferenceMap, open_map_set
 from edge.sequence import Direction, Order, PlaceMatch
 from edge.structure import StructureMatch
+from edge.structure.path import DrivePath
 from sim.research.evaluation import poses
 from sim.research.evaluation.lines import alikeness
 from sim.world.scenario import LightName, Scenario
@@ -101,20 +102,15 @@ class DriveTruth:
         self.route_m = places["route_m"].astype(np.float64)
         origin = float(places["lat_deg"][0]), float(places["lon_deg"][0])
         degrees = np.array([(row.lat_deg, row.lon_deg) for row in feed.rows], dtype=np.float64).T
-        line, self.ground_m = (
-            east_north(places["lat_deg"], places["lon_deg"], origin),
-            east_north(degrees[0], degrees[1], origin),
-        )
+        line = east_north(places["lat_deg"], places["lon_deg"], origin)
+        self.ground_m = east_north(degrees[0], degrees[1], origin)
         self.driven_m = np.concatenate([[0.0], np.hypot(*np.diff(self.ground_m, axis=0).T).cumsum()])
-        steps = np.diff(line, axis=0)
-        length_m = np.maximum(np.hypot(*steps.T), 1e-9)
-        off = self.ground_m[:, np.newaxis] - line[:-1]
-        share = ((off * steps).sum(axis=-1) / length_m**2).clip(0, 1)
-        rest = off - share[..., np.newaxis] * steps
-        at = np.square(rest).sum(axis=-1).argmin(axis=1)
-        each, way = np.arange(len(at)), steps[at]
-        self.along_m = self.route_m[at] + share[each, at] * np.diff(self.route_m)[at]
-        self.left_m = (way[:, 0] * rest[each, at, 1] - way[:, 1] * rest[each, at, 0]) / length_m[at]
+        path, nearest = (
+            DrivePath(self.route_m, line, np.zeros(len(line))),
+            np.hypot(*(self.ground_m[:, np.newaxis] - line).T).argmin(axis=0),
+        )
+        at = [path.beside(int(row), spot[np.newaxis]) for row, spot in zip(nearest, self.ground_m, strict=True)]
+        self.along_m, self.left_m = np.concatenate(at, axis=1)
         self.way: Direction = "forward" if self.along_m[-1] > self.along_m[0] else "reverse"
 
     def off(self, index: int, seen: StructureMatch) -> tuple[float, float, float, float]:
